@@ -1,0 +1,67 @@
+# make setup | demo | test | test-slow | lint | clean        PYTHON=... to choose
+SHELL := /bin/sh
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed
+PYTEST_FLAGS ?= -n 2
+
+DEMO := runs/demo
+# Enough to learn the task in about two minutes on two cores.
+DEMO_STEPS ?= 6000000
+
+.PHONY: setup demo test test-slow lint typecheck format clean
+
+setup: $(INSTALLED)
+
+# The first interpreter that really runs (a pyenv shim may exist and not run),
+# is new enough, and can make virtual environments.
+$(INSTALLED): pyproject.toml constraints.txt
+	@set -e; \
+	found=; reason="no python3 was found"; \
+	for candidate in $(if $(PYTHON),"$(PYTHON)",python3.12 python3.13 python3 python3.11 python); do \
+	    "$$candidate" -c '' 2>/dev/null || continue; \
+	    if ! "$$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then \
+	        reason="$$candidate is older than Python 3.11"; continue; fi; \
+	    if ! "$$candidate" -c 'import venv, ensurepip' 2>/dev/null; then \
+	        reason="$$candidate has no venv module (on Debian: apt install python3-venv)"; continue; fi; \
+	    found=$$candidate; break; \
+	done; \
+	if [ -z "$$found" ]; then \
+	    echo "jaxrod needs Python 3.11 or newer: $(if $(PYTHON),$(PYTHON) does not run or )$$reason." >&2; \
+	    echo "Name one with: make setup PYTHON=/path/to/python3" >&2; exit 1; fi; \
+	echo "Setting up $(VENV) with $$("$$found" -V) (a few minutes, once)"; \
+	"$$found" -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input \
+	    -e ".[rl,viz,gym,test]" -c constraints.txt
+	@touch $@
+
+demo: $(INSTALLED)
+	$(BIN)/jaxrod train tracking --variant paper --algorithm ppo \
+	    --steps $(DEMO_STEPS) --seed 0 --out $(DEMO)
+	$(BIN)/jaxrod evaluate $(DEMO)
+	$(BIN)/jaxrod render $(DEMO)
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow"
+
+test-slow: $(INSTALLED)
+	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m slow
+
+lint: $(INSTALLED) typecheck
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+# mypy sees the package as it is installed: envs/ and training/ inside jaxrod.
+typecheck: $(INSTALLED)
+	@rm -rf build/typecheck && mkdir -p build/typecheck/jaxrod
+	@ln -s $(CURDIR)/jaxrod/* $(CURDIR)/envs $(CURDIR)/training build/typecheck/jaxrod/
+	cd build/typecheck && $(CURDIR)/$(BIN)/mypy \
+	    --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache -p jaxrod
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
