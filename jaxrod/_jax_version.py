@@ -1,0 +1,75 @@
+"""Refuses the releases of JAX that are known to compute wrong numbers.
+
+Imports nothing but the standard library, so that it can run before JAX does.
+The same releases are excluded in pyproject.toml, but an environment solved by
+hand, or a package that pins another JAX, can still end up with one of them.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib import metadata
+
+OLDEST = (0, 10, 1)
+"""The oldest release the test suite runs with."""
+
+UNSOUND = {
+    (0, 10, 2): (
+        "its CPU compiler gives wrong rows for large batches of 3 x 3 products, which "
+        "is what rods are made of, and crashes on reductions over seven axes"
+    ),
+    (0, 11, 0): (
+        "it crashes on reductions over seven axes on CPUs and gives wrong numbers on "
+        "some GPUs"
+    ),
+    (0, 11, 1): "it gives wrong numbers on some GPUs, and flax 0.12.8 fails on it",
+}
+"""What is wrong with each refused release."""
+
+
+class UnsoundJaxError(ImportError):
+    """The installed JAX is a release that jaxrod refuses to run on."""
+
+
+def release(version: str) -> tuple[int, ...]:
+    """Returns the numeric release part of a version: "0.10.2.dev1" -> (0, 10, 2)."""
+    match = re.match(r"\d+(\.\d+)*", version)
+    return tuple(int(part) for part in match.group().split(".")) if match else ()
+
+
+def fault(package: str, version: str) -> str | None:
+    """Says in one sentence why a version is refused, or None when it is accepted.
+
+    Args:
+        package: "jax" or "jaxlib".
+        version: its version, such as "0.10.2".
+    """
+    number = release(version)
+    if number in UNSOUND:
+        why = UNSOUND[number]
+    elif number < OLDEST:
+        oldest = ".".join(map(str, OLDEST))
+        why = f"jaxrod is tested with {oldest} and newer only"
+    else:
+        return None
+    return f"{package} {version} is refused: {why}. {remedy()}"
+
+
+def remedy() -> str:
+    """Returns the command that installs a sound JAX."""
+    refused = ",".join("!=" + ".".join(map(str, number)) for number in UNSOUND)
+    oldest = ".".join(map(str, OLDEST))
+    return f'Install another with: pip install "jax>={oldest},{refused}"'
+
+
+def require_sound_jax() -> None:
+    """Checks the installed jax and jaxlib.
+
+    Raises:
+        UnsoundJaxError: if either is a refused release; the message says what is
+            wrong with it and what to install.
+    """
+    for package in ("jax", "jaxlib"):
+        sentence = fault(package, metadata.version(package))
+        if sentence is not None:
+            raise UnsoundJaxError(sentence)

@@ -1,0 +1,136 @@
+"""The command line: `jaxrod COMMAND ...`.
+
+Each command is one module of this package, named after it, with
+
+- a docstring: what the command does, shown by `jaxrod COMMAND --help`;
+- `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
+  worked examples;
+- `run(args) -> int`: does it and returns the exit code.
+
+Only the module of the command that was asked for is imported.
+
+Exit codes: 0 done, 1 done and the answer is bad (such as a machine that fails
+`jaxrod doctor`), 2 the request cannot be carried out, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+
+from jaxrod._jax_version import UnsoundJaxError
+
+COMMANDS = {
+    "train": "train a policy on a task",
+    "evaluate": "measure the policy of a finished run",
+    "render": "draw the learning curve and a replay of a run",
+    "optimise": "find actuation by gradients through the simulation",
+    "benchmark": "measure rod-steps per second on this machine",
+    "doctor": "check that this machine computes right",
+}
+
+EXTRAS = {
+    "flax": "rl",
+    "optax": "rl",
+    "orbax": "rl",
+    "matplotlib": "viz",
+    "gymnasium": "gym",
+    "brax": "brax",
+}
+
+EPILOG = """\
+a first run:
+  jaxrod doctor
+  jaxrod train tracking --variant paper --algorithm ppo --out runs/first
+  jaxrod evaluate runs/first
+  jaxrod render runs/first
+
+`jaxrod COMMAND --help` explains each command with examples.
+JAXROD_TRACEBACK=1 shows where an error was raised.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        argv: the arguments after the program's name; those of the process if None.
+
+    Returns:
+        The exit code.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    command = "jaxrod"
+    try:
+        parser, chosen = _parser(arguments)
+        command = parser.prog if chosen is None else f"jaxrod {chosen}"
+        args = parser.parse_args(arguments)
+        code = int(args.run(args))
+        # A closed pipe has to show here, not while the interpreter shuts down.
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print(f"{command}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (ValueError, OSError, ImportError) as error:
+        if os.environ.get("JAXROD_TRACEBACK"):
+            raise
+        print(f"{command}: {_sentence(error)}", file=sys.stderr)
+        return 1 if isinstance(error, UnsoundJaxError) else 2
+
+
+def _parser(
+    arguments: Sequence[str],
+) -> tuple[argparse.ArgumentParser, str | None]:
+    """Builds the parser; only the chosen command gets its arguments."""
+    parser = argparse.ArgumentParser(
+        prog="jaxrod",
+        description="Soft, slender rods on JAX: simulate, differentiate, train.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="say which it is")
+    commands = parser.add_subparsers(
+        title="commands", metavar="COMMAND", required=True, dest="command"
+    )
+    chosen = next((word for word in arguments if not word.startswith("-")), None)
+    for name, summary in COMMANDS.items():
+        subparser = commands.add_parser(
+            name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        if name == chosen:
+            module = importlib.import_module(f"jaxrod.cli.{name}")
+            subparser.description = (module.__doc__ or summary).strip()
+            module.add_arguments(subparser)
+            subparser.set_defaults(run=module.run)
+    return parser, chosen if chosen in COMMANDS else None
+
+
+class _Version(argparse.Action):
+    """Prints the installed version; it is looked up only when asked for."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, *_: object, **__: object
+    ) -> None:
+        parser.exit(message=f"jaxrod {metadata.version('jaxrod')}\n")
+
+
+def _sentence(error: ValueError | OSError | ImportError) -> str:
+    """Turns an error into one sentence for the person at the terminal."""
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        package = error.name.partition(".")[0]
+        if package in EXTRAS:
+            return (
+                f"{package} is needed and not installed. Install it with: "
+                f'pip install "jaxrod[{EXTRAS[package]}]"'
+            )
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)

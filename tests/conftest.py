@@ -1,0 +1,65 @@
+"""Shared test set-up: strict JAX, both precisions, and what to skip where."""
+
+import importlib.util
+import os
+import shutil
+
+# Every worker of a parallel run computes on one thread, so that two workers on two
+# cores do not fight. These are read when the libraries start, hence before imports.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    for variable in ("OMP_NUM_THREADS", "NPROC", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import jax
+import pytest
+
+# 64-bit types exist in every test and dtypes are passed explicitly, so that one
+# process tests both precisions. Tests marked `default_precision` run without.
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+def chromium_path() -> str | None:
+    """Returns the path of an installed Chromium, or None."""
+    return next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
+
+
+def pytest_collection_modifyitems(items):
+    """Skips what this machine cannot run, and says why."""
+    missing = {
+        "browser": lambda: None if chromium_path() else "no Chromium is installed",
+        "brax": lambda: (
+            None if importlib.util.find_spec("brax") else "brax is not installed"
+        ),
+        "gpu": lambda: (
+            None if jax.default_backend() != "cpu" else "JAX sees no accelerator"
+        ),
+    }
+    for marker, reason in missing.items():
+        marked = [item for item in items if item.get_closest_marker(marker)]
+        why = reason() if marked else None
+        if why:
+            for item in marked:
+                item.add_marker(pytest.mark.skip(reason=why))
+
+
+@pytest.fixture(autouse=True)
+def precision(request):
+    """Turns 64-bit types off in tests marked `default_precision`."""
+    with jax.enable_x64(request.node.get_closest_marker("default_precision") is None):
+        yield
+
+
+@pytest.fixture(params=["float32", "float64"])
+def dtype(request):
+    """Runs a test once in each precision."""
+    return jax.numpy.dtype(request.param)
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The path of an installed Chromium; for tests marked `browser`."""
+    return chromium_path()
