@@ -1,0 +1,23 @@
+"""Tasks for soft arms: what is controlled, what is observed, what is rewarded."""
+
+if __name__ != "jaxrod.envs":
+    raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
+
+from jaxrod.envs.protocol import Environment
+from jaxrod.envs.registry import make, names
+from jaxrod.envs.wrappers import (
+    EpisodeRecord,
+    VectorEnvironment,
+    VectorState,
+    VectorStep,
+)
+
+__all__ = [
+    "Environment",
+    "EpisodeRecord",
+    "VectorEnvironment",
+    "VectorState",
+    "VectorStep",
+    "make",
+    "names",
+]

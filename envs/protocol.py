@@ -1,0 +1,99 @@
+"""The environment protocol: two pure functions and four facts.
+
+An environment is a *namespace*: static, without state, hashable. All that
+changes in time is in the state it returns, all its numbers are in its
+parameters, and both are pytrees. So `jax.vmap` makes a batch of it, `jax.grad`
+differentiates through it, and a change of a number recompiles nothing.
+
+Time limit: an environment counts its own control steps with an integer in its
+state and says `truncated` at step `episode_length`. Wrappers may end an episode
+earlier, never later; `jaxrod.envs.wrappers.VectorEnvironment` does so to spread
+the phases of a batch.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from jaxtyping import Array, Bool, Float, Key
+
+Params = Any
+"""Traced parameters of an environment: any pytree."""
+
+State = Any
+"""State of one environment: any pytree of arrays."""
+
+Info = dict[str, Array]
+"""Scalars about one step, always under the same keys."""
+
+
+class Environment(Protocol):
+    """One arm with a task; see the module docstring.
+
+    Implementations are usually frozen dataclasses whose fields are structure
+    (counts, names, flags), so that equal environments share compiled programs.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name of the task, as in the registry."""
+
+    @property
+    def observation_size(self) -> int:
+        """Length of the observation vector."""
+
+    @property
+    def action_size(self) -> int:
+        """Length of the action vector."""
+
+    @property
+    def episode_length(self) -> int:
+        """Control steps after which an episode is truncated."""
+
+    def default_params(self) -> Params:
+        """Parameters of the task as published, every float a traced leaf."""
+
+    def reset(
+        self, key: Key[Array, ""], params: Params
+    ) -> tuple[Float[Array, " observation"], State]:
+        """Starts an episode.
+
+        Args:
+            key: typed random key; the only source of randomness.
+            params: traced parameters.
+
+        Returns:
+            The first observation, shape (observation_size,), and the state.
+        """
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: State,
+        action: Float[Array, " action"],
+        params: Params,
+    ) -> tuple[
+        Float[Array, " observation"],
+        State,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        Info,
+    ]:
+        """Advances one control step; never resets.
+
+        Args:
+            key: typed random key of this step.
+            state: state from `reset` or from the step before.
+            action: in [-1, 1], shape (action_size,).
+            params: traced parameters.
+
+        Returns:
+            `(observation, state, reward, terminated, truncated, info)`.
+            `terminated`: the task itself ended, nothing follows, the value of
+            what follows is 0. `truncated`: somebody stopped watching (time
+            limit, numerical health); what follows has a value, to be estimated
+            from this observation. `info` maps fixed names to scalars; under
+            `"flagged"` an environment may report that a numerical health flag
+            rose, in which case the step is also truncated or terminated.
+        """

@@ -1,0 +1,101 @@
+"""A point on a line that wants to stand at zero: a task solved in seconds.
+
+It exists to test learners. The best policy and the return it earns are known in
+closed form, an episode can end both ways (time limit, running off the line),
+and a step costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod._pytree import pytree
+
+
+@pytree
+class TrivialParams:
+    """Numbers of the task.
+
+    Attributes:
+        stride: distance one full action moves the point [m].
+        edge: distance from zero at which the point runs off the line [m].
+    """
+
+    stride: float | Float[Array, ""] = 0.2
+    edge: float | Float[Array, ""] = 2.0
+
+
+@pytree
+class TrivialState:
+    """State of the task.
+
+    Attributes:
+        position: where the point stands [m].
+        steps: control steps since reset.
+    """
+
+    position: Float[Array, ""]
+    steps: Int[Array, ""]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trivial:
+    """Moves a point to zero: x' = x + stride a, reward 1 - x'^2, |x_0| <= 1 m.
+
+    The best action is `clip(-x / stride, -1, 1)`; with the default parameters it
+    earns `optimal_return` on average. Standing still earns 2/3 per step. A point
+    farther than `edge` from zero is lost: the episode is terminated.
+    """
+
+    episode_length: int = 20
+    name: str = "trivial"
+    observation_size: int = 1
+    action_size: int = 1
+
+    @property
+    def optimal_return(self) -> float:
+        """Mean return of the best policy at the default parameters.
+
+        After k steps |x| = max(0, |x_0| - stride k), and the mean of its square
+        over |x_0| uniform in [0, 1] is (1 - stride k)^3 / 3 while positive.
+        """
+        lost = (max(0.0, 1 - 0.2 * k) ** 3 / 3 for k in range(1, 6))
+        return self.episode_length - sum(list(lost)[: self.episode_length])
+
+    def default_params(self) -> TrivialParams:
+        """Parameters for which `optimal_return` holds."""
+        return TrivialParams()
+
+    def reset(
+        self, key: Key[Array, ""], params: TrivialParams
+    ) -> tuple[Float[Array, " observation"], TrivialState]:
+        """Puts the point uniformly in [-1, 1] m."""
+        position = jax.random.uniform(key, minval=-1.0, maxval=1.0)
+        return position[None], TrivialState(position, jnp.zeros((), jnp.int32))
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: TrivialState,
+        action: Float[Array, " action"],
+        params: TrivialParams,
+    ) -> tuple[
+        Float[Array, " observation"],
+        TrivialState,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """Moves the point; see the class."""
+        position = state.position + params.stride * action[0]
+        steps = state.steps + 1
+        terminated = jnp.abs(position) > params.edge
+        truncated = steps >= self.episode_length
+        info = {"distance": jnp.abs(position)}
+        state = TrivialState(position, steps)
+        return position[None], state, 1 - position**2, terminated, truncated, info

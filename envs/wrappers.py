@@ -1,0 +1,227 @@
+"""A batch of environments that restart by themselves and keep score.
+
+Randomness: environment i of the batch has its own key, and step t draws from
+`fold_in(key_i, t)`. What happens to an environment therefore depends neither on
+its neighbours nor on how many devices share the batch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, UInt
+
+from jaxrod._pytree import pytree
+from jaxrod.envs.protocol import Environment
+
+
+@pytree
+class VectorState:
+    """State of a batch of self-restarting environments; every leaf is batched.
+
+    Attributes:
+        keys: one random key for every environment, never changed.
+        ticks: control steps since the batch was made; counts the randomness.
+        states: states of the environments.
+        observation: what each environment shows now.
+        elapsed: control steps of the running episode, initial phase included.
+        episode_return: sum of the rewards of the running episode.
+        partial: the running episode began in mid-course and does not count.
+    """
+
+    keys: Key[Array, " num_envs"]
+    ticks: UInt[Array, " num_envs"]
+    states: Any
+    observation: Float[Array, "num_envs observation"]
+    elapsed: Int[Array, " num_envs"]
+    episode_return: Float[Array, " num_envs"]
+    partial: Bool[Array, " num_envs"]
+
+
+@pytree
+class EpisodeRecord:
+    """What is known of the episodes that end in a step.
+
+    Attributes:
+        finished: a complete episode ended here; the rest is valid where true.
+        episode_return: sum of its rewards.
+        length: its control steps.
+        flagged: it was ended by a numerical health flag.
+    """
+
+    finished: Bool[Array, "*batch"]
+    episode_return: Float[Array, "*batch"]
+    length: Int[Array, "*batch"]
+    flagged: Bool[Array, "*batch"]
+
+
+@pytree
+class VectorStep:
+    """What one step of the batch brought; every leaf is batched.
+
+    Attributes:
+        observation: after the restart of those that ended: what to act on next.
+        final_observation: before the restart: what to bootstrap from.
+        reward: reward of the step.
+        terminated: the task ended; what follows is worth 0.
+        truncated: cut short; what follows is worth the value of
+            `final_observation`. Terminated wins where both hold.
+        info: the environment's scalars, before the restart.
+        episodes: the complete episodes that ended here.
+    """
+
+    observation: Float[Array, "num_envs observation"]
+    final_observation: Float[Array, "num_envs observation"]
+    reward: Float[Array, " num_envs"]
+    terminated: Bool[Array, " num_envs"]
+    truncated: Bool[Array, " num_envs"]
+    info: dict[str, Array]
+    episodes: EpisodeRecord
+
+
+@dataclasses.dataclass(frozen=True)
+class VectorEnvironment:
+    """Many copies of one environment, each restarting when its episode ends.
+
+    The batch keeps the clock of every episode and applies the time limit itself,
+    beside the environment's own. The two agree, except in the first episodes of
+    a batch with spread phases: those begin as if part of the episode had passed,
+    end early, and are left out of the score.
+
+    A step that returns a number that is not finite is reported as flagged, pays
+    nothing and truncates there, with the observation before it as the final one:
+    one broken environment never spoils the batch.
+
+    Attributes:
+        env: the environment.
+    """
+
+    env: Environment
+
+    def reset(
+        self,
+        key: Key[Array, ""],
+        num_envs: int,
+        params: Any,
+        *,
+        spread_phases: bool = False,
+    ) -> VectorState:
+        """Starts the batch.
+
+        Args:
+            key: typed random key.
+            num_envs: number of environments, at least 1.
+            params: traced parameters of the environment, shared by the batch.
+            spread_phases: let the elapsed step count of every environment start
+                uniformly in [0, episode_length), so that the episodes of the
+                batch end at different times.
+
+        Raises:
+            ValueError: `num_envs` is below 1.
+        """
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        keys = jax.random.split(key, num_envs)
+        ticks = jnp.zeros(num_envs, jnp.uint32)
+        observation, states = jax.vmap(self.env.reset, in_axes=(0, None))(
+            _randomness(keys, 2 * ticks), params
+        )
+        elapsed = jnp.zeros(num_envs, jnp.int32)
+        if spread_phases:
+            elapsed = jax.vmap(
+                lambda k: jax.random.randint(
+                    k, (), 0, self.env.episode_length, jnp.int32
+                )
+            )(_randomness(keys, 2 * ticks + 1))
+        return VectorState(
+            keys=keys,
+            ticks=ticks,
+            states=states,
+            observation=observation,
+            elapsed=elapsed,
+            episode_return=jnp.zeros(num_envs, observation.dtype),
+            partial=elapsed > 0,
+        )
+
+    def step(
+        self,
+        state: VectorState,
+        action: Float[Array, "num_envs action"],
+        params: Any,
+    ) -> tuple[VectorState, VectorStep]:
+        """Advances every environment by one control step.
+
+        The restart runs in a branch taken only when some episode ends, so it
+        costs nothing in between (under an outer `vmap` both branches run).
+
+        Args:
+            state: state of the batch.
+            action: in [-1, 1], shape (num_envs, action_size).
+            params: traced parameters of the environment.
+        """
+        ticks = state.ticks + 1
+        observation, states, reward, terminated, truncated, info = jax.vmap(
+            self.env.step, in_axes=(0, 0, 0, None)
+        )(_randomness(state.keys, 2 * ticks), state.states, action, params)
+
+        sound = jnp.isfinite(reward) & jnp.all(jnp.isfinite(observation), axis=-1)
+        observation = jnp.where(sound[:, None], observation, state.observation)
+        reward = jnp.where(sound, reward, 0).astype(state.episode_return.dtype)
+        flagged = ~sound | info.get("flagged", ~sound)
+
+        elapsed = state.elapsed + 1
+        terminated = terminated & sound
+        truncated = truncated | ~sound | (elapsed >= self.env.episode_length)
+        done = terminated | truncated
+        episode_return = state.episode_return + reward
+        episodes = EpisodeRecord(
+            finished=done & ~state.partial,
+            episode_return=episode_return,
+            length=elapsed,
+            flagged=flagged,
+        )
+
+        def restart(running: tuple[Array, Any]) -> tuple[Array, Any]:
+            fresh = jax.vmap(self.env.reset, in_axes=(0, None))(
+                _randomness(state.keys, 2 * ticks + 1), params
+            )
+            return jax.tree.map(lambda a, b: _select(done, a, b), fresh, running)
+
+        shown, states = jax.lax.cond(
+            jnp.any(done), restart, lambda running: running, (observation, states)
+        )
+        following = VectorState(
+            keys=state.keys,
+            ticks=ticks,
+            states=states,
+            observation=shown,
+            elapsed=jnp.where(done, 0, elapsed),
+            episode_return=jnp.where(done, 0, episode_return),
+            partial=state.partial & ~done,
+        )
+        step = VectorStep(
+            observation=shown,
+            final_observation=observation,
+            reward=reward,
+            terminated=terminated,
+            truncated=truncated,
+            info=info,
+            episodes=episodes,
+        )
+        return following, step
+
+
+def _randomness(
+    keys: Key[Array, " num_envs"], index: UInt[Array, " num_envs"]
+) -> Key[Array, " num_envs"]:
+    """Keys number `index`; nothing is computed where the result is not used."""
+    return jax.vmap(jax.random.fold_in)(keys, index)
+
+
+def _select(done: Bool[Array, " num_envs"], new: Array, old: Array) -> Array:
+    """`new` for the environments that are done, `old` for the others."""
+    mask = jnp.reshape(done, done.shape + (1,) * (jnp.ndim(old) - 1))
+    return jnp.where(mask, new, old)

@@ -1,0 +1,168 @@
+"""The contracts of the self-restarting batch."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod.envs import VectorEnvironment
+from jaxrod.envs.trivial import Trivial
+
+
+def run(batch, state, actions, params):
+    def step(state, action):
+        return batch.step(state, action, params)
+
+    return jax.jit(lambda s, a: jax.lax.scan(step, s, a))(state, actions)
+
+
+def actions_for(steps, num_envs, scale=1.0):
+    key = jax.random.key(7)
+    return scale * jax.random.uniform(key, (steps, num_envs, 1), minval=-1, maxval=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Breaking(Trivial):
+    """Returns not-a-number rewards and observations at its third step."""
+
+    def step(self, key, state, action, params):
+        observation, state, reward, terminated, truncated, info = super().step(
+            key, state, action, params
+        )
+        broken = jnp.where(state.steps == 3, jnp.nan, 0.0)
+        return (
+            observation + broken,
+            state,
+            reward + broken,
+            terminated,
+            truncated,
+            info,
+        )
+
+
+def test_batch_equals_environments_run_one_by_one():
+    env = Trivial(episode_length=6)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    actions = actions_for(20, 3)
+    start = batch.reset(jax.random.key(0), 3, params)
+    _, together = run(batch, start, actions, params)
+    for i in range(3):
+        one = jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], start)
+        _, alone = run(batch, one, actions[:, i : i + 1], params)
+        for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(a[:, i : i + 1], b, rtol=1e-6, atol=1e-7)
+
+
+def test_restart_is_fresh_and_final_observation_is_the_one_before():
+    env = Trivial(episode_length=5)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    state = batch.reset(jax.random.key(1), 4, params)
+    first = state.observation
+    _, steps = run(batch, state, jnp.ones((15, 4, 1)) * 0.5, params)
+    ends = np.flatnonzero(np.asarray(steps.truncated[:, 0]))
+    np.testing.assert_array_equal(ends, [4, 9, 14])
+    starts = [np.asarray(first)] + [np.asarray(steps.observation[t]) for t in ends]
+    for begin, end in zip(starts[:-1], ends, strict=True):
+        # Five half strides from wherever the episode began.
+        np.testing.assert_allclose(
+            steps.final_observation[end], begin + 5 * 0.5 * 0.2, rtol=1e-5, atol=1e-6
+        )
+    drawn = np.concatenate(starts)
+    assert len(np.unique(drawn)) == drawn.size
+    between = ~np.asarray(steps.truncated)
+    np.testing.assert_array_equal(
+        np.asarray(steps.observation)[between],
+        np.asarray(steps.final_observation)[between],
+    )
+
+
+def test_episode_records_hold_return_and_length():
+    env = Trivial(episode_length=20)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    state = batch.reset(jax.random.key(2), 5, params)
+    _, steps = run(batch, state, actions_for(60, 5) + 0.8, params)
+    rewards = np.asarray(steps.reward)
+    done = np.asarray(steps.terminated | steps.truncated)
+    np.testing.assert_array_equal(np.asarray(steps.episodes.finished), done)
+    assert np.asarray(steps.terminated).any()
+    for i in range(5):
+        begin = 0
+        for end in np.flatnonzero(done[:, i]):
+            assert steps.episodes.length[end, i] == end + 1 - begin
+            np.testing.assert_allclose(
+                steps.episodes.episode_return[end, i],
+                rewards[begin : end + 1, i].sum(),
+                rtol=1e-5,
+                atol=1e-5,
+            )
+            begin = end + 1
+
+
+def test_spread_phases_end_early_once_and_do_not_count():
+    env = Trivial(episode_length=10)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    state = batch.reset(jax.random.key(3), 200, params, spread_phases=True)
+    phases = np.asarray(state.elapsed)
+    assert set(phases) == set(range(10))
+    _, steps = run(batch, state, jnp.zeros((20, 200, 1)), params)
+    truncated = np.asarray(steps.truncated)
+    finished = np.asarray(steps.episodes.finished)
+    for i, phase in enumerate(phases):
+        ends = np.flatnonzero(truncated[:, i])
+        assert ends[0] == 10 - phase - 1
+        assert np.all(np.diff(ends) == 10)
+        counted = ends if phase == 0 else ends[1:]
+        np.testing.assert_array_equal(np.flatnonzero(finished[:, i]), counted)
+    assert np.all(np.asarray(steps.episodes.length)[finished] == 10)
+
+
+def test_broken_numbers_are_flagged_truncated_and_do_not_spread():
+    env = Breaking(episode_length=10)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    state = batch.reset(jax.random.key(4), 2, params)
+    _, steps = run(batch, state, actions_for(6, 2), params)
+    assert np.all(np.isfinite(steps.reward))
+    assert np.all(np.isfinite(steps.observation))
+    assert np.all(np.isfinite(steps.final_observation))
+    expected = [[t % 3 == 2] * 2 for t in range(6)]
+    np.testing.assert_array_equal(steps.episodes.flagged, expected)
+    np.testing.assert_array_equal(steps.truncated, expected)
+    assert not np.asarray(steps.terminated).any()
+
+
+def test_restart_is_computed_only_when_an_episode_ends():
+    calls = []
+
+    @dataclasses.dataclass(frozen=True)
+    class Counting(Trivial):
+        def reset(self, key, params):
+            jax.debug.callback(lambda: calls.append(1))
+            return super().reset(key, params)
+
+    env = Counting(episode_length=5)
+    batch = VectorEnvironment(env)
+    params = env.default_params()
+    state = batch.reset(jax.random.key(0), 2, params)
+    jax.effects_barrier()
+    made = len(calls)
+    state, _ = run(batch, state, jnp.zeros((4, 2, 1)), params)
+    jax.effects_barrier()
+    assert len(calls) == made
+    run(batch, state, jnp.zeros((1, 2, 1)), params)
+    jax.effects_barrier()
+    assert len(calls) > made
+
+
+def test_empty_batch_is_refused():
+    env = Trivial()
+    with pytest.raises(ValueError, match="num_envs must be at least 1, got 0"):
+        VectorEnvironment(env).reset(jax.random.key(0), 0, env.default_params())
