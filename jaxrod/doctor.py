@@ -13,6 +13,7 @@ import platform
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING
 
@@ -63,9 +64,9 @@ def check_device(device: jax.Device) -> Iterator[Check]:
     where = f" on {device.platform}"
     for dtype in (np.float32, np.float64):
         name = f"batched products, {np.dtype(dtype).name}{where}"
-        yield _guard(name, lambda d=dtype: check_batched_products(device, d))
-    yield _guard("compensated sum" + where, lambda: check_compensated_sum(device))
-    yield _guard("matrix products" + where, lambda: check_matrix_products(device))
+        yield _guard(name, partial(check_batched_products, device, dtype))
+    yield _guard("compensated sum" + where, partial(check_compensated_sum, device))
+    yield _guard("matrix products" + where, partial(check_matrix_products, device))
 
 
 def check_versions() -> Check:
@@ -104,7 +105,9 @@ def check_devices() -> Check:
     return Check("devices", True, f"{len(devices)} x {', '.join(kinds)}")
 
 
-def check_batched_products(device: jax.Device, dtype: type) -> Check:
+def check_batched_products(
+    device: jax.Device, dtype: type[np.float32] | type[np.float64]
+) -> Check:
     """Squares the norm of `M @ r` for many r and compares with NumPy.
 
     This is the program that jax 0.10.2 compiles wrongly on CPUs: in a batch of

@@ -22,31 +22,31 @@ One `PositionVerlet.step` from t to t + h:
 So a load never sees the state that a callback records, and a constant load in the
 world frame is turned into the material frame with the mid-step directors.
 
-`finalize()` applies constraints on values and then on rates once, at t = 0, and with the
-usual order of base classes (Constraints before Damping) the dampers are already
-registered by then: initial velocities are damped once, by one time step, before the
-first step, with or without a constraint. Here velocities are set after `finalize()`, so
-that the first step starts from exactly what was asked for.
+`finalize()` applies constraints on values and then on rates once, at t = 0. With the
+usual order of base classes (Constraints before Damping) the dampers are registered by
+then, and "on rates" includes them: initial velocities are damped by one time step
+before the first step, with or without a constraint. Here velocities are set after
+`finalize()`, so that the first step starts from exactly what was asked for.
 
-Rest state of `straight_rod(position=..., directors=...)`: rest lengths, Voronoi lengths,
-masses and inertias follow the given shape, but rest_sigma and rest_kappa are zero unless
-passed: a curved shape is *not* stress-free by default. `reference_rod` passes the strains
-of the given shape unless told otherwise.
+Rest state of `straight_rod(position=..., directors=...)`: rest lengths, joint lengths,
+masses and inertias follow the given shape, but rest_sigma and rest_kappa are zero
+unless passed: a curved shape is *not* stress-free by default. `reference_rod` passes
+the curvatures of the given shape unless told otherwise.
 
 Radii and densities may differ between elements; the moduli are single numbers. With
 A = pi r^2, I1 = I2 = A^2 / 4 pi, I3 = 2 I1, l the rest length of an element:
 
 - node mass: half of rho A l of each neighbouring element;
 - J = rho l diag(I1, I2, I3);  S = diag(27/28 G A, 27/28 G A, E A);
-- rest Voronoi length D = (l[j] + l[j+1]) / 2;
-- bend matrix of a joint: the mean of diag(E I1, E I2, G I3) of the two elements, weighted
-  with their rest lengths: (B[j] l[j] + B[j+1] l[j+1]) / (l[j] + l[j+1]).
+- rest length of a joint (Voronoi domain): D = (l[j] + l[j+1]) / 2;
+- bend matrix of a joint: that of the two elements, diag(E I1, E I2, G I3), averaged
+  with their rest lengths as weights: (B[j] l[j] + B[j+1] l[j+1]) / (l[j] + l[j+1]).
 
 Dampers: uniform multiplies v and w by exp(-g h). The deprecated one multiplies v by
-exp(-g h) and w[i] by exp(-g h M / J_i)^e, where M is made from node masses,
-M = (m[k] + m[k+1]) / 2 plus half of the end node's mass at either end. For a uniform rod
-that is the element's mass; for a tapered one it is a blend of three neighbours
-(1/4, 1/2, 1/4; at the ends 3/4, 1/4).
+exp(-g h) and w[i] by exp(-g h M / J_i)^e, where M is made from node masses:
+M = (m[k] + m[k+1]) / 2, plus half of the end node's mass at either end. For a uniform
+rod that is the element's mass; for a tapered one it is a blend of neighbours, with
+weights 1/4, 1/2, 1/4 (3/4, 1/4 at the ends).
 """
 
 from __future__ import annotations
@@ -274,7 +274,9 @@ def simulate(
                     rod.omega_collection.copy(),
                 )
             )
-    return Motion(np.array(times), *(np.stack(kind) for kind in zip(*records)))
+    return Motion(
+        np.array(times), *(np.stack(kind) for kind in zip(*records, strict=True))
+    )
 
 
 def _add_loads(simulator: Simulator, rod: Any, loads: Loads) -> None:

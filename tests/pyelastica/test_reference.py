@@ -155,7 +155,9 @@ def test_a_curved_rod_is_stress_free_only_when_its_strains_are_passed():
 
 def test_a_constant_end_force_acts_in_full_from_the_first_step():
     spec = scenes.random_scene(1, n_elements=4).spec
-    motion = simulate(spec, dt=1e-6, steps=1, loads=Loads(end_force=np.array([1.0, 0, 0])))
+    motion = simulate(
+        spec, dt=1e-6, steps=1, loads=Loads(end_force=np.array([1.0, 0, 0]))
+    )
     mass = reference.reference_rod(spec).mass[-1]
     assert motion.velocities[0, 0, -1] == pytest.approx(1e-6 / mass, rel=1e-9)
 
