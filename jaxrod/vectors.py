@@ -90,14 +90,14 @@ def difference(a: Vec3) -> Vec3:
     return one(a[0]), one(a[1]), one(a[2])
 
 
-def average(a: Vec3) -> Vec3:
-    r"""Boundary-aware trapezoidal average to the surrounding staggered grid.
+def pair_sum(a: Vec3) -> Vec3:
+    r"""Boundary-aware sum of neighbours onto the surrounding staggered grid.
 
-    $(a_1,\ a_1 + a_2,\ \dots,\ a_n) / 2$: one entry more than `a`; total preserved.
+    $(a_1,\ a_1 + a_2,\ \dots,\ a_{n-1} + a_n,\ a_n)$: one entry more than `a`.
     """
 
     def one(c: Array) -> Array:
-        return 0.5 * (pad(c, 0, 1) + pad(c, 1, 0))
+        return pad(c, 0, 1) + pad(c, 1, 0)
 
     return one(a[0]), one(a[1]), one(a[2])
 

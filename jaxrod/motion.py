@@ -1,0 +1,59 @@
+"""The state taken apart into component arrays, as the inside of a step sees it."""
+
+from __future__ import annotations
+
+from jaxtyping import Array
+
+from jaxrod._pytree import pytree
+from jaxrod.rotations import Quaternion
+from jaxrod.vectors import Vec3, inner_difference, safe_norm
+
+
+@pytree
+class Motion:
+    """Positions, orientations and their rates as tuples of component arrays.
+
+    What the integrators carry from step to step and what effects see. Taking the
+    state apart once per call instead of once per step keeps stacking and slicing
+    out of the compiled loop.
+    """
+
+    position: Vec3
+    """Node positions, world frame [m]."""
+    orientation: Quaternion
+    """Element orientations, material to world."""
+    velocity: Vec3
+    """Node velocities, world frame [m/s]."""
+    spin: Vec3
+    """Rotation rate of the elements, in the scene's own variable.
+
+    Consistent mode: angular momentum, world frame [kg m^2/s]. PyElastica mode:
+    angular velocity, material frame [rad/s].
+    """
+
+    @property
+    def edges(self) -> Vec3:
+        """Vectors from each node to the next, world frame [m]."""
+        return inner_difference(self.position)
+
+    @property
+    def lengths(self) -> Array:
+        """Current element lengths [m]."""
+        return safe_norm(self.edges)
+
+
+@pytree
+class Loads:
+    """Forces on nodes and couples on elements. `None` where there are none."""
+
+    forces: Vec3 | None = None
+    """On the `n + 1` nodes, world frame [N]."""
+    couples: Vec3 | None = None
+    """On the `n` elements, material frame [N m]."""
+
+
+def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:
+    """Adds an optional vector field."""
+    if part is None:
+        return total
+    return total[0] + part[0], total[1] + part[1], total[2] + part[2]

@@ -1,0 +1,174 @@
+r"""PyElastica mode: PyElastica 1.0's law and stepping order, on jaxrod's state.
+
+For comparing with the reference and for reproducing published results. With
+$\ell$ the current and $\hat\ell$ the rest length, $e = \ell/\hat\ell$,
+$\varepsilon$ the mean current over rest length at a joint, and $t$ the tangent,
+
+- forces: $\Delta^h (R\, S(\sigma-\sigma_0)/e)$;
+- couples (material frame): $\Delta^h(\tau/\varepsilon^3)
+  + \mathcal A^h(\kappa\times\tau\,\hat D/\varepsilon^3)
+  + (R^T t \times n)\,\hat\ell + (J\omega/e)\times\omega + (J\omega/e)\,\dot e/e$;
+- $\dot\omega = e\, J^{-1} c$.
+
+These forces and couples are not the gradient of an energy, and the gyroscopic terms
+are explicit: the mode conserves neither energy nor angular momentum. Clamped ends
+are `effects.FixedEnd`. Source: PyElastica 1.0.0; Gazzola et al. (2018).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from jaxtyping import Array
+
+from jaxrod import vectors
+from jaxrod._pytree import pytree
+from jaxrod.elasticity import joint_rotations
+from jaxrod.motion import Loads, Motion
+from jaxrod.rod import Rod, RodState, angular_velocities, with_angular_velocities
+from jaxrod.rotations import (
+    directors,
+    join_quaternion,
+    multiply_quaternions,
+    normalise,
+    rotation_exp,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.scene import Scene, decay, external_loads, hold, hold_rates
+from jaxrod.vectors import Vec3
+
+
+@pytree
+class PyElasticaStepper:
+    """Constants of the PyElastica step for one scene."""
+
+    scene: Scene
+    lengths: Array
+    """Rest lengths [m]."""
+    inverse_lengths: Array
+    """[1/m]"""
+    inverse_joint_lengths: Array
+    """[1/m]"""
+    shear_stretch: Vec3
+    """Shear and axial stiffness [N]."""
+    bend_twist: Vec3
+    """Joint stiffness [N m^2]."""
+    rest_strains: Vec3
+    rest_curvatures: Vec3
+    inverse_masses: Array
+    """[1/kg]"""
+    inertia: Vec3
+    """Rotary inertia about d1, d2, d3 [kg m^2]."""
+    inverse_inertia: Vec3
+    """[1/(kg m^2)]"""
+
+    @staticmethod
+    def create(scene: Scene) -> PyElasticaStepper:
+        """Works out the constants once, outside the loop."""
+        rod: Rod = scene.rod
+        transverse, polar = rod.inertias
+        return PyElasticaStepper(
+            scene=scene,
+            lengths=rod.rest_lengths,
+            inverse_lengths=1 / rod.rest_lengths,
+            inverse_joint_lengths=1 / rod.joint_lengths,
+            shear_stretch=vectors.split(rod.shear_stretch_stiffness),
+            bend_twist=vectors.split(rod.joint_stiffness),
+            rest_strains=vectors.split(rod.rest_strains),
+            rest_curvatures=vectors.split(rod.rest_curvatures),
+            inverse_masses=1 / rod.node_masses,
+            inertia=(transverse, transverse, polar),
+            inverse_inertia=(1 / transverse, 1 / transverse, 1 / polar),
+        )
+
+    def enter(self, state: RodState) -> Motion:
+        """Takes a state apart; angular momentum becomes angular velocity."""
+        motion = Motion(
+            position=vectors.split(state.positions),
+            orientation=split_quaternion(state.orientations),
+            velocity=vectors.split(state.velocities),
+            spin=vectors.split(angular_velocities(self.scene.rod, state)),
+        )
+        return hold_rates(self.scene, hold(self.scene, motion))
+
+    def leave(self, motion: Motion) -> RodState:
+        """Puts the state together; angular velocity becomes angular momentum."""
+        spin = vectors.join(motion.spin)
+        state = RodState(
+            positions=vectors.join(motion.position),
+            orientations=join_quaternion(motion.orientation),
+            velocities=vectors.join(motion.velocity),
+            angular_momenta=spin,
+        )
+        return with_angular_velocities(self.scene.rod, state, spin)
+
+    def drift(self, motion: Motion, dt: Array) -> Motion:
+        """Moves nodes and turns elements at constant rates for `dt` [s]."""
+        turn = rotation_exp(vectors.scale(dt, motion.spin))
+        moved = replace(
+            motion,
+            position=vectors.add(motion.position, vectors.scale(dt, motion.velocity)),
+            orientation=normalise(multiply_quaternions(motion.orientation, turn)),
+        )
+        return hold(self.scene, moved)
+
+    def internal_loads(self, motion: Motion) -> Loads:
+        """Internal forces and couples, gyroscopic and dilatation terms included."""
+        frame = directors(motion.orientation)
+        edges, lengths = motion.edges, motion.lengths
+        stretch = lengths * self.inverse_lengths
+        local = to_material(frame, edges)
+        inverse = self.inverse_lengths
+        strain = (local[0] * inverse, local[1] * inverse, local[2] * inverse - 1)
+        stress = vectors.multiply(
+            self.shear_stretch, vectors.subtract(strain, self.rest_strains)
+        )
+        inverse_stretch = 1 / stretch
+        force = to_world(frame, vectors.scale(inverse_stretch, stress))
+
+        joint_stretch = 0.5 * (lengths[1:] + lengths[:-1]) * self.inverse_joint_lengths
+        cubed = 1 / (joint_stretch * joint_stretch * joint_stretch)
+        rotation, _ = joint_rotations(motion.orientation)
+        curvature = vectors.scale(self.inverse_joint_lengths, rotation)
+        moment = vectors.multiply(
+            self.bend_twist, vectors.subtract(curvature, self.rest_curvatures)
+        )
+        moment = vectors.scale(cubed, moment)
+        couples = vectors.add(
+            vectors.difference(moment),
+            vectors.pair_sum(vectors.scale(0.5, vectors.cross(rotation, moment))),
+        )
+        # (R^T t) x n times the rest length: the edge over its stretch.
+        couples = vectors.add(
+            couples,
+            vectors.cross(vectors.scale(inverse_stretch, local), stress),
+        )
+
+        spin = motion.spin
+        momentum = vectors.scale(inverse_stretch, vectors.multiply(self.inertia, spin))
+        rates = vectors.inner_difference(motion.velocity)
+        stretch_rate = vectors.dot(edges, rates) / (lengths * self.lengths)
+        couples = vectors.add(couples, vectors.cross(momentum, spin))
+        couples = vectors.add(
+            couples, vectors.scale(stretch_rate * inverse_stretch, momentum)
+        )
+        return Loads(forces=vectors.difference(force), couples=couples)
+
+    def kick(self, motion: Motion, dt: Array) -> Motion:
+        """Changes velocities and angular velocities by all loads over `dt` [s]."""
+        internal = self.internal_loads(motion)
+        assert internal.forces is not None and internal.couples is not None
+        loads = external_loads(self.scene, motion, internal.forces, internal.couples)
+        assert loads.forces is not None and loads.couples is not None
+        stretch = motion.lengths * self.inverse_lengths
+        turn = vectors.multiply(self.inverse_inertia, loads.couples)
+        kicked = replace(
+            motion,
+            velocity=vectors.add(
+                motion.velocity, vectors.scale(dt * self.inverse_masses, loads.forces)
+            ),
+            spin=vectors.add(motion.spin, vectors.scale(dt * stretch, turn)),
+        )
+        return decay(self.scene, hold_rates(self.scene, kicked), dt)

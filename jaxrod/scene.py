@@ -1,0 +1,139 @@
+"""A scene: one rod, the effects that act on it, and the law it follows."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod import vectors
+from jaxrod._pytree import pytree, static
+from jaxrod.effects import Effect
+from jaxrod.elasticity import stored_energy
+from jaxrod.motion import Loads, Motion, accumulate
+from jaxrod.rod import Rod, RodState, angular_velocities
+from jaxrod.vectors import Vec3
+
+Mode = Literal["consistent", "pyelastica"]
+MODES: tuple[Mode, ...] = ("consistent", "pyelastica")
+
+
+@pytree
+class Scene:
+    """What is simulated. Its structure is static, its numbers are traced.
+
+    What is not in `effects` is not in the compiled program. Build one with
+    `make_scene`; change numbers with `dataclasses.replace`.
+    """
+
+    rod: Rod
+    """The rod's parameters."""
+    effects: tuple[Effect, ...] = ()
+    """What acts on the rod, in the order in which it is applied."""
+    mode: Mode = static(default="consistent")
+    """"consistent": loads from a stored energy, angular momentum as state, second
+    order. "pyelastica": PyElastica 1.0's law and stepping order, to round-off."""
+
+
+def make_scene(rod: Rod, *effects: Effect, mode: Mode = "consistent") -> Scene:
+    """Composes a scene from a rod and its effects.
+
+    Floating-point numbers of the effects are converted to the rod's type.
+
+    Args:
+        rod: The rod.
+        *effects: What acts on it.
+        mode: "consistent" (default) or "pyelastica"; see `Scene`.
+
+    Raises:
+        ValueError: If the mode is unknown.
+        TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
+    """
+    if mode not in MODES:
+        raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
+    if not isinstance(rod, Rod):
+        raise TypeError(
+            f"rod must be a jaxrod.Rod, got {type(rod).__name__} "
+            "(factories return the pair rod, state)"
+        )
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(
+                f"effects must be jaxrod effects, got {type(effect).__name__}"
+            )
+    dtype = rod.rest_lengths.dtype
+
+    def cast(leaf: Array) -> Array:
+        leaf = jnp.asarray(leaf)
+        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return Scene(rod=rod, effects=jax.tree.map(cast, tuple(effects)), mode=mode)
+
+
+def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:
+    """Adds the loads of all effects to given forces and couples."""
+    for effect in scene.effects:
+        loads = effect.loads(scene.rod, motion)
+        forces = accumulate(forces, loads.forces)
+        couples = accumulate(couples, loads.couples)
+    return Loads(forces, couples)
+
+
+def hold(scene: Scene, motion: Motion) -> Motion:
+    """Applies all constraints on configuration."""
+    for effect in scene.effects:
+        motion = effect.hold(scene.rod, motion)
+    return motion
+
+
+def hold_rates(scene: Scene, motion: Motion) -> Motion:
+    """Applies all constraints on rates."""
+    for effect in scene.effects:
+        motion = effect.hold_rates(scene.rod, motion)
+    return motion
+
+
+def decay(scene: Scene, motion: Motion, dt: Array) -> Motion:
+    """Applies all dissipation over a time `dt` [s]."""
+    for effect in scene.effects:
+        motion = effect.decay(scene.rod, motion, dt)
+    return motion
+
+
+def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
+    """Kinetic energy of translation and rotation [J]."""
+    translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
+    spin = angular_velocities(rod, state)
+    transverse, polar = rod.inertias
+    inertia = jnp.stack([transverse, transverse, polar])
+    return translation + 0.5 * jnp.sum(inertia * spin**2)
+
+
+def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
+    """Stored elastic energy plus the potential of all effects [J]."""
+    total = stored_energy(scene.rod, state)
+    for effect in scene.effects:
+        total = total + effect.energy(scene.rod, state)
+    return total
+
+
+def total_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
+    """Kinetic plus potential energy [J]."""
+    return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
+
+
+def momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
+    """Linear momentum, world frame [kg m/s]."""
+    return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
+
+
+def angular_momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
+    """Angular momentum about the origin, world frame [kg m^2/s]."""
+    position = vectors.split(state.positions)
+    velocity = vectors.split(state.velocities)
+    orbital = vectors.join(vectors.cross(position, velocity))
+    return jnp.sum(rod.node_masses[None, :] * orbital, axis=1) + jnp.sum(
+        state.angular_momenta, axis=1
+    )

@@ -1,0 +1,213 @@
+"""Stepping a scene through time: one step, many steps, recorded steps."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from jaxrod._validation import check_array, check_count, is_traced
+from jaxrod.consistent import ConsistentStepper
+from jaxrod.pyelastica import PyElasticaStepper
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene
+from jaxrod.stability import stable_dt
+
+Carry = TypeVar("Carry")
+
+
+class UnstableStepWarning(UserWarning):
+    """The time step is above the stability bound of the scene."""
+
+
+def stepper(scene: Scene) -> ConsistentStepper | PyElasticaStepper:
+    """The integrator of the scene's mode, its constants worked out."""
+    if scene.mode == "pyelastica":
+        return PyElasticaStepper.create(scene)
+    return ConsistentStepper.create(scene)
+
+
+def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
+    """One step: half drift, kick, half drift. Pure; works inside jit, vmap and grad.
+
+    Args:
+        scene: The scene.
+        state: Where the rod is and how it moves.
+        dt: Step size [s].
+
+    Returns:
+        The state after `dt`.
+    """
+    return _run_static(scene, state, _as_time(state, dt), 1)
+
+
+def advance(
+    scene: Scene, state: RodState, dt: ArrayLike, n_steps: int | Int[Array, ""]
+) -> RodState:
+    """`n_steps` steps of size `dt`, neighbouring half drifts merged.
+
+    Called with plain arrays it runs a program compiled once for any `dt`, any
+    number of steps and any numbers in the scene, and warns when `dt` is above
+    `stable_dt`. Inside another transformation it becomes part of that program: with
+    an `int` number of steps it is differentiable in reverse mode (memory grows with
+    the square root of the number of steps), with a traced one in forward mode.
+
+    Args:
+        scene: The scene.
+        state: The initial state.
+        dt: Step size [s].
+        n_steps: How many steps, at least 0.
+
+    Returns:
+        The final state.
+
+    Raises:
+        ValueError: If `dt` is not positive or `n_steps` is negative.
+
+    Warns:
+        UnstableStepWarning: If `dt` is above the stability bound.
+    """
+    if not isinstance(n_steps, jax.Array):
+        n_steps = check_count("n_steps", n_steps, 0)
+    dt = _as_time(state, dt)
+    if not is_traced(scene, state, dt, n_steps):
+        check_step(scene, dt)
+        return _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
+    if isinstance(n_steps, int):
+        return _run_static(scene, state, dt, n_steps)
+    return _run_traced(scene, state, dt, n_steps)
+
+
+def rollout(
+    scene: Scene, state: RodState, dt: ArrayLike, n_steps: int, every: int = 1
+) -> RodState:
+    """`n_steps` steps, recorded every `every` steps; differentiable in reverse mode.
+
+    Args:
+        scene: The scene.
+        state: The initial state.
+        dt: Step size [s].
+        n_steps: How many steps, a multiple of `every`.
+        every: Steps between records, at least 1.
+
+    Returns:
+        The recorded states, a `RodState` whose leaves have a leading axis of
+        `n_steps / every + 1`; the first record is the initial state.
+
+    Raises:
+        ValueError: If an argument is out of range.
+
+    Warns:
+        UnstableStepWarning: If `dt` is above the stability bound.
+    """
+    n_steps = check_count("n_steps", n_steps, 0)
+    every = check_count("every", every, 1)
+    if n_steps % every:
+        raise ValueError(
+            f"n_steps must be a multiple of every, got {n_steps} and {every}"
+        )
+    dt = _as_time(state, dt)
+    if not is_traced(scene, state, dt):
+        check_step(scene, dt)
+    return _rollout_compiled(scene, state, dt, n_steps // every, every)
+
+
+def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " records"]:
+    """The times [s] of the records of `rollout`, counted in integers."""
+    return jnp.arange(n_steps // every + 1) * (every * dt)
+
+
+def check_step(scene: Scene, dt: Array) -> None:
+    """Warns when a concrete time step is above the scene's stability bound.
+
+    Raises:
+        ValueError: If `dt` is not a positive number.
+    """
+    check_array("dt", dt, [()], "s", positive=True)
+    bound = stable_dt(scene, safety=1.0)
+    if float(dt) > float(bound.dt):
+        warnings.warn(
+            f"dt = {float(dt):.3g} s is above the stability bound "
+            f"{float(bound.dt):.3g} s set by {bound.limiting_mode}: expect the "
+            "simulation to blow up, with or without NaN. Use "
+            "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod.",
+            UnstableStepWarning,
+            stacklevel=3,
+        )
+
+
+def _as_time(state: RodState, dt: ArrayLike) -> Array:
+    return jnp.asarray(dt, state.positions.dtype)
+
+
+def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:
+    integrator = stepper(scene)
+    # The first and last half drifts are zero when there is no step to make.
+    half = jnp.where(n_steps > 0, 0.5 * dt, 0)
+    motion = integrator.drift(integrator.enter(state), half)
+    motion = lax.fori_loop(
+        0,
+        n_steps - 1,
+        lambda _, m: integrator.drift(integrator.kick(m, dt), dt),
+        motion,
+    )
+    motion = integrator.kick(motion, jnp.where(n_steps > 0, dt, 0))
+    return integrator.leave(integrator.drift(motion, half))
+
+
+def _run_static(scene: Scene, state: RodState, dt: Array, n_steps: int) -> RodState:
+    if n_steps == 0:
+        return state
+    integrator = stepper(scene)
+    motion = integrator.drift(integrator.enter(state), 0.5 * dt)
+    motion = repeat(
+        lambda m: integrator.drift(integrator.kick(m, dt), dt), motion, n_steps - 1
+    )
+    return integrator.leave(integrator.drift(integrator.kick(motion, dt), 0.5 * dt))
+
+
+def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Carry:
+    """Applies a function a static number of times, cheap to differentiate.
+
+    Two nested loops, the outer one checkpointed: reverse mode keeps about
+    `2 sqrt(n_times)` carries and intermediate results instead of `n_times`, for one
+    more forward pass.
+    """
+
+    def inner(carry: Carry, length: int) -> Carry:
+        return lax.scan(lambda c, _: (function(c), None), carry, length=length)[0]
+
+    block = max(1, math.isqrt(n_times))
+    blocks, rest = divmod(n_times, block)
+    if n_times < 16:
+        return inner(carry, n_times)
+    checkpointed = jax.checkpoint(lambda c: inner(c, block), prevent_cse=False)
+    carry = lax.scan(lambda c, _: (checkpointed(c), None), carry, length=blocks)[0]
+    return inner(carry, rest)
+
+
+_advance_compiled = jax.jit(_run_traced)
+
+
+@jax.jit(static_argnames=("records", "every"))
+def _rollout_compiled(
+    scene: Scene, state: RodState, dt: Array, records: int, every: int
+) -> RodState:
+    advance_block = jax.checkpoint(
+        lambda s: _run_static(scene, s, dt, every), prevent_cse=False
+    )
+
+    def record(carry: RodState, _: None) -> tuple[RodState, RodState]:
+        after = advance_block(carry)
+        return after, after
+
+    _, states = lax.scan(record, state, length=records)
+    return jax.tree.map(
+        lambda first, rest: jnp.concatenate([first[None], rest]), state, states
+    )
