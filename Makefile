@@ -17,7 +17,7 @@ setup: $(INSTALLED)
 # is new enough, and can make virtual environments.
 $(INSTALLED): pyproject.toml constraints.txt
 	@set -e; \
-	found=; reason="no python3 was found"; \
+	found=; reason="$(or $(PYTHON),python3) does not run here"; \
 	for candidate in $(if $(PYTHON),"$(PYTHON)",python3.12 python3.13 python3 python3.11 python); do \
 	    "$$candidate" -c '' 2>/dev/null || continue; \
 	    if ! "$$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then \
@@ -27,11 +27,11 @@ $(INSTALLED): pyproject.toml constraints.txt
 	    found=$$candidate; break; \
 	done; \
 	if [ -z "$$found" ]; then \
-	    echo "jaxrod needs Python 3.11 or newer: $(if $(PYTHON),$(PYTHON) does not run or )$$reason." >&2; \
+	    echo "jaxrod needs Python 3.11 or newer, but $$reason." >&2; \
 	    echo "Name one with: make setup PYTHON=/path/to/python3" >&2; exit 1; fi; \
 	echo "Setting up $(VENV) with $$("$$found" -V) (a few minutes, once)"; \
 	"$$found" -m venv --clear $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input \
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-input \
 	    -e ".[rl,viz,gym,test]" -c constraints.txt
 	@touch $@
 

@@ -54,7 +54,7 @@ def pyelastica_steps_per_s(n_elements: int = 20, seconds: float = 2.0) -> float:
 
     run(100)  # compiles
     window = max(1, int(100 * seconds / 10 / run(100)))
-    rates = []
+    rates: list[float] = []
     end = time.perf_counter() + seconds
     while not rates or time.perf_counter() < end:
         rates.append(window / run(window))
