@@ -1,0 +1,85 @@
+"""What a learner must offer for the shared loop to train with it."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from jaxtyping import Array
+
+from jaxrod._pytree import pytree
+from jaxrod.envs import EpisodeRecord
+from jaxrod.training.policy import Policy
+
+DEVICE_AXIS = "env"
+"""Name of the device axis over which the environments of a run are spread."""
+
+
+@pytree
+class Metrics:
+    """What one update reports.
+
+    Attributes:
+        scalars: named numbers, the same on every device.
+        episodes: the complete episodes that ended, shape (steps, num_envs), in
+            the order of time.
+    """
+
+    scalars: dict[str, Array]
+    episodes: EpisodeRecord
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """A learner as a record of pure functions.
+
+    Its train state is one pytree that holds all there is: numbers of the
+    configuration, weights, optimiser, environments, keys. Two states made by
+    `init` from configurations that differ only in numbers share one program.
+
+    Attributes:
+        name: name in the registry.
+        config_type: class of the configuration; made without arguments it holds
+            the defaults.
+        validate: `(config, num_devices) -> None`; raises ValueError with the
+            name and the value of what is wrong.
+        steps_per_update: `config -> int`, control steps of one update.
+        init: `(key, env, config, env_params, total_steps) -> state`.
+        update: `(state, axis_name=None) -> (state, Metrics)`. Under a mapped
+            axis of that name the state holds this device's environments.
+        partition: `state -> tree prefix of PartitionSpec`: which leaves are
+            spread over the devices (axis `DEVICE_AXIS`), which repeated.
+        policy: `state -> Policy`, the deterministic policy.
+    """
+
+    name: str
+    config_type: type
+    validate: Callable[[Any, int], None]
+    steps_per_update: Callable[[Any], int]
+    init: Callable[..., Any]
+    update: Callable[..., tuple[Any, Metrics]]
+    partition: Callable[[Any], Any]
+    policy: Callable[[Any], Policy]
+
+
+_ALGORITHMS = {"ppo": "jaxrod.training.ppo:PPO"}
+
+
+def algorithm_names() -> tuple[str, ...]:
+    """Returns the names that `find_algorithm` knows, sorted."""
+    return tuple(sorted(_ALGORITHMS))
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """Returns the algorithm called `name`.
+
+    Raises:
+        ValueError: there is none of this name.
+    """
+    if name not in _ALGORITHMS:
+        known = ", ".join(algorithm_names())
+        raise ValueError(f"algorithm must be one of {known}; got {name!r}")
+    module, attribute = _ALGORITHMS[name].split(":")
+    return getattr(importlib.import_module(module), attribute)

@@ -1,0 +1,99 @@
+"""One compiled program for many updates, spread over the devices there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Int
+
+from jaxrod.training.algorithm import DEVICE_AXIS, Algorithm, Metrics
+
+
+def device_mesh(devices: Sequence[jax.Device]) -> Mesh:
+    """A line of devices; the environments of a run are spread along it."""
+    return jax.make_mesh(
+        (len(devices),),
+        (DEVICE_AXIS,),
+        axis_types=(AxisType.Auto,),
+        devices=devices,
+    )
+
+
+def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
+    """Puts a tree where its specifications, a tree prefix, say."""
+
+    def put(spec: PartitionSpec, subtree: Any) -> Any:
+        return jax.device_put(subtree, NamedSharding(mesh, spec))
+
+    return jax.tree.map(put, specs, tree, is_leaf=_is_spec)
+
+
+def compile_updates(
+    algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
+) -> Callable[[Any, int], tuple[Any, Metrics]]:
+    """Compiles up to `capacity` updates into one program.
+
+    Every device runs its share of the environments and of every minibatch; only
+    gradients and a few averages are exchanged. How many updates to do is an
+    argument of the program, so a shorter last chunk compiles nothing.
+
+    Args:
+        algorithm: the learner.
+        state: a train state, placed on the mesh; it is not changed here.
+        capacity: most updates of one call.
+        mesh: from `device_mesh`.
+
+    Returns:
+        `(state, count) -> (state, metrics)`. The state given is consumed. The
+        metrics have a leading axis of `capacity`, valid up to `count`.
+    """
+    specs = algorithm.partition(state)
+    metric_specs = Metrics(
+        scalars=PartitionSpec(),  # type: ignore[arg-type]  # a tree prefix
+        episodes=PartitionSpec(None, None, DEVICE_AXIS),  # type: ignore[arg-type]
+    )
+
+    def updates(state: Any, count: Int[Array, ""]) -> tuple[Any, Metrics]:
+        shapes = jax.eval_shape(lambda s: algorithm.update(s, DEVICE_AXIS)[1], state)
+        metrics = jax.tree.map(
+            lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shapes
+        )
+
+        def body(i: Int[Array, ""], carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
+            state, metrics = carry
+            state, new = algorithm.update(state, DEVICE_AXIS)
+            return state, jax.tree.map(lambda a, b: a.at[i].set(b), metrics, new)
+
+        return jax.lax.fori_loop(0, count, body, (state, metrics))
+
+    program = jax.shard_map(
+        updates,
+        mesh=mesh,
+        in_specs=(specs, PartitionSpec()),
+        out_specs=(specs, metric_specs),
+        # What is repeated stays equal on all devices because it is only changed
+        # by averages over them; the checker cannot see that through the scans.
+        check_vma=False,
+    )
+    count = jax.ShapeDtypeStruct((), jnp.int32)
+    lowered = jax.jit(program, donate_argnums=0).lower(state, count)
+    compiled = lowered.compile(compiler_options=compiler_options())
+    repeated = NamedSharding(mesh, PartitionSpec())
+
+    def run(state: Any, count: int) -> tuple[Any, Metrics]:
+        return compiled(state, jax.device_put(jnp.int32(count), repeated))
+
+    return run
+
+
+def _is_spec(leaf: Any) -> bool:
+    return isinstance(leaf, PartitionSpec)
+
+
+def compiler_options() -> dict[str, Any]:
+    """Options that suit the backend, for programs that step rods."""
+    return {}

@@ -1,0 +1,123 @@
+"""How good a policy is: complete episodes, acted without noise."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.training.devices import compiler_options
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One entry per episode.
+
+    Attributes:
+        returns: sums of the rewards.
+        lengths: control steps.
+        flagged: whether a numerical health flag ended the episode.
+    """
+
+    returns: Float[np.ndarray, " episodes"]
+    lengths: Int[np.ndarray, " episodes"]
+    flagged: Bool[np.ndarray, " episodes"]
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(np.mean(self.returns))
+
+    @property
+    def standard_deviation(self) -> float:
+        """Standard deviation of the returns."""
+        return float(np.std(self.returns))
+
+    @property
+    def flagged_fraction(self) -> float:
+        """Fraction of the episodes that a health flag ended."""
+        return float(np.mean(self.flagged))
+
+
+def evaluate(
+    env: Environment,
+    policy: Callable[[Array], Array],
+    *,
+    episodes: int = 16,
+    seed: int = 0,
+    env_params: Any = None,
+) -> Evaluation:
+    """Runs complete episodes side by side.
+
+    Args:
+        env: the environment.
+        policy: observations (episodes, observation_size) -> actions; a `Policy`
+            or any other function of that kind.
+        episodes: number of episodes.
+        seed: seed of their randomness.
+        env_params: parameters of the environment, None for its own.
+
+    Raises:
+        ValueError: `episodes` is below 1.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    params = env.default_params() if env_params is None else env_params
+    if not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0]):
+        # A plain function: part of the program. A `Policy` is an argument of it.
+        policy = jax.tree_util.Partial(policy)
+    record = _run_episodes()(jax.random.key(seed), policy, params, env, episodes)
+    return Evaluation(
+        np.asarray(record.episode_return),
+        np.asarray(record.length),
+        np.asarray(record.flagged),
+    )
+
+
+@functools.cache
+def _run_episodes() -> Callable[..., EpisodeRecord]:
+    """The program, with the options of the backend in use."""
+    return jax.jit(
+        _episodes, static_argnums=(3, 4), compiler_options=compiler_options()
+    )
+
+
+def _episodes(
+    key: Key[Array, ""],
+    policy: Callable[[Array], Array],
+    params: Any,
+    env: Environment,
+    episodes: int,
+) -> EpisodeRecord:
+    batch = VectorEnvironment(env)
+    state = batch.reset(key, episodes, params)
+    record = EpisodeRecord(
+        finished=jnp.zeros(episodes, bool),
+        episode_return=state.episode_return,
+        length=state.elapsed,
+        flagged=jnp.zeros(episodes, bool),
+    )
+
+    def running(carry: tuple[VectorState, EpisodeRecord]) -> Bool[Array, ""]:
+        return ~jnp.all(carry[1].finished)
+
+    def step(
+        carry: tuple[VectorState, EpisodeRecord],
+    ) -> tuple[VectorState, EpisodeRecord]:
+        state, record = carry
+        action = jnp.clip(policy(state.observation), -1, 1)
+        state, outcome = batch.step(state, action, params)
+        first = outcome.episodes.finished & ~record.finished
+        record = jax.tree.map(
+            lambda new, old: jnp.where(first, new, old), outcome.episodes, record
+        )
+        return state, record
+
+    return jax.lax.while_loop(running, step, (state, record))[1]

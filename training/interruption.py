@@ -1,0 +1,50 @@
+"""Ctrl-C that lets the running chunk finish."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any
+
+
+class Interruption:
+    """Turns SIGINT and SIGTERM into a wish, for as long as the context lasts.
+
+    The first signal sets `asked`; a second one raises KeyboardInterrupt. Outside
+    the main thread, where Python allows no handlers, nothing is changed.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        """Listens only within the context.
+
+        Args:
+            say: called with a sentence when the first signal comes.
+        """
+        self.asked = False
+        self._say = say
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        """Starts listening."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Gives the signals back to whoever had them."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        self._say("finishing this chunk and saving; once more to stop at once")

@@ -1,0 +1,99 @@
+"""Running mean and variance of observations, merged batch by batch."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, DTypeLike, Float
+
+from jaxrod._pytree import pytree
+
+
+@pytree
+class RunningMoments:
+    """Mean and variance of everything seen so far, per component.
+
+    The variance is stored, not the sum of squares: it stays of the size of the
+    data however long the run, as float32 needs. Before anything is seen the mean
+    is 0 and the variance 1, so that normalising changes nothing.
+
+    Attributes:
+        count: number of samples seen.
+        mean: mean of the samples.
+        variance: mean squared distance of the samples from their mean.
+    """
+
+    count: Float[Array, ""]
+    mean: Float[Array, " size"]
+    variance: Float[Array, " size"]
+
+
+def no_moments(size: int, dtype: DTypeLike) -> RunningMoments:
+    """Moments of nothing: normalises by the identity."""
+    return RunningMoments(
+        jnp.zeros((), dtype), jnp.zeros(size, dtype), jnp.ones(size, dtype)
+    )
+
+
+def batch_moments(
+    samples: Float[Array, "count size"], axis_name: str | None = None
+) -> RunningMoments:
+    """Moments of one batch.
+
+    The first sample is subtracted before anything is summed, so a large mean
+    costs no digits of the variance.
+
+    Args:
+        samples: one sample per row.
+        axis_name: mapped axis over which the batch is spread, if it is.
+    """
+    origin = samples[:1]
+    shifted = samples - origin
+    mean = jnp.mean(shifted, axis=0)
+    variance = jnp.mean((shifted - mean[None]) ** 2, axis=0)
+    moments = RunningMoments(
+        jnp.asarray(samples.shape[0], samples.dtype), mean + origin[0], variance
+    )
+    if axis_name is None:
+        return moments
+    parts = jax.lax.all_gather(moments, axis_name)
+    total = jax.tree.map(lambda leaf: leaf[0], parts)
+    for i in range(1, parts.count.shape[0]):
+        total = merge_moments(total, jax.tree.map(lambda leaf, i=i: leaf[i], parts))
+    return total
+
+
+def merge_moments(a: RunningMoments, b: RunningMoments) -> RunningMoments:
+    """Moments of two sets of samples taken together.
+
+    With w = n_b / (n_a + n_b) and d = mean_b - mean_a: mean = mean_a + w d and
+    variance = (1 - w) var_a + w var_b + w (1 - w) d^2.
+
+    Source: Chan, Golub & LeVeque, "Updating formulae and a pairwise algorithm
+    for computing sample variances", 1979.
+    """
+    count = a.count + b.count
+    weight = b.count / jnp.maximum(count, 1)
+    difference = b.mean - a.mean
+    return RunningMoments(
+        count=count,
+        mean=a.mean + weight * difference,
+        variance=(1 - weight) * a.variance
+        + weight * b.variance
+        + weight * (1 - weight) * difference**2,
+    )
+
+
+def normalise(
+    moments: RunningMoments,
+    samples: Float[Array, "*batch size"],
+    limit: float | Float[Array, ""],
+) -> Float[Array, "*batch size"]:
+    """Shifts and scales samples to mean 0 and variance 1, clipped to +-`limit`.
+
+    A component that never varied is divided by 1e-4, not by 0.
+    """
+    leading = tuple(range(samples.ndim - 1))
+    mean = jnp.expand_dims(moments.mean, leading)
+    scale = jnp.expand_dims(jax.lax.rsqrt(moments.variance + 1e-8), leading)
+    return jnp.clip((samples - mean) * scale, -limit, limit)

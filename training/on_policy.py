@@ -1,0 +1,318 @@
+"""What PPO and its relatives share: everything but the policy step.
+
+A train state, its start, and the experience of one update: a rollout with the
+newest policy, its advantages, and the observations normalised by the moments
+that the rollout was acted with.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, DTypeLike, Float, Int, Key
+
+from jaxrod._pytree import pytree, static
+from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.training.advantages import generalised_advantages
+from jaxrod.training.algorithm import DEVICE_AXIS
+from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron, layers
+from jaxrod.training.normalisation import (
+    RunningMoments,
+    batch_moments,
+    merge_moments,
+    no_moments,
+    normalise,
+)
+from jaxrod.training.policy import Policy
+from jaxrod.training.rollout import collect
+
+Scalar = float | Float[Array, ""]
+
+
+class OnPolicyConfig(Protocol):
+    """The part of a configuration that all on-policy learners have.
+
+    Sizes (`num_envs`, `rollout_steps`, `hidden_sizes`) and `spread_phases` are
+    static, the rest is traced.
+    """
+
+    num_envs: int
+    rollout_steps: int
+    hidden_sizes: tuple[int, ...]
+    spread_phases: bool
+    discount: Scalar
+    trace_decay: Scalar
+    reward_scale: Scalar
+    observation_limit: Scalar
+    initial_log_std: Scalar
+
+
+@pytree
+class OnPolicyState:
+    """Everything an on-policy run is: save it, and it continues bit by bit.
+
+    Attributes:
+        env: the environment.
+        config: numbers and sizes of the learner.
+        env_params: parameters of the environment.
+        weights: weights of the networks, under "policy" and "value".
+        optimiser: state of the optimiser.
+        moments: of the observations before the running update.
+        environments: the batch.
+        action_keys: one key for every environment, for the noise of its actions.
+        shuffle_key: for the order of the minibatches.
+        updates: updates done.
+        total_updates: updates after which schedules have run out.
+    """
+
+    env: Environment = static()
+    config: Any
+    env_params: Any
+    weights: dict[str, Any]
+    optimiser: Any
+    moments: RunningMoments
+    environments: VectorState
+    action_keys: Key[Array, " num_envs"]
+    shuffle_key: Key[Array, ""]
+    updates: Int[Array, ""]
+    total_updates: Int[Array, ""]
+
+
+@pytree
+class Experience:
+    """What an update learns from; shapes (rollout_steps, num_envs, ...).
+
+    Attributes:
+        observation: normalised.
+        action: as drawn, before clipping.
+        log_prob: logarithm of the density it was drawn with.
+        advantage: of the action, not normalised.
+        value_target: scaled return that the value network should predict.
+        value: what it did predict.
+    """
+
+    observation: Float[Array, "steps num_envs observation"]
+    action: Float[Array, "steps num_envs action"]
+    log_prob: Float[Array, "steps num_envs"]
+    advantage: Float[Array, "steps num_envs"]
+    value_target: Float[Array, "steps num_envs"]
+    value: Float[Array, "steps num_envs"]
+
+
+def policy_network(env: Environment, config: OnPolicyConfig) -> GaussianPolicy:
+    """The policy network; weights come from the train state."""
+    return GaussianPolicy(
+        config.hidden_sizes,
+        env.action_size,
+        config.initial_log_std,
+        dtype=_dtype(env),
+    )
+
+
+def value_network(env: Environment, config: OnPolicyConfig) -> MultilayerPerceptron:
+    """The value network; weights come from the train state."""
+    return MultilayerPerceptron(config.hidden_sizes, 1, dtype=_dtype(env))
+
+
+def log_density(
+    standardised: Float[Array, "*batch action"], log_std: Float[Array, " action"]
+) -> Float[Array, "*batch"]:
+    """Log of the normal density at mean + std z: -sum(z^2/2 + log std + log(2pi)/2)."""
+    log_std = jnp.expand_dims(log_std, tuple(range(standardised.ndim - 1)))
+    terms = 0.5 * standardised**2 + log_std + 0.5 * jnp.log(2 * jnp.pi)
+    return -jnp.sum(terms.astype(standardised.dtype), axis=-1)
+
+
+def start(
+    key: Key[Array, ""],
+    env: Environment,
+    config: Any,
+    env_params: Any,
+    total_updates: int | Int[Array, ""],
+    optimiser: Any,
+) -> OnPolicyState:
+    """The train state before the first update.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: an `OnPolicyConfig`.
+        env_params: parameters of the environment, None for its own.
+        total_updates: length of the schedules, in updates.
+        optimiser: optax transformation, to make its state.
+    """
+    dtype = _dtype(env)
+    env_params = env.default_params() if env_params is None else env_params
+    env_params = jax.tree.map(lambda leaf: _strong(leaf, dtype), env_params)
+    # One type for all numbers, whether they came as floats or as arrays.
+    config = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), config)
+    keys = jax.random.split(key, 5)
+    dummy = jnp.zeros(env.observation_size, dtype)
+    weights = {
+        "policy": policy_network(env, config).init(keys[0], dummy)["params"],
+        "value": value_network(env, config).init(keys[1], dummy)["params"],
+    }
+    environments = VectorEnvironment(env).reset(
+        keys[2], config.num_envs, env_params, spread_phases=config.spread_phases
+    )
+    return OnPolicyState(
+        env=env,
+        config=config,
+        env_params=env_params,
+        weights=weights,
+        optimiser=optimiser.init(weights),
+        moments=no_moments(env.observation_size, dtype),
+        environments=jax.tree.map(lambda leaf: _strong(leaf, dtype), environments),
+        action_keys=jax.random.split(keys[3], config.num_envs),
+        shuffle_key=keys[4],
+        updates=jnp.zeros((), jnp.int32),
+        total_updates=jnp.asarray(total_updates, jnp.int32),
+    )
+
+
+def gather_experience(
+    state: OnPolicyState, axis_name: str | None = None
+) -> tuple[OnPolicyState, Experience, EpisodeRecord]:
+    """Acts with the newest policy and judges what came of it.
+
+    Returns:
+        The state with environments and moments moved on (the experience is
+        normalised by the moments before), the experience, and the episodes that
+        ended in it.
+    """
+    config: OnPolicyConfig = state.config
+    policy = policy_network(state.env, config)
+    values = value_network(state.env, config)
+
+    def normalised(observation: Array) -> Array:
+        return normalise(state.moments, observation, config.observation_limit)
+
+    def act(observation: Array, noise: Array) -> Array:
+        mean, log_std = policy.apply(
+            {"params": state.weights["policy"]}, normalised(observation)
+        )
+        return mean + jnp.exp(log_std)[None] * noise
+
+    def value(observation: Array) -> Array:
+        # The network sees normalised observations.
+        return values.apply({"params": state.weights["value"]}, observation)[..., 0]
+
+    noise = _noise(state)
+    environments, rollout = collect(
+        VectorEnvironment(state.env),
+        state.environments,
+        state.env_params,
+        act,
+        lambda observation: value(normalised(observation)),
+        noise,
+    )
+    observation = normalised(rollout.observation)
+    predicted = value(observation)
+    advantage = generalised_advantages(
+        reward=config.reward_scale * rollout.reward,
+        value=predicted,
+        last_value=value(normalised(environments.observation)),
+        final_value=rollout.final_value,
+        terminated=rollout.terminated,
+        done=rollout.done,
+        discount=config.discount,
+        trace_decay=config.trace_decay,
+    )
+    experience = Experience(
+        observation=observation,
+        action=rollout.action,
+        log_prob=log_density(noise, state.weights["policy"]["log_std"]),
+        advantage=advantage,
+        value_target=advantage + predicted,
+        value=predicted,
+    )
+    seen = rollout.observation.reshape(-1, rollout.observation.shape[-1])
+    state = dataclasses.replace(
+        state,
+        environments=environments,
+        moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
+    )
+    return state, experience, rollout.episodes
+
+
+def partition(state: OnPolicyState) -> OnPolicyState:
+    """The environments are spread over the devices, all else is repeated."""
+    repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)
+    specs: dict[str, Any] = {
+        field.name: repeated
+        for field in dataclasses.fields(state)
+        if field.name != "env"
+    }
+    specs |= {"environments": spread, "action_keys": spread}
+    return dataclasses.replace(state, **specs)
+
+
+def deterministic_policy(state: OnPolicyState) -> Policy:
+    """The mean of the action distribution, clipped to [-1, 1]."""
+    return Policy(
+        moments=state.moments,
+        limit=state.config.observation_limit,
+        layers=layers(state.weights["policy"]["mean"]),
+        activation="tanh",
+        output="clip",
+    )
+
+
+def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
+    """Raises ValueError if a size or number does not make sense."""
+    for name in ("num_envs", "rollout_steps"):
+        if getattr(config, name) < 1:
+            raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
+    if config.num_envs % num_devices:
+        raise ValueError(
+            f"num_envs must be a multiple of the number of devices, {num_devices}, "
+            f"got {config.num_envs}"
+        )
+    if any(size < 1 for size in config.hidden_sizes):
+        raise ValueError(
+            f"hidden_sizes must all be at least 1, got {config.hidden_sizes}"
+        )
+    for name in ("discount", "trace_decay"):
+        number = float(getattr(config, name))
+        if not 0 <= number <= 1:
+            raise ValueError(f"{name} must be between 0 and 1, got {number}")
+    for name in ("reward_scale", "observation_limit"):
+        number = float(getattr(config, name))
+        if not 0 < number < float("inf"):
+            raise ValueError(f"{name} must be positive and finite, got {number}")
+    if not abs(float(config.initial_log_std)) < float("inf"):
+        raise ValueError(
+            f"initial_log_std must be finite, got {config.initial_log_std}"
+        )
+
+
+def _noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
+    """Noise of the actions of one update, drawn from each environment's own key."""
+    shape = (state.config.rollout_steps, state.env.action_size)
+    noise = jax.vmap(
+        lambda key: jax.random.normal(
+            jax.random.fold_in(key, state.updates), shape, _dtype(state.env)
+        )
+    )(state.action_keys)
+    return jnp.swapaxes(noise, 0, 1)
+
+
+def _dtype(env: Environment) -> DTypeLike:
+    """Type of the observations, which all learning is done in."""
+    shapes = jax.eval_shape(
+        lambda key: env.reset(key, env.default_params())[0], jax.random.key(0)
+    )
+    return shapes.dtype
+
+
+def _strong(leaf: Any, dtype: DTypeLike) -> Array:
+    """An array of definite type: a weak one would change type along the run."""
+    leaf = jnp.asarray(leaf)
+    if jax.typeof(leaf).weak_type:
+        floating = jnp.issubdtype(leaf.dtype, jnp.floating)
+        return jax.lax.convert_element_type(leaf, dtype if floating else leaf.dtype)
+    return leaf

@@ -1,0 +1,266 @@
+"""Proximal policy optimisation with a clipped objective.
+
+Source: Schulman et al., "Proximal policy optimization algorithms", 2017.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod._pytree import pytree, static
+from jaxrod.envs import Environment
+from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.on_policy import (
+    Experience,
+    OnPolicyState,
+    Scalar,
+    check_on_policy,
+    deterministic_policy,
+    gather_experience,
+    log_density,
+    partition,
+    policy_network,
+    start,
+    value_network,
+)
+
+
+@pytree
+class PPOConfig:
+    """Settings of PPO. Numbers are traced: change them, and nothing recompiles.
+
+    Attributes:
+        num_envs: environments acting side by side.
+        rollout_steps: control steps of each environment in one update.
+        epochs: passes over the experience of one update.
+        minibatches: gradient steps of one pass; divides `rollout_steps`.
+        hidden_sizes: widths of the hidden layers of both networks.
+        spread_phases: start the first episodes in mid-course, see
+            `jaxrod.envs.VectorEnvironment`.
+        learning_rate: step size of Adam at the start.
+        final_learning_rate: step size at the end, reached linearly.
+        clip: the probability ratio is of no more use outside 1 +- this.
+        discount: gamma.
+        trace_decay: lambda of the advantage estimate.
+        reward_scale: rewards are multiplied by this before they are learned.
+        value_weight: weight of the value loss.
+        entropy_weight: weight of the entropy bonus.
+        gradient_norm: the gradient is scaled down to this norm.
+        initial_log_std: log of the standard deviation of the first actions.
+        observation_limit: normalised observations are clipped to +- this.
+    """
+
+    num_envs: int = static(default=128)
+    rollout_steps: int = static(default=256)
+    epochs: int = static(default=8)
+    minibatches: int = static(default=8)
+    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
+    spread_phases: bool = static(default=True)
+    learning_rate: Scalar = 1e-3
+    final_learning_rate: Scalar = 5e-5
+    clip: Scalar = 0.2
+    discount: Scalar = 0.99
+    trace_decay: Scalar = 0.95
+    reward_scale: Scalar = 0.1
+    value_weight: Scalar = 0.5
+    entropy_weight: Scalar = 0.0
+    gradient_norm: Scalar = 0.5
+    initial_log_std: Scalar = -0.5
+    observation_limit: Scalar = 10.0
+
+
+def validate(config: PPOConfig, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_on_policy(config, num_devices)
+    for name in ("epochs", "minibatches"):
+        if getattr(config, name) < 1:
+            raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
+    if config.rollout_steps % config.minibatches:
+        raise ValueError(
+            f"minibatches must divide rollout_steps, {config.rollout_steps}, "
+            f"got {config.minibatches}"
+        )
+    for name in ("learning_rate", "final_learning_rate", "clip", "gradient_norm"):
+        number = float(getattr(config, name))
+        if not 0 < number < float("inf"):
+            raise ValueError(f"{name} must be positive and finite, got {number}")
+    for name in ("value_weight", "entropy_weight"):
+        number = float(getattr(config, name))
+        if not 0 <= number < float("inf"):
+            raise ValueError(f"{name} must be finite and not negative, got {number}")
+
+
+def steps_per_update(config: PPOConfig) -> int:
+    """Control steps of one update: num_envs * rollout_steps."""
+    return config.num_envs * config.rollout_steps
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: PPOConfig,
+    env_params: Any = None,
+    total_steps: int = 10_000_000,
+) -> OnPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: control steps over which the learning rate falls.
+    """
+    updates = math.ceil(total_steps / steps_per_update(config))
+    optimiser = _optimiser(config.gradient_norm)
+    return start(key, env, config, env_params, updates, optimiser)
+
+
+def update(
+    state: OnPolicyState, axis_name: str | None = None
+) -> tuple[OnPolicyState, Metrics]:
+    """One update: act, estimate advantages, climb the clipped objective.
+
+    A minibatch is a random set of time steps with all environments in it. So it
+    is the same set however the environments are spread over devices, its samples
+    come from independent environments, and it is read in long runs of memory.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    config: PPOConfig = state.config
+    state, experience, episodes = gather_experience(state, axis_name)
+    optimiser = _optimiser(config.gradient_norm)
+    remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
+    remaining = jnp.clip(remaining, 0, 1).astype(experience.advantage.dtype)
+    learning_rate = (
+        config.final_learning_rate
+        + (config.learning_rate - config.final_learning_rate) * remaining
+    )
+
+    def minibatch_step(
+        carry: tuple[Any, Any], chosen: tuple[Int[Array, " rows"], Array]
+    ) -> tuple[tuple[Any, Any], dict[str, Array]]:
+        weights, moments = carry
+        rows, advantage = chosen
+        batch = jax.tree.map(lambda leaf: leaf[rows], experience)
+        batch = dataclasses.replace(batch, advantage=advantage)
+        objective = functools.partial(_loss, env=state.env, config=config)
+        gradient, report = jax.grad(objective, has_aux=True)(weights, batch)
+        gradient = _mean_over_devices(gradient, axis_name)
+        report["gradient_norm"] = optax.tree.norm(gradient)
+        direction, moments = optimiser.update(gradient, moments)
+        weights = jax.tree.map(lambda w, d: w - learning_rate * d, weights, direction)
+        return (weights, moments), report
+
+    def epoch(carry: Any, key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
+        rows = jax.random.permutation(key, config.rollout_steps)
+        rows = rows.reshape(config.minibatches, -1)
+        advantage = _standardise(experience.advantage[rows], axis_name)
+        return jax.lax.scan(minibatch_step, carry, (rows, advantage))
+
+    shuffle_key, epochs_key = jax.random.split(state.shuffle_key)
+    (weights, moments), reports = jax.lax.scan(
+        epoch,
+        (state.weights, state.optimiser),
+        jax.random.split(epochs_key, config.epochs),
+    )
+    scalars = jax.tree.map(jnp.mean, reports)
+    scalars |= {
+        "value_error": jnp.mean((experience.value_target - experience.value) ** 2),
+        "return_mean": jnp.mean(experience.value_target),
+        "action_std": jnp.mean(jnp.exp(weights["policy"]["log_std"])),
+        "learning_rate": learning_rate,
+    }
+    state = dataclasses.replace(
+        state,
+        weights=weights,
+        optimiser=moments,
+        shuffle_key=shuffle_key,
+        updates=state.updates + 1,
+    )
+    return state, Metrics(_mean_over_devices(scalars, axis_name), episodes)
+
+
+def _loss(
+    weights: dict[str, Any],
+    batch: Experience,
+    env: Environment,
+    config: PPOConfig,
+) -> tuple[Float[Array, ""], dict[str, Array]]:
+    """The clipped objective, turned to be minimised, and what to report of it."""
+    batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
+    mean, log_std = policy_network(env, config).apply(
+        {"params": weights["policy"]}, batch.observation
+    )
+    standardised = (batch.action - mean) * jnp.exp(-log_std)[None]
+    log_ratio = log_density(standardised, log_std) - batch.log_prob
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
+    gain = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
+
+    value = value_network(env, config).apply(
+        {"params": weights["value"]}, batch.observation
+    )[:, 0]
+    value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
+    entropy = jnp.sum(log_std) + 0.5 * env.action_size * math.log(2 * math.pi * math.e)
+    loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy
+    report = {
+        "policy_gain": gain,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        # Schulman's estimator: unbiased, never negative, of little variance.
+        "kl": jnp.mean(ratio - 1 - log_ratio),
+        "clipped": jnp.mean((jnp.abs(ratio - 1) > config.clip).astype(loss.dtype)),
+    }
+    return loss, report
+
+
+def _optimiser(gradient_norm: Scalar) -> optax.GradientTransformation:
+    """Adam's direction for a gradient of bounded norm; the step size comes later."""
+    return optax.chain(
+        optax.clip_by_global_norm(gradient_norm),  # type: ignore[arg-type]  # traced
+        optax.scale_by_adam(eps=1e-5),
+    )
+
+
+def _standardise(
+    advantage: Float[Array, "minibatches rows num_envs"], axis_name: str | None
+) -> Float[Array, "minibatches rows num_envs"]:
+    """Shifts and scales the advantages of every minibatch to mean 0, variance 1."""
+
+    def mean(x: Array) -> Array:
+        return _mean_over_devices(jnp.mean(x, axis=(1, 2), keepdims=True), axis_name)
+
+    centred = advantage - mean(advantage)
+    return centred / (jnp.sqrt(mean(centred**2)) + 1e-8)
+
+
+def _mean_over_devices(tree: Any, axis_name: str | None) -> Any:
+    return tree if axis_name is None else jax.lax.pmean(tree, axis_name)
+
+
+PPO = Algorithm(
+    name="ppo",
+    config_type=PPOConfig,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=deterministic_policy,
+)
+"""PPO for the shared loop."""
