@@ -1,6 +1,23 @@
-"""Looking at rods: an offline 3-D player, still pictures, learning curves."""
+"""Looking at rods: an offline 3-D player, still pictures, learning curves.
 
+Imports NumPy only; matplotlib is imported by the functions that draw with it.
+"""
+
+from jaxrod.viz.curves import learning_curve
+from jaxrod.viz.drawing import animation, frame
 from jaxrod.viz.page import html, save_html
+from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Cylinder, Replay, Sphere
 
-__all__ = ["Cylinder", "Replay", "Sphere", "html", "save_html"]
+__all__ = [
+    "Cylinder",
+    "PaperResult",
+    "Replay",
+    "Sphere",
+    "animation",
+    "frame",
+    "html",
+    "learning_curve",
+    "paper_result",
+    "save_html",
+]

@@ -79,7 +79,9 @@ class Replay:
     up: Axis = "z"
 
     @classmethod
-    def from_rollout(cls, positions: Any, radii: Any, times: Any, **more: Any) -> Replay:
+    def from_rollout(
+        cls, positions: Any, radii: Any, times: Any, **more: Any
+    ) -> Replay:
         """Makes a replay from component-first arrays, as a rollout returns them.
 
         Args:
@@ -150,7 +152,8 @@ class Replay:
             raise ValueError(f'up must be "x", "y" or "z", got {up!r}')
         if rod_names and len(rod_names) != num_rods:
             raise ValueError(
-                f"rod_names must be empty or hold {num_rods} names, got {len(rod_names)}"
+                f"rod_names must be empty or hold {num_rods} names, "
+                f"got {len(rod_names)}"
             )
         return cls(
             times=clock,
@@ -313,7 +316,7 @@ def _cylinder(index: int, cylinder: Cylinder) -> Cylinder:
             raise ValueError(f"{name} must have shape (3,) [m], got {point.shape}")
         _require_finite(name, point, "m")
         ends.append(point)
-    if np.array_equal(*ends):
+    if np.array_equal(ends[0], ends[1]):
         raise ValueError(
             f"cylinders[{index}] must have a length, got start = end = {ends[0]} m"
         )

@@ -10,7 +10,7 @@ const PRESETS = {
 };
 
 class Camera {
-  constructor(canvas, box, upName, onChange) {
+  constructor(canvas, upName, onChange) {
     this.canvas = canvas;
     this.onChange = onChange;
     // first x second = up
@@ -20,28 +20,54 @@ class Camera {
     this.first = unit(k + 1);
     this.second = unit(k + 2);
     this.axisNames = [1, 2, 3].map((i) => "xyz"[(k + i) % 3]);
-    this.middle = scale(add(box[0], box[1]), 0.5);
-    this.size = 0.5 * length(subtract(box[1], box[0]));
-    this.insets = { top: 0, bottom: 0 };
+    // Seen from the front, x points right and y or z up.
+    this.front = upName === "y" ? Math.PI / 2 : 0;
+    this.insets = { top: 0, bottom: 0, sides: 0 };
     this.pointers = new Map();
-    [this.azimuth, this.elevation] = PRESETS.free;
     this.listen();
+  }
+
+  // Looks at the whole of a box, from the side the presets call free.
+  frameBox(low, high) {
+    this.box = [low, high];
+    this.middle = scale(add(low, high), 0.5);
+    this.size = 0.5 * length(subtract(high, low));
+    this.preset = "free";
+    this.fitted = true;
+    [this.azimuth, this.elevation] = this.angles("free");
+    this.centre = this.middle;
+    this.distance = 4 * this.size;
+  }
+
+  angles(preset) {
+    const [azimuth, elevation] = PRESETS[preset];
+    return [azimuth + this.front, elevation];
   }
 
   get still() {
     return window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   }
 
-  // Distance at which the whole box fits in the part of the view that is not covered.
-  fitDistance() {
+  // Distance at which every corner of the box falls in the part of the view that the
+  // controls leave free.
+  fitDistance(azimuth = this.azimuth, elevation = this.elevation) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const free = Math.max(0.3, 1 - (this.insets.top + this.insets.bottom) / height);
-    const half = Math.tan(FIELD_OF_VIEW / 2) * Math.min(free, width / height);
-    return (1.04 * this.size) / Math.sin(Math.atan(half));
+    const { top, bottom, sides } = this.insets;
+    const tall = Math.tan(FIELD_OF_VIEW / 2) * Math.max(0.3, 1 - (top + bottom) / height);
+    const wide = (Math.tan(FIELD_OF_VIEW / 2) * Math.max(0.3 * width, width - 2 * sides)) / height;
+    const { right, above, backward } = this.frame(azimuth, elevation);
+    let distance = 0;
+    for (let k = 0; k < 8; k++) {
+      const corner = [0, 1, 2].map((axis) => this.box[(k >> axis) & 1][axis]);
+      const away = subtract(corner, this.middle);
+      const across = Math.abs(dot(away, right)) / wide;
+      const upward = Math.abs(dot(away, above)) / tall;
+      distance = Math.max(distance, dot(away, backward) + Math.max(across, upward));
+    }
+    return distance;
   }
 
   fit() {
-    this.preset = this.preset || "free";
     this.fitted = true;
     this.glide({ centre: this.middle, distance: this.fitDistance() });
   }
@@ -49,13 +75,13 @@ class Camera {
   show(preset) {
     this.preset = preset;
     this.fitted = true;
-    const [azimuth, elevation] = PRESETS[preset];
+    const [azimuth, elevation] = this.angles(preset);
     const turns = Math.round((this.azimuth - azimuth) / (2 * Math.PI));
     this.glide({
       azimuth: azimuth + 2 * Math.PI * turns,
       elevation,
       centre: this.middle,
-      distance: this.fitDistance(),
+      distance: this.fitDistance(azimuth, elevation),
     });
   }
 
@@ -115,13 +141,13 @@ class Camera {
     this.gliding = 0;
   }
 
-  frame() {
+  frame(azimuth = this.azimuth, elevation = this.elevation) {
     const level = add(
-      scale(this.first, Math.cos(this.azimuth)),
-      scale(this.second, Math.sin(this.azimuth)),
+      scale(this.first, Math.cos(azimuth)),
+      scale(this.second, Math.sin(azimuth)),
     );
     const backward = normalize(
-      add(scale(level, Math.cos(this.elevation)), scale(this.up, Math.sin(this.elevation))),
+      add(scale(level, Math.cos(elevation)), scale(this.up, Math.sin(elevation))),
     );
     const right = normalize(cross(this.up, level));
     return { right, above: cross(backward, right), backward };

@@ -7,17 +7,18 @@ class Axes {
     this.element = element;
     this.spans = [];
     const size = length(subtract(box[1], box[0]));
-    this.step = roundStep(size / 7);
-    // Whole steps around the box; sticking out by a twentieth of a step is let pass.
-    this.ranges = [camera.first, camera.second, camera.up].map((axis) => [
-      Math.floor(dot(box[0], axis) / this.step + 0.05) * this.step,
-      Math.ceil(dot(box[1], axis) / this.step - 0.05) * this.step,
-    ]);
-    const height = dot(box[0], camera.up);
-    // The world's floor where nothing goes below it, else the level below everything.
-    this.height = height > -0.02 * size && height < this.step ? Math.min(0, height) : height;
-    this.ranges[2][0] = this.height;
-    this.thickness = 0.0022 * size;
+    this.step = roundStep(size / 10);
+    this.ranges = [camera.first, camera.second, camera.up].map((axis, k) => {
+      // Whole steps around the box; sticking out by a sixth of a step is let pass.
+      const low = Math.floor(dot(box[0], axis) / this.step + 0.16);
+      const high = Math.ceil(dot(box[1], axis) / this.step - 0.16);
+      const flat = high <= low;
+      return [flat && k < 2 ? low - 1 : low, flat ? low + 1 : high].map((n) => n * this.step);
+    });
+    this.height = this.ranges[2][0];
+    this.thickness = 0.0016 * size;
+    const [low, high] = [0, 1].map((side) => this.place(...this.ranges.map((r) => r[side])));
+    camera.frameBox(low, high);
     this.names = camera.axisNames;
     this.lines = this.names.map((name) => tubes.add(2, { line: true, themeColour: name }));
   }
@@ -70,7 +71,9 @@ class Axes {
       this.tubes.setLine(this.lines[axis], along[axis](low), along[axis](high), this.thickness);
       const direction = [first, second, up][axis];
       // An axis that points at the reader has no readable numbers.
-      if (Math.abs(dot(direction, backward)) > 0.97) continue;
+      const readable = Math.abs(dot(direction, backward)) < 0.97;
+      this.lines[axis].visible = readable || axis < 2;
+      if (!readable) continue;
       const beside = (point, pixels) => {
         const spot = screen(point);
         const aside = screen(add(point, scale(outward[axis], 0.02 * this.step)));
@@ -80,7 +83,9 @@ class Axes {
         const norm = Math.hypot(dx, dy) || 1;
         return [spot[0] + (pixels * dx) / norm, spot[1] + (pixels * dy) / norm];
       };
-      this.write(`${this.names[axis]} [m]`, beside(along[axis]((low + high) / 2), 40), "axis", axis);
+      const top = axis === 2 && screen(along[2](high));
+      const title = top ? [top[0], top[1] - 16] : beside(along[axis]((low + high) / 2), 40);
+      this.write(`${this.names[axis]} [m]`, title, "axis", axis);
       const digits = Math.max(0, -Math.floor(Math.log10(this.step) + 1e-9));
       const start = Math.ceil(low / this.step - 1e-6);
       for (let k = start; k * this.step <= high + 1e-6 * this.step; k++) {

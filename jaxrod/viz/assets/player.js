@@ -38,7 +38,7 @@ class Player {
     this.canvas = $("view");
     this.invalidate = this.invalidate.bind(this);
     this.tubes = new Tubes();
-    this.camera = new Camera(this.canvas, recording.box, recording.up, this.invalidate);
+    this.camera = new Camera(this.canvas, recording.up, this.invalidate);
     this.axes = new Axes(recording.box, this.camera, this.tubes, $("labels"));
     this.furnish();
     this.theme = readTheme();
@@ -49,10 +49,6 @@ class Player {
     this.readouts = recording.readouts.map((readout) => new Readout(readout, recording));
     this.connect();
     this.layOut();
-    this.camera.centre = this.camera.middle;
-    this.camera.distance = this.camera.fitDistance();
-    this.camera.fitted = true;
-    this.camera.preset = "free";
     this.seek(0);
   }
 
@@ -191,7 +187,7 @@ class Player {
     const { start, times, duration } = this.recording;
     const digits = duration < 1 ? 3 : 2;
     const now = (start + this.time).toFixed(digits);
-    $("clock").innerHTML = `<b>${now}</b> / ${(start + duration).toFixed(digits)} s`;
+    $("clock").innerHTML = `<b>${now}</b><span> / ${(start + duration).toFixed(digits)}</span> s`;
     const scrubber = $("scrubber");
     scrubber.value = this.recording.frameAt(this.time);
     scrubber.setAttribute("aria-valuetext", `${now} seconds`);
@@ -245,9 +241,11 @@ class Player {
 
   layOut() {
     const narrow = this.canvas.clientWidth <= 560;
+    const heading = $("heading");
     this.camera.insets = {
-      top: narrow ? 90 : 30,
-      bottom: $("controls").offsetHeight + 34,
+      top: narrow ? heading.offsetTop + heading.offsetHeight + 12 : 34,
+      bottom: $("controls").offsetHeight + 58,
+      sides: narrow ? 34 : 60,
     };
     this.camera.refit();
     this.invalidate();

@@ -125,7 +125,7 @@ class Renderer {
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);
     const solid = { ...scene, flatten: [0, 0], fade: [1, 0], flat_shading: 0 };
-    const solids = this.tubes.list.filter((t) => !t.trail);
+    const solids = this.tubes.list.filter((t) => !t.trail && t.visible);
     const rampValues = theme.ramp.flat();
     this.drawTubes(this.programs.tube, { ...solid, ramp: rampValues }, solids, (tube) => {
       this.set("colour", tube.colour || theme[tube.themeColour]);

@@ -11,8 +11,8 @@ vec4 lit(vec3 base, vec3 place, vec3 normal, float alpha) {
   float key = max(dot(n, lamp), 0.0);
   float gloss = pow(max(dot(n, normalize(lamp + view)), 0.0), 42.0);
   float rim = pow(1.0 - max(dot(n, view), 0.0), 3.0);
-  vec3 light = mix(vec3(0.30, 0.31, 0.34), vec3(0.52, 0.55, 0.60), sky) + 0.62 * key;
-  vec3 shade = base * light + 0.16 * gloss + 0.10 * rim * sky;
+  vec3 light = mix(vec3(0.22, 0.23, 0.27), vec3(0.50, 0.53, 0.58), sky) + 0.72 * key;
+  vec3 shade = base * light + 0.26 * gloss + 0.14 * rim * sky;
   return vec4(pow(min(shade, 1.0), vec3(1.0 / 2.2)) * alpha, alpha);
 }`;
 
@@ -30,7 +30,7 @@ uniform mat4 camera;
 uniform vec3 up;
 uniform vec2 flatten;        // 1 and the floor's height for shadows, else 0
 out vec3 place, normal;
-out float along, extent, radius, bend;
+out float along, extent, radius, bend, disc;
 
 float curvature(vec3 a, vec3 b, vec3 c) {
   vec3 e = b - a, f = c - b;
@@ -60,6 +60,7 @@ void main() {
   place = centre + radius * grid.z * outward;
   normal = grid.w == 0.0 ? outward : grid.w * tangent;
   along = u;
+  disc = abs(grid.w);
   extent = length(chord);
   bend = mix(curvature(p0.xyz, p1.xyz, p2.xyz), curvature(p1.xyz, p2.xyz, p3.xyz), u);
   place -= flatten.x * up * (dot(place, up) - flatten.y);
@@ -95,12 +96,12 @@ void main() {
 
 const TRAIL_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 place, normal;
-in float along, extent, radius, bend;
+in float radius, disc;
 uniform vec3 colour;
 uniform float strength, thickest;
 out vec4 result;
 void main() {
+  if (disc > 0.0) discard;   // the discs between segments would show through
   float alpha = strength * radius / thickest;
   result = vec4(pow(colour, vec3(1.0 / 2.2)) * alpha, alpha);
 }`;

@@ -1,0 +1,1 @@
+"""Numbers from the literature that come with jaxrod, as plain files. See README.md."""

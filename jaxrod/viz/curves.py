@@ -1,0 +1,197 @@
+"""Learning curves: what a training run reached, after how long, against the paper."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxrod.viz.files import write_atomically
+from jaxrod.viz.paper import PaperResult, paper_result
+
+_COLUMNS = ("env_steps", "wall_s", "episode_return_mean")
+_RUN_COLOUR, _PAPER_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
+
+FilePath = str | os.PathLike[str]
+
+
+class _Run(NamedTuple):
+    steps: np.ndarray
+    wall: np.ndarray
+    returns: np.ndarray
+
+
+def learning_curve(
+    progress: FilePath | Sequence[FilePath],
+    out: FilePath,
+    *,
+    paper: tuple[str, str] | PaperResult | None = None,
+    title: str = "",
+    label: str = "jaxrod",
+) -> None:
+    """Draws the episode return of one or more training runs into a PNG file.
+
+    Return over control steps below, wall-clock time of the run above, and the
+    paper's final score with its spread over seeds and its wall-clock hours beside
+    it. Several runs are drawn thin, with their mean on top. The file appears whole
+    or not at all.
+
+    Args:
+        progress: progress.csv of each run, with the columns env_steps, wall_s [s]
+            and episode_return_mean; rows without a return yet are skipped.
+        out: the PNG file to write; its folder must exist.
+        paper: (algorithm, case) of the result to compare with, for example
+            ("PPO", "Case1"), or the result itself.
+        title: heading of the picture.
+        label: what the legend calls the runs.
+
+    Raises:
+        ValueError: a file lacks the columns or has no finished episode, or the paper
+            has no such result.
+    """
+    paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
+    if not paths:
+        raise ValueError("progress must name at least one progress.csv, got none")
+    runs = [_read(Path(path)) for path in paths]
+    if paper is not None and not isinstance(paper, PaperResult):
+        algorithm, case = paper
+        paper = paper_result(case, algorithm)
+    write_atomically(out, _draw(runs, paper, title, label))
+
+
+def _read(path: Path) -> _Run:
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        missing = [c for c in _COLUMNS if c not in (reader.fieldnames or ())]
+        if missing:
+            raise ValueError(
+                f"{path} must have the columns {_COLUMNS}, lacks {missing}"
+            )
+        table = [[_number(row[column]) for column in _COLUMNS] for row in reader]
+    values = np.array(table, dtype=float).reshape(-1, 3)
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        raise ValueError(f"{path} must hold an episode_return_mean, got none")
+    # A resumed run may repeat rows: the last word counts.
+    steps, last = np.unique(values[::-1, 0], return_index=True)
+    _, wall, returns = values[::-1][last].T
+    return _Run(steps, wall, returns)
+
+
+def _number(text: str | None) -> float:
+    return float(text) if text else float("nan")
+
+
+def _draw(runs: list[_Run], paper: PaperResult | None, title: str, label: str) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter, FuncFormatter
+
+    figure = Figure(figsize=(8, 4.8), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot()
+    last_step = max(run.steps[-1] for run in runs)
+
+    if paper is not None:
+        low, high = (paper.final_mean + s * paper.final_std for s in (-1, 1))
+        axes.axhspan(low, high, color=_PAPER_COLOUR, alpha=0.13, linewidth=0)
+        axes.axhline(
+            paper.final_mean,
+            color=_PAPER_COLOUR,
+            linewidth=1.4,
+            linestyle=(0, (5, 2)),
+            label=_paper_label(paper),
+        )
+    several = len(runs) > 1
+    for run in runs:
+        axes.plot(
+            run.steps,
+            run.returns,
+            color=_RUN_COLOUR,
+            linewidth=0.8 if several else 2.0,
+            alpha=0.4 if several else 1.0,
+            label=None if several else _run_label(label, runs),
+        )
+    if several:
+        steps = _common_steps(runs)
+        mean = np.mean([np.interp(steps, r.steps, r.returns) for r in runs], axis=0)
+        axes.plot(
+            steps, mean, color=_RUN_COLOUR, linewidth=2.2, label=_run_label(label, runs)
+        )
+
+    axes.set_xlim(0, max(last_step, 1))
+    axes.set_xlabel("control steps")
+    axes.set_ylabel("episode return")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
+    axes.yaxis.set_major_formatter(
+        FuncFormatter(lambda y, _: f"{y:,.0f}".replace("-", "−"))
+    )
+    axes.grid(color="#d5dbe4", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=_QUIET, labelcolor="black")
+    axes.legend(loc="best", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
+    _clock(axes, runs, last_step)
+    if title:
+        figure.suptitle(title, fontsize=12, fontweight="bold")
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", metadata={"Description": _alt(runs, paper)})
+    return picture.getvalue()
+
+
+def _clock(axes: Any, runs: list[_Run], last_step: float) -> None:
+    """Adds the axis on top: wall-clock time of the run, mean over the runs."""
+    from matplotlib.ticker import MaxNLocator
+
+    steps = np.linspace(0, last_step, 400)
+    # Runs start at step 0, time 0; a run that stopped early goes on at its own pace.
+    pace = [np.interp(steps, [0, *r.steps], [0, *r.wall]) for r in runs]
+    for run, wall in zip(runs, pace, strict=True):
+        beyond = steps > run.steps[-1]
+        wall[beyond] *= steps[beyond] / max(run.steps[-1], 1)
+    wall = np.mean(pace, axis=0)
+    unit, seconds = next(
+        (u, s)
+        for u, s in (("h", 3600), ("min", 60), ("s", 1))
+        if wall[-1] >= s or s == 1
+    )
+    top = axes.secondary_xaxis("top")
+    ticks = np.asarray(MaxNLocator(7).tick_values(0, wall[-1] / seconds))
+    ticks = ticks[(ticks >= 0) & (ticks <= wall[-1] / seconds)]
+    top.set_xticks(np.interp(ticks * seconds, wall, steps), [f"{t:g}" for t in ticks])
+    which = "mean of the runs" if len(runs) > 1 else "this run"
+    top.set_xlabel(f"wall-clock time, {which} [{unit}]", color=_QUIET, fontsize=9)
+    top.tick_params(colors=_QUIET, labelsize=8)
+    top.spines["top"].set_color(_QUIET)
+
+
+def _common_steps(runs: list[_Run]) -> np.ndarray:
+    first = max(run.steps[0] for run in runs)
+    last = min(run.steps[-1] for run in runs)
+    return np.linspace(first, max(first, last), 400)
+
+
+def _run_label(label: str, runs: list[_Run]) -> str:
+    wall = float(np.mean([run.wall[-1] for run in runs]))
+    took = f"{wall:.0f} s" if wall < 120 else f"{wall / 60:.1f} min"
+    if wall >= 7200:
+        took = f"{wall / 3600:.1f} h"
+    what = f"{label}, mean of {len(runs)} runs" if len(runs) > 1 else label
+    end = float(np.mean([run.returns[-1] for run in runs]))
+    return f"{what}: {end:,.0f} after {took}"
+
+
+def _paper_label(paper: PaperResult) -> str:
+    return (
+        f"paper, {paper.algorithm}: {paper.final_mean:,.0f} ± {paper.final_std:,.0f} "
+        f"after {paper.wall_hours:.1f} h ({paper.timesteps / 1e6:.3g} M steps)"
+    )
+
+
+def _alt(runs: list[_Run], paper: PaperResult | None) -> str:
+    parts = [_run_label("run", runs)] + ([_paper_label(paper)] if paper else [])
+    return "; ".join(parts)

@@ -1,0 +1,98 @@
+"""The published results that learning curves are drawn against."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from functools import cache
+from importlib import resources
+
+
+@dataclasses.dataclass(frozen=True)
+class PaperResult:
+    """How one algorithm did on one case in the paper.
+
+    The paper is "Elastica: A compliant mechanics environment for soft robotic
+    control" (Naughton et al. 2021); the numbers were recomputed from its published
+    training logs, see jaxrod/data/README.md.
+
+    Attributes:
+        case: the paper's name of the case, "Case1" to "Case4".
+        algorithm: the paper's name of the algorithm, for example "PPO".
+        configuration: the setting that the paper varied, for example "batch=32000".
+        in_figure: whether the paper's figures show this configuration.
+        seeds: number of independent runs.
+        timesteps: control steps per run.
+        final_mean: final episode return, mean over seeds.
+        final_std: final episode return, standard deviation over seeds.
+        best: highest rolling mean of the episode return.
+        unstable_fraction: share of episodes in which the simulation blew up.
+        wall_hours: mean duration of a run [h].
+        steps_per_s: control steps per second of a run [1/s].
+    """
+
+    case: str
+    algorithm: str
+    configuration: str
+    in_figure: bool
+    seeds: int
+    timesteps: int
+    final_mean: float
+    final_std: float
+    best: float
+    unstable_fraction: float
+    wall_hours: float
+    steps_per_s: float
+
+
+def paper_result(
+    case: str, algorithm: str, configuration: str | None = None
+) -> PaperResult:
+    """Returns a result of the paper, by default the one its figures show.
+
+    Args:
+        case: "Case1" to "Case4" (or a variant such as "Case3-ctrlpts").
+        algorithm: "PPO", "TRPO", "SAC", "TD3" or "DDPG"; capitals do not matter.
+        configuration: one of the settings the paper varied.
+
+    Raises:
+        ValueError: the paper has no such result, or several.
+    """
+    key = (case.lower(), algorithm.lower())
+    tried = [r for r in _results() if (r.case.lower(), r.algorithm.lower()) == key]
+    if configuration is None:
+        found = [r for r in tried if r.in_figure]
+        asked = "shown in its figures"
+    else:
+        found = [r for r in tried if r.configuration == configuration]
+        asked = f"with configuration {configuration!r}"
+    if len(found) != 1:
+        known = ", ".join(repr(r.configuration) for r in tried) or "none"
+        raise ValueError(
+            f"the paper has {len(found) or 'no'} results for case {case!r}, algorithm "
+            f"{algorithm!r} {asked}; configurations it tried: {known}"
+        )
+    return found[0]
+
+
+@cache
+def _results() -> tuple[PaperResult, ...]:
+    file = resources.files("jaxrod.data").joinpath("paper_results.csv")
+    rows = csv.DictReader(file.read_text("utf-8").splitlines())
+    return tuple(
+        PaperResult(
+            case=row["case"],
+            algorithm=row["algorithm"],
+            configuration=row["configuration"],
+            in_figure=row["in_figure"] == "1",
+            seeds=int(row["seeds"]),
+            timesteps=int(row["timesteps"]),
+            final_mean=float(row["final_mean"]),
+            final_std=float(row["final_std"]),
+            best=float(row["best"]),
+            unstable_fraction=float(row["unstable_fraction"]),
+            wall_hours=float(row["wall_hours"]),
+            steps_per_s=float(row["steps_per_s"]),
+        )
+        for row in rows
+    )

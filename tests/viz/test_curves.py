@@ -1,0 +1,105 @@
+"""Learning curves and the published numbers behind them."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from jaxrod.viz import learning_curve, paper_result
+
+
+def write_progress(path, seed=0):
+    rng = np.random.default_rng(seed)
+    lines = ["update,env_steps,wall_s,episode_return_mean,loss"]
+    for k in range(1, 40):
+        value = "" if k < 3 else f"{12000 * np.tanh(k / 15) - 3000 + rng.normal() * 99}"
+        lines.append(f"{k},{k * 256000},{5 + k * 4.2},{value},0.1")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def text_of(png):
+    """The description the picture carries, which repeats its legend."""
+    return png.read_bytes().decode("latin-1")
+
+
+def test_the_paper_shows_ppo_on_case_1_at_10652_in_10_9_hours():
+    result = paper_result("Case1", "PPO")
+    assert result.configuration == "batch=32000"
+    assert (result.final_mean, result.final_std) == (10652.0, 665.0)
+    assert round(result.wall_hours, 1) == 10.9
+    assert paper_result("case1", "ppo") == result
+
+
+@pytest.mark.parametrize("case", ["Case1", "Case2", "Case3", "Case4"])
+@pytest.mark.parametrize("algorithm", ["PPO", "TRPO", "SAC", "TD3", "DDPG"])
+def test_the_figures_show_one_configuration_of_every_pair(case, algorithm):
+    result = paper_result(case, algorithm)
+    assert result.in_figure
+    assert result.best >= result.final_mean - 200
+    # The log's totals: steps over hours is the mean speed.
+    speed = result.timesteps / (3600 * result.wall_hours)
+    assert speed == pytest.approx(result.steps_per_s, rel=0.02)
+
+
+def test_other_configurations_are_found_by_name():
+    assert paper_result("Case1", "PPO", "batch=1000").final_mean == -999.4
+    with pytest.raises(ValueError, match=r"no results .* 'Case9'"):
+        paper_result("Case9", "PPO")
+    with pytest.raises(ValueError, match=r"4 results .*n_ctrl=2"):
+        paper_result("Case3-ctrlpts", "PPO")
+
+
+def test_the_curve_holds_the_papers_score_spread_and_hours(tmp_path):
+    out = tmp_path / "learning_curve.png"
+    progress = write_progress(tmp_path / "progress.csv")
+    learning_curve(progress, out, paper=("PPO", "Case1"), title="Tracking")
+    assert "paper, PPO: 10,652 ± 665 after 10.9 h (10 M steps)" in text_of(out)
+    assert "after 2.8 min" in text_of(out)
+    picture = imread(out)[..., :3]
+    blue = (picture[..., 2] - picture[..., 0]) > 0.3
+    assert blue.any(axis=0).mean() > 0.5
+    brown = (picture[..., 0] - picture[..., 2]) > 0.4
+    assert brown.any(axis=0).mean() > 0.5
+
+
+def test_several_runs_share_one_picture(tmp_path):
+    runs = [write_progress(tmp_path / f"{k}.csv", k) for k in range(3)]
+    learning_curve(runs, tmp_path / "out.png")
+    assert "mean of 3 runs" in text_of(tmp_path / "out.png")
+
+
+def test_a_resumed_run_counts_its_last_row_for_a_step(tmp_path):
+    progress = tmp_path / "progress.csv"
+    rows = ["env_steps,wall_s,episode_return_mean", "10,1,5", "20,2,7", "20,3,8"]
+    progress.write_text("\n".join(rows))
+    learning_curve(progress, tmp_path / "out.png")
+    assert "run: 8 after 3 s" in text_of(tmp_path / "out.png")
+
+
+def test_a_file_without_returns_is_refused_by_name(tmp_path):
+    progress = tmp_path / "progress.csv"
+    progress.write_text("env_steps,wall_s,episode_return_mean\n1,1,\n")
+    with pytest.raises(ValueError, match=r"progress\.csv must hold an episode_return"):
+        learning_curve(progress, tmp_path / "out.png")
+    progress.write_text("env_steps,loss\n1,1\n")
+    with pytest.raises(ValueError, match=r"lacks \['wall_s', 'episode_return_mean'\]"):
+        learning_curve(progress, tmp_path / "out.png")
+
+
+def test_a_failed_drawing_leaves_the_old_picture(tmp_path, monkeypatch):
+    out = tmp_path / "out.png"
+    out.write_bytes(b"old")
+    progress = write_progress(tmp_path / "progress.csv")
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        learning_curve(progress, out)
+    assert out.read_bytes() == b"old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.png", "progress.csv"]

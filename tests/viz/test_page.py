@@ -1,0 +1,103 @@
+"""The replay page as a file: what it holds, and how much."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import zlib
+
+import numpy as np
+import pytest
+
+from jaxrod.viz import html, save_html
+from viz.swinging_arm import swinging_arm
+
+
+def unpack(page):
+    """Reads the recording back out of a page, following the documented layout."""
+    header = json.loads(
+        re.search(r'id="header">(.*?)</script>', page, re.DOTALL)[1].replace(
+            "<\\/", "</"
+        )
+    )
+    packed = re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1]
+    data = zlib.decompress(base64.b64decode(packed))
+    frames, rods, nodes = header["frames"], header["rods"], header["nodes"]
+    points = rods * nodes + len(header["spheres"])
+    sizes = [frames, rods * nodes] + [frames] * len(header["readouts"])
+    floats = np.frombuffer(data, "<f4", sum(sizes))
+    times, radii, *readouts = np.split(floats, np.cumsum(sizes)[:-1])
+    low, high = np.frombuffer(data, np.uint8, offset=4 * sum(sizes)).reshape(2, -1)
+    zigzag = low.astype(np.int64) + 256 * high.astype(np.int64)
+    change = np.where(zigzag % 2, -(zigzag + 1) // 2, zigzag // 2)
+    levels = np.cumsum(change.reshape(points, 3, frames), axis=-1) % 65536
+    positions = header["low"] + np.array(header["step"]) * levels.transpose(2, 0, 1)
+    return header, times, radii, readouts, positions
+
+
+def test_the_recording_survives_to_half_a_rounding_step():
+    replay = swinging_arm(num_rods=2)
+    header, times, radii, readouts, positions = unpack(html(replay))
+    truth = np.concatenate(
+        [replay.positions.reshape(601, -1, 3), replay.spheres[0].positions[:, None]], 1
+    )
+    span = truth.max(axis=(0, 1)) - truth.min(axis=(0, 1))
+    np.testing.assert_allclose(header["step"], span / 65535)
+    assert np.all(np.abs(positions - truth) <= span / 131070 * (1 + 1e-6))
+    np.testing.assert_array_equal(times, replay.times.astype("f4"))
+    np.testing.assert_allclose(
+        radii.reshape(2, 21)[:, [0, -1]], replay.radii[:, [0, -1]]
+    )
+    for found, expected in zip(readouts, replay.readouts.values(), strict=True):
+        np.testing.assert_array_equal(found, expected.astype("f4"))
+
+
+def test_ten_seconds_of_one_arm_take_little_room():
+    assert len(html(swinging_arm())) < 200_000
+
+
+def test_the_page_asks_for_nothing_from_outside():
+    page = html(swinging_arm(num_frames=5))
+    assert "://" not in page
+    assert not re.search(r"<(script|img|iframe)[^>]*\ssrc=|@import|url\(", page)
+    assert "default-src 'none'" in page
+    assert "%%" not in page
+
+
+def test_text_from_the_user_cannot_break_the_page():
+    hostile = "</script><script>%%DATA%%&\"'"
+    replay = swinging_arm(num_frames=5)
+    object.__setattr__(replay, "title", hostile)
+    page = html(replay)
+    assert page.count("</script>") == 3
+    assert unpack(page)[0]["title"] == hostile
+
+
+def test_fast_recordings_are_thinned_to_the_frame_rate():
+    replay = swinging_arm(num_frames=7143)
+    thin = replay.thinned(60.0)
+    assert 600 <= thin.num_frames <= 602
+    assert thin.times[0] == replay.times[0]
+    assert thin.times[-1] == replay.times[-1]
+    assert np.all(np.abs(np.diff(thin.times)[:-1] - 1 / 60) < 2e-3)
+    assert replay.thinned(1000.0) is replay
+    assert unpack(html(replay, frames_per_second=30))[0]["frames"] <= 302
+    with pytest.raises(ValueError, match="frames_per_second must be positive, got 0"):
+        html(replay, frames_per_second=0)
+
+
+def test_a_failed_write_leaves_the_old_page(tmp_path, monkeypatch):
+    path = tmp_path / "replay.html"
+    save_html(swinging_arm(num_frames=5), path)
+    before = path.read_bytes()
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        save_html(swinging_arm(num_frames=9), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
