@@ -42,7 +42,8 @@ demo: $(INSTALLED)
 	$(BIN)/jaxrod render $(DEMO)
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow"
+	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow" \
+	    --nbmake --nbmake-timeout=600 tests $(wildcard notebooks)
 
 test-slow: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m slow
