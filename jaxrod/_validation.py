@@ -7,6 +7,10 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import ArrayLike
+
+Numbers = ArrayLike | Sequence[Any]
+"""What a caller may give for a number, a vector or an array of numbers."""
 
 
 def is_traced(*values: Any) -> bool:

@@ -7,12 +7,14 @@ control points, by up to 1.6 for six equidistant ones.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod._pytree import pytree
-from jaxrod._validation import check_array
+from jaxrod._validation import Numbers, check_array
 from jaxrod.effects import Effect
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod
@@ -63,7 +65,7 @@ class ControlSpline:
 
 
 def control_spline(
-    controls: int | ArrayLike, length: float = 1.0, dtype: object = None
+    controls: int | Numbers, length: float = 1.0, dtype: Any = None
 ) -> ControlSpline:
     """The spline through control points along a rod, zero at both ends.
 
@@ -177,4 +179,5 @@ def limit_rate(
     Returns:
         What the actuator does next.
     """
-    return applied + jnp.clip(commanded - applied, -largest_change, largest_change)
+    bound = jnp.asarray(largest_change, applied.dtype)
+    return applied + jnp.clip(commanded - applied, -bound, bound)

@@ -6,14 +6,17 @@ as a free symmetric top, exactly: with transverse and polar inertia $J_1, J_3$,
 $$R(t+s) = \exp\!\left(\frac{s P}{J_1}\right) R(t)\,
    \exp\!\left(s \left(\frac1{J_3} - \frac1{J_1}\right) (d_3\cdot P)\, e_3\right).$$
 
-Kicks change $v$ and $P$ at fixed configuration: $v \mathrel{+}= s f/m$,
-$P \mathrel{+}= s R c$. Drift, kick, drift is position Verlet.
+Kicks change $v$ and $P$ at fixed configuration, exactly too: without damping
+$v \mathrel{+}= s f/m$ and $P \mathrel{+}= s R c$; with decay rate $g$, the solution of
+$\dot v = f/m - g v$ after a time $s$, and likewise for $P$. Drift, kick, drift is
+position Verlet: symmetric in time, hence of second order.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod import vectors
@@ -31,35 +34,80 @@ from jaxrod.rotations import (
     split_quaternion,
     to_world,
 )
-from jaxrod.scene import Scene, decay, external_loads, hold, hold_rates
+from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
+from jaxrod.vectors import Vec3
+
+
+@pytree
+class Kick:
+    """Solution after a time h of r' = load / inertia - damping r.
+
+    Attributes:
+        gain: Change of the rate per unit of load.
+        decay: What is left of the initial rate; `None` without damping.
+    """
+
+    gain: Array
+    decay: Array | None
+
+    @staticmethod
+    def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
+        """Works out both factors for a step of size `dt` [s]."""
+        duration = dt
+        decay = None
+        if damping is not None:
+            exponent = damping * dt
+            decay = jnp.exp(-exponent)
+            # (1 - exp(-x)) / x, by its series where the quotient loses digits.
+            small = exponent < 1e-2
+            series = 1 - exponent * (
+                1 / 2 - exponent * (1 / 6 - exponent * (1 / 24 - exponent / 120))
+            )
+            quotient = -jnp.expm1(-exponent) / jnp.where(small, 1, exponent)
+            duration = dt * jnp.where(small, series, quotient)
+        gain = duration if inverse_inertia is None else inverse_inertia * duration
+        return Kick(gain, decay)
+
+    def __call__(self, rate: Vec3, load: Vec3) -> Vec3:
+        """Applies the kick."""
+        if self.decay is not None:
+            rate = vectors.scale(self.decay, rate)
+        return vectors.add(rate, vectors.scale(self.gain, load))
 
 
 @pytree
 class ConsistentStepper:
-    """Constants of the consistent step for one scene.
+    """Constants of the consistent step for one scene and one step size.
 
     Attributes:
         scene: The scene.
+        dt: Step size [s].
         law: Constants of the elastic law.
-        inverse_masses: One over nodal mass [1/kg].
+        velocity_kick: What a kick makes of velocities and forces.
+        spin_kick: What a kick makes of angular momenta and couples.
         inverse_inertia: One over transverse inertia [1/(kg m^2)].
         inertia_contrast: One over polar less one over transverse inertia.
     """
 
     scene: Scene
+    dt: Array
     law: ElasticLaw
-    inverse_masses: Array
+    velocity_kick: Kick
+    spin_kick: Kick
     inverse_inertia: Array
     inertia_contrast: Array
 
     @staticmethod
-    def create(scene: Scene) -> ConsistentStepper:
+    def create(scene: Scene, dt: Array) -> ConsistentStepper:
         """Works out the constants once, outside the loop."""
         transverse, polar = scene.rod.inertias
+        rates = damping_rates(scene) or (None, None)
         return ConsistentStepper(
             scene=scene,
+            dt=dt,
             law=elastic_law(scene.rod),
-            inverse_masses=1 / scene.rod.node_masses,
+            velocity_kick=Kick.create(1 / scene.rod.node_masses, rates[0], dt),
+            spin_kick=Kick.create(None, rates[1], dt),
             inverse_inertia=1 / transverse,
             inertia_contrast=1 / polar - 1 / transverse,
         )
@@ -106,17 +154,16 @@ class ConsistentStepper:
         )
         return hold(self.scene, moved)
 
-    def kick(self, motion: Motion, dt: Array) -> Motion:
-        """Changes velocities and angular momenta by all loads over `dt` [s]."""
+    def kick(self, motion: Motion) -> Motion:
+        """Changes velocities and angular momenta by all loads over one step."""
         internal = internal_loads(self.law, motion)
         assert internal.forces is not None and internal.couples is not None
         loads = external_loads(self.scene, motion, internal.forces, internal.couples)
         assert loads.forces is not None and loads.couples is not None
-        gain = vectors.scale(dt * self.inverse_masses, loads.forces)
         couples = to_world(directors(motion.orientation), loads.couples)
         kicked = replace(
             motion,
-            velocity=vectors.add(motion.velocity, gain),
-            spin=vectors.add(motion.spin, vectors.scale(dt, couples)),
+            velocity=self.velocity_kick(motion.velocity, loads.forces),
+            spin=self.spin_kick(motion.spin, couples),
         )
-        return decay(self.scene, hold_rates(self.scene, kicked), dt)
+        return hold_rates(self.scene, kicked)

@@ -12,11 +12,11 @@ from typing import Literal
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod._validation import check_array
+from jaxrod._validation import Numbers, check_array
 from jaxrod.elasticity import joint_couples
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod, RodState
@@ -37,10 +37,9 @@ End = Literal["start", "finish"]
 class Effect:
     """Base of all effects: every hook does nothing.
 
-    Hooks are pure. Within a step of size h they are called in this order, at the
-    configuration in the middle of the step: `loads`; then, after the rates were
-    changed by all loads, `hold_rates` and `decay`. `hold` is called after every
-    change of configuration.
+    Hooks are pure. `loads` is called at the configuration in the middle of a step;
+    `hold_rates` after the rates were changed by all loads and by damping; `hold`
+    after every change of configuration.
     """
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
@@ -55,9 +54,9 @@ class Effect:
         """Constrains velocities and spins."""
         return motion
 
-    def decay(self, rod: Rod, motion: Motion, dt: Array) -> Motion:
-        """Dissipates: multiplies the rates by what is left of them after `dt`."""
-        return motion
+    def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
+        """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
+        return None
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
         """Potential energy of the effect [J], zero where there is none."""
@@ -134,26 +133,23 @@ class UniformLoad(Effect):
 
 @pytree
 class ExponentialDamping(Effect):
-    """Decay of all rates at given rates: exact for pure decay, stable for any step.
+    r"""Linear damping: rates decay exponentially when nothing else acts.
 
-    Velocities are multiplied by `exp(-translational_rate dt)` and spins by
-    `exp(-rotational_rate dt)`.
+    $\dot v = f/m - g_t v$ and $\dot P = c - g_r P$. In consistent mode a kick solves
+    these exactly for the loads held constant over the step: second order, stable
+    and with the right terminal velocity however large the rates are. In PyElastica
+    mode rates are multiplied by $e^{-g h}$ after the kick, as its
+    `AnalyticalLinearDamper` does.
     """
 
     translational_rate: Float[Array, ""]
-    """[1/s]"""
+    """Of velocities [1/s]."""
     rotational_rate: Float[Array, ""]
-    """[1/s]"""
+    """Of spins [1/s]."""
 
-    def decay(self, rod: Rod, motion: Motion, dt: Array) -> Motion:
-        """Multiplies velocities and spins by what is left of them."""
-        return replace(
-            motion,
-            velocity=vectors.scale(
-                jnp.exp(-self.translational_rate * dt), motion.velocity
-            ),
-            spin=vectors.scale(jnp.exp(-self.rotational_rate * dt), motion.spin),
-        )
+    def damping_rates(self, rod: Rod) -> tuple[Array, Array]:
+        """The two rates [1/s]."""
+        return self.translational_rate, self.rotational_rate
 
 
 @pytree
@@ -271,7 +267,7 @@ def _only_at_end(value: Vec3, size: int, end: End) -> Vec3:
 # Factories: what users call. They check their arguments and say what is wrong.
 
 
-def gravity(acceleration: ArrayLike = (0.0, 0.0, -9.80665)) -> Gravity:
+def gravity(acceleration: Numbers = (0.0, 0.0, -9.80665)) -> Gravity:
     """Uniform gravity.
 
     Args:
@@ -282,8 +278,8 @@ def gravity(acceleration: ArrayLike = (0.0, 0.0, -9.80665)) -> Gravity:
 
 
 def end_load(
-    force: ArrayLike = (0.0, 0.0, 0.0),
-    couple: ArrayLike = (0.0, 0.0, 0.0),
+    force: Numbers = (0.0, 0.0, 0.0),
+    couple: Numbers = (0.0, 0.0, 0.0),
     *,
     end: End = "finish",
     follower: bool = False,
@@ -306,8 +302,8 @@ def end_load(
 
 
 def uniform_load(
-    force_per_length: ArrayLike = (0.0, 0.0, 0.0),
-    couple_per_length: ArrayLike = (0.0, 0.0, 0.0),
+    force_per_length: Numbers = (0.0, 0.0, 0.0),
+    couple_per_length: Numbers = (0.0, 0.0, 0.0),
 ) -> UniformLoad:
     """A constant force and couple per rest length.
 
@@ -322,7 +318,7 @@ def uniform_load(
 
 
 def exponential_damping(
-    translational_rate: ArrayLike, rotational_rate: ArrayLike | None = None
+    translational_rate: Numbers, rotational_rate: Numbers | None = None
 ) -> ExponentialDamping:
     """Exponential decay of all rates.
 
@@ -360,7 +356,7 @@ def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
     return FixedEnd(state.positions[:, index], state.orientations[:, index], end)
 
 
-def _vector(name: str, value: ArrayLike, unit: str) -> Array:
+def _vector(name: str, value: Numbers, unit: str) -> Array:
     checked = check_array(name, value, [(3,)], unit)
     return jnp.asarray(checked, jnp.result_type(float))
 

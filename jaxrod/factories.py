@@ -8,9 +8,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
-from jaxrod._validation import check_array, check_count
+from jaxrod._validation import Numbers, check_array, check_count
 from jaxrod.elasticity import joint_rotations, shear_stretch
 from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import split_quaternion
@@ -23,16 +23,16 @@ TIMOSHENKO_SHEAR_CORRECTION = 27 / 28
 def straight_rod(
     n_elements: int,
     *,
-    length: ArrayLike,
-    radius: ArrayLike,
-    density: ArrayLike,
-    youngs_modulus: ArrayLike,
-    shear_modulus: ArrayLike | None = None,
-    poisson_ratio: ArrayLike = 0.5,
-    shear_correction: ArrayLike = TIMOSHENKO_SHEAR_CORRECTION,
-    start: ArrayLike = (0.0, 0.0, 0.0),
-    direction: ArrayLike = (0.0, 0.0, 1.0),
-    normal: ArrayLike | None = None,
+    length: Numbers,
+    radius: Numbers,
+    density: Numbers,
+    youngs_modulus: Numbers,
+    shear_modulus: Numbers | None = None,
+    poisson_ratio: Numbers = 0.5,
+    shear_correction: Numbers = TIMOSHENKO_SHEAR_CORRECTION,
+    start: Numbers = (0.0, 0.0, 0.0),
+    direction: Numbers = (0.0, 0.0, 1.0),
+    normal: Numbers | None = None,
     dtype: Any = None,
 ) -> tuple[Rod, RodState]:
     """A straight, unstressed rod of circular section, at rest.
@@ -61,8 +61,8 @@ def straight_rod(
         ValueError: If an argument is out of range or does not fit.
     """
     n = check_count("n_elements", n_elements, 2)
-    length = check_array("length", length, [()], "m", positive=True)
-    start = check_array("start", start, [(3,)], "m")
+    extent = check_array("length", length, [()], "m", positive=True)
+    origin = check_array("start", start, [(3,)], "m")
     axis = check_array("direction", direction, [(3,)], "")
     if np.linalg.norm(axis) == 0:
         raise ValueError("direction must not be the zero vector")
@@ -70,11 +70,11 @@ def straight_rod(
     frame = _frame_along(axis, normal)
     quaternion = np.repeat(_quaternion_of_frame(frame)[:, None], n, axis=1)
     fractions = np.linspace(0.0, 1.0, n + 1)
-    positions = start[:, None] + length * axis[:, None] * fractions
+    positions = origin[:, None] + extent * axis[:, None] * fractions
     return _build(
         positions,
         quaternion,
-        rest_lengths=length * jnp.full(n, 1 / n),
+        rest_lengths=extent * jnp.full(n, 1 / n),
         radius=radius,
         density=density,
         youngs_modulus=youngs_modulus,
@@ -87,16 +87,16 @@ def straight_rod(
 
 
 def rod_along(
-    positions: ArrayLike,
+    positions: Numbers,
     *,
-    radius: ArrayLike,
-    density: ArrayLike,
-    youngs_modulus: ArrayLike,
-    shear_modulus: ArrayLike | None = None,
-    poisson_ratio: ArrayLike = 0.5,
-    shear_correction: ArrayLike = TIMOSHENKO_SHEAR_CORRECTION,
-    normal: ArrayLike | None = None,
-    directors: ArrayLike | None = None,
+    radius: Numbers,
+    density: Numbers,
+    youngs_modulus: Numbers,
+    shear_modulus: Numbers | None = None,
+    poisson_ratio: Numbers = 0.5,
+    shear_correction: Numbers = TIMOSHENKO_SHEAR_CORRECTION,
+    normal: Numbers | None = None,
+    directors: Numbers | None = None,
     dtype: Any = None,
 ) -> tuple[Rod, RodState]:
     """A rod whose unstressed shape follows a given polyline, at rest.
@@ -162,22 +162,22 @@ def _build(
     quaternions: np.ndarray,
     *,
     rest_lengths: Any,
-    radius: ArrayLike,
-    density: ArrayLike,
-    youngs_modulus: ArrayLike,
-    shear_modulus: ArrayLike | None,
-    poisson_ratio: ArrayLike,
-    shear_correction: ArrayLike,
+    radius: Numbers,
+    density: Numbers,
+    youngs_modulus: Numbers,
+    shear_modulus: Numbers | None,
+    poisson_ratio: Numbers,
+    shear_correction: Numbers,
     dtype: Any,
     straight: bool,
 ) -> tuple[Rod, RodState]:
     n = quaternions.shape[1]
     per_element = [(), (n,)]
-    radius = check_array("radius", radius, [(), (2,), (n,)], "m", positive=True)
-    if radius.shape == (2,) and n != 2:
-        base, tip = radius
-        radius = base + (tip - base) * (np.arange(n) + 0.5) / n
-    density = check_array("density", density, per_element, "kg/m^3", positive=True)
+    radii = check_array("radius", radius, [(), (2,), (n,)], "m", positive=True)
+    if radii.shape == (2,) and n != 2:
+        base, tip = radii
+        radii = base + (tip - base) * (np.arange(n) + 0.5) / n
+    densities = check_array("density", density, per_element, "kg/m^3", positive=True)
     young = check_array(
         "youngs_modulus", youngs_modulus, per_element, "Pa", positive=True
     )
@@ -194,7 +194,7 @@ def _build(
             "shear_modulus", shear_modulus, per_element, "Pa", positive=True
         )
     dtype = jnp.result_type(float) if dtype is None else jnp.dtype(dtype)
-    area = np.pi * radius**2
+    area = np.pi * radii**2
     second_moment = area**2 / (4 * np.pi)
     bending = young * second_moment
     shearing = correction * shear * area
@@ -204,10 +204,10 @@ def _build(
 
     rod = Rod(
         rest_lengths=leaf(rest_lengths),
-        radii=leaf(radius),
-        linear_density=leaf(density * area),
+        radii=leaf(radii),
+        linear_density=leaf(densities * area),
         rotary_inertia=jnp.stack(
-            [leaf(density * second_moment), leaf(2 * density * second_moment)]
+            [leaf(densities * second_moment), leaf(2 * densities * second_moment)]
         ),
         shear_stretch_stiffness=jnp.stack(
             [leaf(shearing), leaf(shearing), leaf(young * area)]
@@ -243,7 +243,7 @@ def unstressed(rod: Rod, state: RodState) -> Rod:
     )
 
 
-def _frame_along(axis: np.ndarray, normal: ArrayLike | None) -> np.ndarray:
+def _frame_along(axis: np.ndarray, normal: Numbers | None) -> np.ndarray:
     """Directors (rows) with d3 along a unit axis and d1 near `normal`."""
     if normal is None:
         # The world axis least aligned with the rod, so that the choice is stable.
@@ -258,7 +258,7 @@ def _frame_along(axis: np.ndarray, normal: ArrayLike | None) -> np.ndarray:
 
 
 def _transported_frames(
-    tangents: np.ndarray, normal: ArrayLike | None
+    tangents: np.ndarray, normal: Numbers | None
 ) -> list[np.ndarray]:
     """Frames carried along a polyline by the smallest rotation at each joint."""
     frames = [_frame_along(tangents[:, 0], normal)]
@@ -279,7 +279,7 @@ def _turn(vector: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     )
 
 
-def _check_frames(directors: ArrayLike, n: int) -> list[np.ndarray]:
+def _check_frames(directors: Numbers, n: int) -> list[np.ndarray]:
     frames = check_array("directors", directors, [(3, 3, n)], "")
     matrices = [frames[:, :, k] for k in range(n)]
     for k, frame in enumerate(matrices):

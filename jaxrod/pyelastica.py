@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod import vectors
@@ -36,15 +37,19 @@ from jaxrod.rotations import (
     to_material,
     to_world,
 )
-from jaxrod.scene import Scene, decay, external_loads, hold, hold_rates
+from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
 from jaxrod.vectors import Vec3
 
 
 @pytree
 class PyElasticaStepper:
-    """Constants of the PyElastica step for one scene."""
+    """Constants of the PyElastica step for one scene and one step size."""
 
     scene: Scene
+    dt: Array
+    """Step size [s]."""
+    decay: tuple[Array, Array] | None
+    """What damping leaves of velocities and spins in one step [1]."""
     lengths: Array
     """Rest lengths [m]."""
     inverse_lengths: Array
@@ -65,12 +70,16 @@ class PyElasticaStepper:
     """[1/(kg m^2)]"""
 
     @staticmethod
-    def create(scene: Scene) -> PyElasticaStepper:
+    def create(scene: Scene, dt: Array) -> PyElasticaStepper:
         """Works out the constants once, outside the loop."""
         rod: Rod = scene.rod
         transverse, polar = rod.inertias
+        rates = damping_rates(scene)
+        decay = rates and (jnp.exp(-rates[0] * dt), jnp.exp(-rates[1] * dt))
         return PyElasticaStepper(
             scene=scene,
+            dt=dt,
+            decay=decay,
             lengths=rod.rest_lengths,
             inverse_lengths=1 / rod.rest_lengths,
             inverse_joint_lengths=1 / rod.joint_lengths,
@@ -156,19 +165,27 @@ class PyElasticaStepper:
         )
         return Loads(forces=vectors.difference(force), couples=couples)
 
-    def kick(self, motion: Motion, dt: Array) -> Motion:
-        """Changes velocities and angular velocities by all loads over `dt` [s]."""
+    def kick(self, motion: Motion) -> Motion:
+        """Changes velocities and angular velocities by all loads over one step."""
         internal = self.internal_loads(motion)
         assert internal.forces is not None and internal.couples is not None
         loads = external_loads(self.scene, motion, internal.forces, internal.couples)
         assert loads.forces is not None and loads.couples is not None
+        accelerations = vectors.scale(self.inverse_masses, loads.forces)
         stretch = motion.lengths * self.inverse_lengths
         turn = vectors.multiply(self.inverse_inertia, loads.couples)
         kicked = replace(
             motion,
             velocity=vectors.add(
-                motion.velocity, vectors.scale(dt * self.inverse_masses, loads.forces)
+                motion.velocity, vectors.scale(self.dt, accelerations)
             ),
-            spin=vectors.add(motion.spin, vectors.scale(dt * stretch, turn)),
+            spin=vectors.add(motion.spin, vectors.scale(self.dt * stretch, turn)),
         )
-        return decay(self.scene, hold_rates(self.scene, kicked), dt)
+        held = hold_rates(self.scene, kicked)
+        if self.decay is None:
+            return held
+        return replace(
+            held,
+            velocity=vectors.scale(self.decay[0], held.velocity),
+            spin=vectors.scale(self.decay[1], held.spin),
+        )

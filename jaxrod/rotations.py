@@ -155,7 +155,7 @@ def rotation_log_and_coupling(q: Quaternion) -> tuple[Vec3, Array]:
 
     With $v$ the vector part and $w \ge 0$ after choosing the sign,
     $\phi = 8\, k\, a(u)\, v$ where $k = \tan(\theta/8)/|v|$ needs one square root
-    of a number between 1/2 and 1, $u = k^2 |v|^2$ and $a(u) = \arctan(\sqrt u)/\sqrt u$.
+    of a number between 1/2 and 1, $u = k^2 |v|^2$, $a(u) = \arctan(\sqrt u)/\sqrt u$.
 
     The coupling coefficient $c = (1 - \frac\theta2\cot\frac\theta2)/\theta^2$ enters
     the exact gradient of a joint energy: $\partial E/\partial\phi$ acts as

@@ -95,11 +95,16 @@ def hold_rates(scene: Scene, motion: Motion) -> Motion:
     return motion
 
 
-def decay(scene: Scene, motion: Motion, dt: Array) -> Motion:
-    """Applies all dissipation over a time `dt` [s]."""
+def damping_rates(scene: Scene) -> tuple[Array, Array] | None:
+    """Total decay rates [1/s] of velocities and of spins; `None` without damping."""
+    total: tuple[Array, Array] | None = None
     for effect in scene.effects:
-        motion = effect.decay(scene.rod, motion, dt)
-    return motion
+        rates = effect.damping_rates(scene.rod)
+        if rates is not None:
+            if total is not None:
+                rates = (total[0] + rates[0], total[1] + rates[1])
+            total = rates
+    return total
 
 
 def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:

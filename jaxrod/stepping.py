@@ -26,11 +26,11 @@ class UnstableStepWarning(UserWarning):
     """The time step is above the stability bound of the scene."""
 
 
-def stepper(scene: Scene) -> ConsistentStepper | PyElasticaStepper:
+def stepper(scene: Scene, dt: Array) -> ConsistentStepper | PyElasticaStepper:
     """The integrator of the scene's mode, its constants worked out."""
     if scene.mode == "pyelastica":
-        return PyElasticaStepper.create(scene)
-    return ConsistentStepper.create(scene)
+        return PyElasticaStepper.create(scene, dt)
+    return ConsistentStepper.create(scene, dt)
 
 
 def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
@@ -147,29 +147,28 @@ def _as_time(state: RodState, dt: ArrayLike) -> Array:
 
 
 def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:
-    integrator = stepper(scene)
-    # The first and last half drifts are zero when there is no step to make.
-    half = jnp.where(n_steps > 0, 0.5 * dt, 0)
-    motion = integrator.drift(integrator.enter(state), half)
+    integrator = stepper(scene, dt)
+    motion = integrator.drift(integrator.enter(state), 0.5 * dt)
     motion = lax.fori_loop(
-        0,
-        n_steps - 1,
-        lambda _, m: integrator.drift(integrator.kick(m, dt), dt),
-        motion,
+        0, n_steps - 1, lambda _, m: integrator.drift(integrator.kick(m), dt), motion
     )
-    motion = integrator.kick(motion, jnp.where(n_steps > 0, dt, 0))
-    return integrator.leave(integrator.drift(motion, half))
+    motion = integrator.drift(integrator.kick(motion), 0.5 * dt)
+    return jax.tree.map(
+        lambda after, before: jnp.where(n_steps > 0, after, before),
+        integrator.leave(motion),
+        state,
+    )
 
 
 def _run_static(scene: Scene, state: RodState, dt: Array, n_steps: int) -> RodState:
     if n_steps == 0:
         return state
-    integrator = stepper(scene)
+    integrator = stepper(scene, dt)
     motion = integrator.drift(integrator.enter(state), 0.5 * dt)
     motion = repeat(
-        lambda m: integrator.drift(integrator.kick(m, dt), dt), motion, n_steps - 1
+        lambda m: integrator.drift(integrator.kick(m), dt), motion, n_steps - 1
     )
-    return integrator.leave(integrator.drift(integrator.kick(motion, dt), 0.5 * dt))
+    return integrator.leave(integrator.drift(integrator.kick(motion), 0.5 * dt))
 
 
 def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Carry:
