@@ -41,7 +41,8 @@ def opened(browser, page):
 
 def stage(picture):
     """The part of the picture between the heading and the controls."""
-    return picture[200:-130].astype(int)
+    wide = picture.shape[1] > 560
+    return picture[100 if wide else 170 : -130, 210 if wide else 0 :].astype(int)
 
 
 def coloured(picture):
@@ -116,6 +117,19 @@ def test_axes_are_labelled_in_metres_and_time_in_seconds(opened):
     assert opened.run("document.querySelector('#clock').innerText").endswith(" s")
 
 
+def test_the_view_comes_back_when_the_browser_takes_the_graphics_away(opened):
+    before = coloured(opened.picture())
+    opened.run(
+        "const canvas = document.querySelector('#view');"
+        "const lever = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');"
+        "new Promise(r => {"
+        "canvas.addEventListener('webglcontextrestored', () => r(true));"
+        "lever.loseContext(); setTimeout(() => lever.restoreContext(), 100); })"
+    )
+    assert coloured(opened.picture()) == before
+    opened.errors[:] = [e for e in opened.errors if "CONTEXT_LOST_WEBGL" not in e]
+
+
 def test_every_control_has_a_name(opened):
     nodes = opened.send("Accessibility.getFullAXTree")["nodes"]
     roles = {"button", "slider", "combobox", "checkbox", "img", "toolbar"}
@@ -130,7 +144,8 @@ def test_curvature_colouring_shows_its_scale(opened):
     plain = coloured(opened.picture())
     opened.run(
         "const c = document.querySelector('#colour'); c.value = 'curvature'; "
-        "c.dispatchEvent(new Event('change')); document.querySelector('#trails').click()"
+        "c.dispatchEvent(new Event('change')); "
+        "document.querySelector('#trails').click()"
     )
     assert coloured(opened.picture()) != plain
     assert "/m" in opened.run("document.querySelector('#legend').innerText")

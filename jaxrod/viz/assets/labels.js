@@ -6,12 +6,14 @@ class Axes {
     this.tubes = tubes;
     this.element = element;
     this.spans = [];
+    this.reserved = []; // where other text is: middle x, y, half width, half height [pixels]
     const size = length(subtract(box[1], box[0]));
     this.step = roundStep(size / 10);
     this.ranges = [camera.first, camera.second, camera.up].map((axis, k) => {
-      // Whole steps around the box; sticking out by a sixth of a step is let pass.
-      const low = Math.floor(dot(box[0], axis) / this.step + 0.16);
-      const high = Math.ceil(dot(box[1], axis) / this.step - 0.16);
+      // Whole steps around the box; sticking out by less than a third of a step
+      // is let pass.
+      const low = Math.floor(dot(box[0], axis) / this.step + 0.3);
+      const high = Math.ceil(dot(box[1], axis) / this.step - 0.3);
       const flat = high <= low;
       return [flat && k < 2 ? low - 1 : low, flat ? low + 1 : high].map((n) => n * this.step);
     });
@@ -64,7 +66,7 @@ class Axes {
       scale(view.right, -1),
     ];
     const steep = dot(backward, up);
-    this.taken = [];
+    this.taken = [...this.reserved];
     this.used = 0;
     for (const axis of [2, 0, 1]) {
       const [low, high] = this.ranges[axis];

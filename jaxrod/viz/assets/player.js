@@ -206,7 +206,7 @@ class Player {
     this.steepest = curved ? this.scale : 0;
     for (const tube of this.rodTubes) tube.curved = curved;
     this.writeLegend();
-    this.invalidate();
+    this.layOut();
   }
 
   writeLegend() {
@@ -243,11 +243,15 @@ class Player {
     const narrow = this.canvas.clientWidth <= 560;
     const heading = $("heading");
     this.camera.insets = {
-      top: narrow ? heading.offsetTop + heading.offsetHeight + 12 : 34,
+      top: narrow ? heading.offsetTop + heading.offsetHeight + 12 : 54,
       bottom: $("controls").offsetHeight + 58,
       sides: narrow ? 34 : 60,
     };
     this.camera.refit();
+    this.axes.reserved = [heading, $("presets"), $("controls")].map((element) => {
+      const { left, top, width, height } = element.getBoundingClientRect();
+      return [left + width / 2, top + height / 2, width / 2, height / 2];
+    });
     this.invalidate();
   }
 
