@@ -1,0 +1,300 @@
+r"""Case 1 of the benchmark: a soft arm's tip follows a moving target.
+
+Twelve control values shape the bending couples along the arm, six about each
+transverse axis, and are renewed every 1.4 ms. The target flies at 0.5 m/s through a
+box around the arm and takes a new heading every 500 control steps. Reward per control
+step, at distance $d$ of the tip from the target: $-d^2$, plus 0.5 within 10 cm, plus
+1.5 more within 5 cm. An episode lasts 7142 control steps (10 s).
+
+Variants:
+
+- `"paper"`: the published environment to the detail, so that scores compare.
+- `"clean"`: the same arm with the library's own physics: consistent elastic law, a
+  wall-accurate clamp, damping integrated exactly, actuation per metre instead of per
+  element, and as few elements and steps as an accuracy of about 1 % asks for. Ends an
+  episode when a numerical health flag rises.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod import (
+    Clamp,
+    ControlSpline,
+    Effect,
+    ExponentialDamping,
+    FixedEnd,
+    Rod,
+    RodState,
+    Scene,
+    advance,
+    control_spline,
+    health,
+    spline_couples,
+)
+from jaxrod._pytree import pytree
+from jaxrod._validation import check_count
+from jaxrod.envs import moving_target
+from jaxrod.envs.legacy_arm import (
+    LENGTH,
+    REFERENCE_ELEMENTS,
+    TORQUE_PER_ELEMENT,
+    VISCOSITY,
+    ViscousDrag,
+    legacy_arm,
+    modern_arm,
+    muscle_couples,
+)
+from jaxrod.envs.moving_target import Target, TargetParams
+
+Variant = Literal["paper", "clean"]
+VARIANTS: tuple[Variant, ...] = ("paper", "clean")
+
+CONTROL_PERIOD = 1.4e-3
+N_CONTROLS = 6
+HEADING_STEPS = 500
+OBSERVED_NODES = 11
+BASE = (0.0, 0.0, 0.0)
+
+
+@pytree
+class TrackingParams:
+    """Numbers of the task; every one a traced leaf."""
+
+    rod: Rod
+    """The arm."""
+    rest: RodState
+    """The arm at the start of an episode."""
+    spline: ControlSpline
+    """Through the control points."""
+    viscosity: Float[Array, ""]
+    """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
+    torque: Float[Array, ""]
+    """Couple for a control value of one: [N m] per element in "paper", [N m/m] in
+    "clean"."""
+    dt: Float[Array, ""]
+    """Step of the simulation [s]."""
+    target: TargetParams
+    """How the target moves."""
+    near: Float[Array, ""]
+    """Distance within which the first bonus is paid [m]."""
+    touching: Float[Array, ""]
+    """Distance within which the second bonus is paid [m]."""
+    crash_reward: Float[Array, ""]
+    """Reward of a step after which the arm is not finite ("paper")."""
+
+
+@pytree
+class TrackingState:
+    """What changes during an episode."""
+
+    arm: RodState
+    """The arm."""
+    target: Target
+    """The target."""
+    steps: Int[Array, ""]
+    """Control steps since reset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tracking:
+    """The tracking task; see the module. Make one with `tracking`."""
+
+    variant: Variant
+    n_elements: int
+    substeps: int
+    episode_length: int = 7142
+    name: str = "tracking"
+
+    @property
+    def observation_size(self) -> int:
+        """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
+        return 3 * OBSERVED_NODES + 4 + 7
+
+    @property
+    def action_size(self) -> int:
+        """Six control values about d1, then six about d2."""
+        return 2 * N_CONTROLS
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+        return CONTROL_PERIOD
+
+    def default_params(self) -> TrackingParams:
+        """The task's numbers; in JAX's default precision."""
+        paper = self.variant == "paper"
+        make_arm = legacy_arm if paper else modern_arm
+        rod, rest = make_arm(self.n_elements, BASE, "y")
+        density = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
+
+        def number(value: float) -> Array:
+            return jnp.asarray(value, rod.radii.dtype)
+
+        return TrackingParams(
+            rod=rod,
+            rest=rest,
+            spline=control_spline(N_CONTROLS, LENGTH),
+            viscosity=number(VISCOSITY),
+            torque=number(TORQUE_PER_ELEMENT if paper else density),
+            dt=number(CONTROL_PERIOD / self.substeps),
+            target=TargetParams(
+                lower=jnp.asarray([-0.6, 0.3, -0.6], rod.radii.dtype),
+                upper=jnp.asarray([0.6, 0.9, 0.6], rod.radii.dtype),
+                radius=number(0.05),
+                speed=number(0.5),
+            ),
+            near=number(0.10),
+            touching=number(0.05),
+            crash_reward=number(-1000.0),
+        )
+
+    def reset(
+        self, key: Key[Array, ""], params: TrackingParams
+    ) -> tuple[Float[Array, " observation"], TrackingState]:
+        """The arm straight and at rest, the target anywhere in its box."""
+        target = moving_target.start(key, params.target)
+        state = TrackingState(params.rest, target, jnp.zeros((), jnp.int32))
+        return self.observe(state), state
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+    ) -> tuple[
+        Float[Array, " observation"],
+        TrackingState,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """One control period: the couples set by the action act for 1.4 ms."""
+        scene = self.scene(state.arm, action, params)
+        arm = advance(scene, state.arm, params.dt, self.substeps)
+        # The published walls are tested after every half step.
+        target = moving_target.fly(
+            state.target, params.target, 0.5 * params.dt, 2 * self.substeps
+        )
+        steps = state.steps + 1
+        turning = steps % HEADING_STEPS == 0
+        velocity = jnp.where(
+            turning, moving_target.heading(key, params.target.speed), target.velocity
+        )
+        state = TrackingState(arm, Target(target.position, velocity), steps)
+
+        distance_squared = jnp.sum((arm.tip - target.position) ** 2)
+        reward = -distance_squared
+        reward += 0.5 * (distance_squared <= params.near**2)
+        reward += 1.5 * (distance_squared <= params.touching**2)
+        timeout = steps >= self.episode_length
+        observation = self.observe(state)
+        if self.variant == "paper":
+            crashed = ~jnp.all(jnp.isfinite(arm.positions))
+            reward = jnp.where(crashed, params.crash_reward, reward)
+            observation = jnp.where(crashed, 0, observation)
+            terminated, truncated = crashed, timeout
+        else:
+            crashed = health(scene, arm, params.dt).flagged
+            terminated, truncated = jnp.zeros((), bool), timeout | crashed
+        info = {
+            "distance": jnp.where(
+                crashed, 0, jnp.sqrt(jnp.maximum(distance_squared, 1e-12))
+            ),
+            "flagged": crashed,
+        }
+        return observation, state, reward, terminated, truncated, info
+
+    def scene(
+        self, arm: RodState, action: Float[Array, " action"], params: TrackingParams
+    ) -> Scene:
+        """What acts on the arm during a control step that starts at `arm`."""
+        bends = jnp.reshape(action, (2, N_CONTROLS))
+        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
+        rod, rest = params.rod, params.rest
+        if self.variant == "paper":
+            couples = muscle_couples(
+                rod, arm, params.spline, controls, params.torque, params.dt
+            )
+            return Scene(
+                rod,
+                (
+                    FixedEnd(rest.positions[:, 0], rest.orientations[:, 0]),
+                    ViscousDrag(params.viscosity),
+                    couples,
+                ),
+                "pyelastica",
+            )
+        effects: tuple[Effect, ...] = (
+            Clamp(rest.orientations[:, 0]),
+            _viscous_damping(rod, params.viscosity),
+            spline_couples(rod, params.spline, controls, params.torque),
+        )
+        return Scene(rod, effects)
+
+    def observe(self, state: TrackingState) -> Float[Array, " observation"]:
+        """Points of the arm, speed and direction of the tip, and of the target."""
+        points = state.arm.positions[:, :: self.n_elements // (OBSERVED_NODES - 1)]
+        return jnp.concatenate(
+            [
+                jnp.ravel(points),
+                _speed_and_direction(state.arm.velocities[:, -1]),
+                state.target.position,
+                _speed_and_direction(state.target.velocity),
+            ]
+        )
+
+
+def tracking(
+    variant: Variant = "paper",
+    *,
+    n_elements: int | None = None,
+    substeps: int | None = None,
+    episode_length: int = 7142,
+) -> Tracking:
+    """Makes the tracking task.
+
+    Args:
+        variant: "paper" or "clean".
+        n_elements: Elements of the arm, a multiple of 10; by default 20 for "paper"
+            and 10 for "clean".
+        substeps: Simulation steps per control step of 1.4 ms; by default 7 and 3.
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    if variant not in VARIANTS:
+        raise ValueError(f"variant must be one of {VARIANTS}, got {variant!r}")
+    default_elements, default_substeps = (20, 7) if variant == "paper" else (10, 3)
+    n_elements = default_elements if n_elements is None else n_elements
+    substeps = default_substeps if substeps is None else substeps
+    check_count("n_elements", n_elements, OBSERVED_NODES - 1)
+    if n_elements % (OBSERVED_NODES - 1):
+        raise ValueError(f"n_elements must be a multiple of 10, got {n_elements}")
+    check_count("substeps", substeps, 1)
+    check_count("episode_length", episode_length, 1)
+    return Tracking(variant, n_elements, substeps, episode_length)
+
+
+def _viscous_damping(rod: Rod, viscosity: Array) -> ExponentialDamping:
+    """The published drag as rates; per rest length, and about all axes alike."""
+    return ExponentialDamping(
+        translational_rate=viscosity / jnp.mean(rod.linear_density),
+        rotational_rate=viscosity / jnp.mean(rod.rotary_inertia[0]),
+    )
+
+
+def _speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
+    squared = jnp.sum(velocity**2)
+    moving = squared > 0
+    speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
+    direction = velocity / jnp.where(moving, speed, 1)
+    return jnp.concatenate([speed[None], direction])
