@@ -7,7 +7,8 @@ from jaxrod.viz.curves import learning_curve
 from jaxrod.viz.drawing import animation, frame
 from jaxrod.viz.page import html, save_html
 from jaxrod.viz.paper import PaperResult, paper_result
-from jaxrod.viz.replay import Cylinder, Replay, Sphere
+from jaxrod.viz.replay import Replay
+from jaxrod.viz.shapes import Cylinder, Sphere
 
 __all__ = [
     "Cylinder",

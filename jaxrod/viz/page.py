@@ -22,7 +22,18 @@ import numpy as np
 from jaxrod.viz.files import write_atomically
 from jaxrod.viz.replay import Replay
 
-_SCRIPTS = ("vectors", "recording", "shaders", "renderer", "camera", "labels", "player")
+# In this order, because later ones use what earlier ones define.
+_SCRIPTS = (
+    "vectors",
+    "recording",
+    "shaders",
+    "renderer",
+    "camera",
+    "labels",
+    "colours",
+    "readout",
+    "player",
+)
 _STEPS = 65535
 
 

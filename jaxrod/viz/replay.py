@@ -9,41 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
+
+from jaxrod.viz.arrays import numbers, require_finite
+from jaxrod.viz.shapes import Cylinder, Sphere, checked_cylinder, checked_sphere
 
 Axis = Literal["x", "y", "z"]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Sphere:
-    """A sphere shown with the rods, such as a target.
-
-    Attributes:
-        positions: centre [m], shape (3,) if it stays put, (T, 3) if it moves.
-        radius: radius [m].
-        name: what the legend calls it.
-    """
-
-    positions: Any
-    radius: float
-    name: str = "target"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Cylinder:
-    """A cylinder that stays put, such as an obstacle.
-
-    Attributes:
-        start: centre of one end [m], shape (3,).
-        end: centre of the other end [m], shape (3,).
-        radius: radius [m].
-        name: what the legend calls it.
-    """
-
-    start: Any
-    end: Any
-    radius: float
-    name: str = "obstacle"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,7 +64,7 @@ class Replay:
         Raises:
             ValueError: an argument has the wrong shape or an impossible value.
         """
-        nodes = _numbers("positions", positions, "m")
+        nodes = numbers("positions", positions, "m")
         if nodes.ndim not in (3, 4) or nodes.shape[-2] != 3:
             raise ValueError(
                 "positions must have shape (T, 3, n+1) or (T, R, 3, n+1) [m], "
@@ -133,7 +103,7 @@ class Replay:
         Raises:
             ValueError: an argument has the wrong shape or an impossible value.
         """
-        nodes = _numbers("positions", positions, "m")
+        nodes = numbers("positions", positions, "m")
         if nodes.ndim == 3:
             nodes = nodes[:, None]
         if nodes.ndim != 4 or nodes.shape[-1] != 3 or nodes.shape[2] < 2:
@@ -147,7 +117,7 @@ class Replay:
                 f"positions must hold at least one frame and one rod, got {nodes.shape}"
             )
         clock = _times(times, num_frames)
-        _require_finite("positions", nodes, "m", clock)
+        require_finite("positions", nodes, "m", clock)
         if up not in ("x", "y", "z"):
             raise ValueError(f'up must be "x", "y" or "z", got {up!r}')
         if rod_names and len(rod_names) != num_rods:
@@ -159,8 +129,8 @@ class Replay:
             times=clock,
             positions=nodes,
             radii=_radii(radii, num_rods, num_nodes - 1),
-            spheres=tuple(_sphere(i, s, clock) for i, s in enumerate(spheres)),
-            cylinders=tuple(_cylinder(i, c) for i, c in enumerate(cylinders)),
+            spheres=tuple(checked_sphere(i, s, clock) for i, s in enumerate(spheres)),
+            cylinders=tuple(checked_cylinder(i, c) for i, c in enumerate(cylinders)),
             readouts={
                 str(name): _readout(str(name), values, num_frames)
                 for name, values in (readouts or {}).items()
@@ -234,43 +204,14 @@ class Replay:
         )
 
 
-def _numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
-    try:
-        return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name} must be an array of numbers [{unit}], got {type(values).__name__}"
-        ) from error
-
-
-def _require_finite(
-    name: str, values: np.ndarray, unit: str, times: np.ndarray | None = None
-) -> None:
-    finite = np.isfinite(values)
-    if finite.all():
-        return
-    where = tuple(int(i) for i in np.argwhere(~finite)[0])
-    when = "" if times is None else f" (t = {times[where[0]]:g} s)"
-    raise ValueError(
-        f"{name} must be finite, got {values[where]} {unit} at index {where}{when}"
-    )
-
-
-def _positive(name: str, value: Any, unit: str) -> float:
-    number = _numbers(name, value, unit)
-    if number.ndim != 0 or not (np.isfinite(number) and number > 0):
-        raise ValueError(f"{name} must be one positive number, got {value} {unit}")
-    return float(number)
-
-
 def _times(times: Any, num_frames: int) -> np.ndarray:
-    clock = _numbers("times", times, "s")
+    clock = numbers("times", times, "s")
     if clock.shape != (num_frames,):
         raise ValueError(
             f"times must have shape ({num_frames},) [s], one per frame, "
             f"got {clock.shape}"
         )
-    _require_finite("times", clock, "s")
+    require_finite("times", clock, "s")
     backward = np.flatnonzero(np.diff(clock) <= 0)
     if backward.size:
         k = int(backward[0])
@@ -282,50 +223,20 @@ def _times(times: Any, num_frames: int) -> np.ndarray:
 
 
 def _radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
-    values = _numbers("radii", radii, "m")
+    values = numbers("radii", radii, "m")
     if values.shape not in ((), (num_elements,), (num_rods, num_elements)):
         raise ValueError(
             f"radii must have shape ({num_elements},) or ({num_rods}, {num_elements}) "
             f"[m], got {values.shape}"
         )
-    _require_finite("radii", values, "m")
+    require_finite("radii", values, "m")
     if values.min() <= 0:
         raise ValueError(f"radii must be positive, got {values.min():g} m")
     return np.broadcast_to(values, (num_rods, num_elements)).copy()
 
 
-def _sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:
-    name = f"spheres[{index}].positions"
-    centre = _numbers(name, sphere.positions, "m")
-    if centre.shape not in ((3,), (len(times), 3)):
-        raise ValueError(
-            f"{name} must have shape (3,) or ({len(times)}, 3) [m], got {centre.shape}"
-        )
-    _require_finite(name, centre, "m")
-    radius = _positive(f"spheres[{index}].radius", sphere.radius, "m")
-    moving = np.broadcast_to(centre, (len(times), 3)).copy()
-    return Sphere(moving, radius, str(sphere.name))
-
-
-def _cylinder(index: int, cylinder: Cylinder) -> Cylinder:
-    ends = []
-    for side in ("start", "end"):
-        name = f"cylinders[{index}].{side}"
-        point = _numbers(name, getattr(cylinder, side), "m")
-        if point.shape != (3,):
-            raise ValueError(f"{name} must have shape (3,) [m], got {point.shape}")
-        _require_finite(name, point, "m")
-        ends.append(point)
-    if np.array_equal(ends[0], ends[1]):
-        raise ValueError(
-            f"cylinders[{index}] must have a length, got start = end = {ends[0]} m"
-        )
-    radius = _positive(f"cylinders[{index}].radius", cylinder.radius, "m")
-    return Cylinder(ends[0], ends[1], radius, str(cylinder.name))
-
-
 def _readout(name: str, values: Any, num_frames: int) -> np.ndarray:
-    series = _numbers(f"readouts[{name!r}]", values, "-")
+    series = numbers(f"readouts[{name!r}]", values, "-")
     if series.shape != (num_frames,):
         raise ValueError(
             f"readouts[{name!r}] must have shape ({num_frames},), one number per "

@@ -2,33 +2,6 @@
 
 const $ = (id) => document.getElementById(id);
 const TRAIL_NODES = 40;
-const RAMP = ["#3b4cc0", "#3fa0c8", "#5ec27a", "#f2c14e", "#d1402f"];
-const RODS = ["#2f7fd6", "#e0653a", "#2a9d74", "#b45cc4", "#c9a227", "#5b6ee1", "#d64570", "#4aa3a2"];
-const SPHERES = ["#f59e0b", "#10a37f", "#d64570", "#7c5cd6"];
-const CYLINDERS = "#9aa3b0";
-
-// Few rods get colours that are easy to tell apart, many a range of hues.
-function rodColour(rod, rods) {
-  if (rods <= RODS.length) return RODS[rod];
-  const hue = 200 + (200 * rod) / (rods - 1);
-  const channel = (shift) => {
-    const value = 0.56 - 0.3 * Math.cos(((hue + shift) * Math.PI) / 180 + Math.PI);
-    return Math.round(255 * clamp(value, 0, 1)).toString(16).padStart(2, "0");
-  };
-  return `#${channel(0)}${channel(-120)}${channel(120)}`;
-}
-
-function readTheme() {
-  const style = getComputedStyle(document.documentElement);
-  const colour = (name) => linearColour(style.getPropertyValue(`--${name}`).trim());
-  const number = (name) => parseFloat(style.getPropertyValue(`--${name}`));
-  return {
-    grid: colour("grid"), shadow: colour("shadow"),
-    x: colour("x"), y: colour("y"), z: colour("z"),
-    shadowStrength: number("shadow-strength"), trail: number("trail"), rings: 0.3,
-    ramp: RAMP.map(linearColour),
-  };
-}
 
 class Player {
   constructor(recording) {
@@ -314,55 +287,6 @@ class Player {
     if (!action) return;
     event.preventDefault();
     action();
-  }
-}
-
-// A number that changes with time, with its curve over the whole replay.
-class Readout {
-  constructor({ name, values }, { times, duration }) {
-    this.values = values;
-    const title = $("readouts").appendChild(document.createElement("dt"));
-    title.textContent = name;
-    title.title = name;
-    this.number = $("readouts").appendChild(document.createElement("dd"));
-    const chart = $("readouts").appendChild(document.createElement("dd"));
-    chart.className = "chart";
-    const finite = values.filter(Number.isFinite);
-    let [low, high] = [Infinity, -Infinity];
-    for (const value of finite) {
-      low = Math.min(low, value);
-      high = Math.max(high, value);
-    }
-    const rise = high > low ? high - low : 1;
-    let pen = "M";
-    let path = "";
-    values.forEach((value, k) => {
-      if (!Number.isFinite(value)) {
-        pen = "M";
-        return;
-      }
-      const x = (100 * times[k]) / (duration || 1);
-      path += `${pen}${x.toFixed(2)} ${(24 - (22 * (value - low)) / rise).toFixed(2)}`;
-      pen = "L";
-    });
-    chart.innerHTML =
-      '<svg viewBox="0 0 100 26" preserveAspectRatio="none" aria-hidden="true">' +
-      `<path class="curve" d="${path}"/><line class="now" y1="0" y2="26"/></svg>`;
-    this.cursor = chart.querySelector(".now");
-  }
-
-  show(time, recording) {
-    const value = this.values[recording.frameAt(time)];
-    const size = Math.abs(value);
-    const plain = size >= 0.01 && size < 1e5;
-    const text = !Number.isFinite(value) ? "–"
-      : value === 0 ? "0"
-      : plain ? value.toFixed(size < 10 ? 3 : size < 1000 ? 2 : 0)
-      : value.toExponential(2);
-    this.number.textContent = text.replace("-", "−");
-    const x = (100 * time) / (recording.duration || 1);
-    this.cursor.setAttribute("x1", x);
-    this.cursor.setAttribute("x2", x);
   }
 }
 

@@ -1,0 +1,30 @@
+"""Numbers that come from outside, made into arrays or refused in plain words."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
+    """An array of float64 that nobody else holds, or an error in words."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} must be an array of numbers [{unit}], got {type(values).__name__}"
+        ) from error
+
+
+def require_finite(
+    name: str, values: np.ndarray, unit: str, times: np.ndarray | None = None
+) -> None:
+    """Refuses NaN and infinity, and says where and when the first one is."""
+    finite = np.isfinite(values)
+    if finite.all():
+        return
+    where = tuple(int(i) for i in np.argwhere(~finite)[0])
+    when = "" if times is None else f" (t = {times[where[0]]:g} s)"
+    raise ValueError(
+        f"{name} must be finite, got {values[where]} {unit} at index {where}{when}"
+    )
