@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Literal
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrod import vectors
@@ -232,19 +231,19 @@ class FixedEnd(Effect):
         )
 
 
-def _end_mask(field: Array, end: End) -> Array:
-    index = lax.iota("int32", field.shape[0])
-    return index == (0 if end == "start" else field.shape[0] - 1)
+def _zero_one_end(field: Array, end: End) -> Array:
+    """The field with zero at one end."""
+    if end == "start":
+        return vectors.pad(field[1:], 1, 0)
+    return vectors.pad(field[:-1], 0, 1)
 
 
 def _replace_end(field: Array, value: Array, end: End) -> Array:
-    return jnp.where(_end_mask(field, end), jnp.broadcast_to(value, field.shape), field)
+    return _zero_one_end(field, end) + _place(value, field.shape[0], end)
 
 
 def _zero_at_end(field: Vec3, end: End) -> Vec3:
-    mask = _end_mask(field[0], end)
-    zero = jnp.zeros_like(field[0])
-    a, b, c = (jnp.where(mask, zero, component) for component in field)
+    a, b, c = (_zero_one_end(component, end) for component in field)
     return a, b, c
 
 
@@ -254,14 +253,15 @@ def _at_end(field: Quaternion, end: End) -> Quaternion:
     return w, x, y, z
 
 
-def _only_at_end(value: Vec3, size: int, end: End) -> Vec3:
+def _place(value: Array, size: int, end: End) -> Array:
     """A field that is zero but for one end."""
+    before, after = (0, size - 1) if end == "start" else (size - 1, 0)
+    return vectors.pad(value[None], before, after)
 
-    def one(component: Array) -> Array:
-        before, after = (0, size - 1) if end == "start" else (size - 1, 0)
-        return vectors.pad(component[None], before, after)
 
-    return one(value[0]), one(value[1]), one(value[2])
+def _only_at_end(value: Vec3, size: int, end: End) -> Vec3:
+    a, b, c = (_place(component, size, end) for component in value)
+    return a, b, c
 
 
 # Factories: what users call. They check their arguments and say what is wrong.

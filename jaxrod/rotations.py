@@ -77,8 +77,8 @@ _LARGEST_HALF_ANGLE_SQUARED = math.pi**2
 
 
 def _polynomial(u: Array, coefficients: tuple[float, ...]) -> Array:
-    total = jnp.full_like(u, coefficients[-1])
-    for coefficient in reversed(coefficients[:-1]):
+    total = coefficients[-1] * u + coefficients[-2]
+    for coefficient in reversed(coefficients[:-2]):
         total = total * u + coefficient
     return total
 
@@ -164,7 +164,7 @@ def rotation_log_and_coupling(q: Quaternion) -> tuple[Vec3, Array]:
     Returns:
         The rotation vector [rad] and `c` [1].
     """
-    sign = jnp.where(q[0] < 0, -1, 1).astype(q[0].dtype)
+    sign = 1 - 2 * (q[0] < 0).astype(q[0].dtype)
     w = sign * q[0]
     v = scale(sign, (q[1], q[2], q[3]))
     quarter_cosine = jnp.sqrt(0.5 * (1 + w))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,19 +14,21 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod._validation import check_array, check_count, is_traced
 from jaxrod.consistent import ConsistentStepper
+from jaxrod.motion import Motion
 from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stability import stable_dt
 
 Carry = TypeVar("Carry")
+Stepper = ConsistentStepper | PyElasticaStepper
 
 
 class UnstableStepWarning(UserWarning):
     """The time step is above the stability bound of the scene."""
 
 
-def stepper(scene: Scene, dt: Array) -> ConsistentStepper | PyElasticaStepper:
+def stepper(scene: Scene, dt: Array) -> Stepper:
     """The integrator of the scene's mode, its constants worked out."""
     if scene.mode == "pyelastica":
         return PyElasticaStepper.create(scene, dt)
@@ -147,28 +149,38 @@ def _as_time(state: RodState, dt: ArrayLike) -> Array:
 
 
 def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:
-    integrator = stepper(scene, dt)
-    motion = integrator.drift(integrator.enter(state), 0.5 * dt)
-    motion = lax.fori_loop(
-        0, n_steps - 1, lambda _, m: integrator.drift(integrator.kick(m), dt), motion
-    )
-    motion = integrator.drift(integrator.kick(motion), 0.5 * dt)
+    after = _run(scene, state, dt, n_steps, _repeat_traced)
     return jax.tree.map(
-        lambda after, before: jnp.where(n_steps > 0, after, before),
-        integrator.leave(motion),
-        state,
+        lambda after, before: jnp.where(n_steps > 0, after, before), after, state
     )
 
 
 def _run_static(scene: Scene, state: RodState, dt: Array, n_steps: int) -> RodState:
     if n_steps == 0:
         return state
+    return _run(scene, state, dt, n_steps, repeat)
+
+
+def _run(
+    scene: Scene,
+    state: RodState,
+    dt: Array,
+    n_steps: int | Array,
+    loop: Callable[[Callable[[Motion], Motion], Motion, Any], Motion],
+) -> RodState:
+    """At least one step: half drift, kicks and drifts in turn, half drift."""
     integrator = stepper(scene, dt)
     motion = integrator.drift(integrator.enter(state), 0.5 * dt)
-    motion = repeat(
+    motion = loop(
         lambda m: integrator.drift(integrator.kick(m), dt), motion, n_steps - 1
     )
     return integrator.leave(integrator.drift(integrator.kick(motion), 0.5 * dt))
+
+
+def _repeat_traced(
+    function: Callable[[Carry], Carry], carry: Carry, n_times: Array
+) -> Carry:
+    return lax.fori_loop(0, n_times, lambda _, c: function(c), carry)
 
 
 def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Carry:

@@ -61,10 +61,12 @@ def multiply(a: Vec3, b: Vec3) -> Vec3:
 
 
 def safe_norm(a: Vec3) -> Array:
-    """Euclidean length, with gradient zero (not NaN) for the zero vector."""
+    """Euclidean length, with gradient zero (not NaN) for the zero vector.
+
+    The zero vector's length comes out as the root of the smallest normal number.
+    """
     squared = dot(a, a)
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+    return jnp.sqrt(jnp.maximum(squared, jnp.finfo(squared.dtype).tiny))
 
 
 def pad(a: Array, before: int, after: int) -> Array:
