@@ -12,9 +12,10 @@ from jaxrod.training.algorithm import (
     find_algorithm,
 )
 from jaxrod.training.evaluation import Evaluation, evaluate
-from jaxrod.training.loop import Result, train
+from jaxrod.training.loop import train
 from jaxrod.training.policy import Policy, load_policy, save_policy
 from jaxrod.training.ppo import PPO, PPOConfig
+from jaxrod.training.run import Result
 from jaxrod.training.run_folder import RunFolder
 from jaxrod.training.seeds import train_seeds
 

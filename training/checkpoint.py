@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -107,7 +108,7 @@ def _to_arrays(tree: Any) -> dict[str, np.ndarray]:
 def _from_arrays(template: Any, arrays: dict[str, np.ndarray]) -> Any:
     leaves, structure = jax.tree.flatten(template)
     restored = [
-        jax.random.wrap_key_data(array, impl=jax.random.key_impl(leaf))
+        jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
         if _is_key(leaf)
         else array
         for leaf, array in zip(
@@ -118,4 +119,4 @@ def _from_arrays(template: Any, arrays: dict[str, np.ndarray]) -> Any:
 
 
 def _is_key(leaf: Any) -> bool:
-    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

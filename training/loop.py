@@ -1,15 +1,8 @@
-"""The host loop: chunks of compiled updates, and between them the world.
-
-A run is `steps` control steps, rounded up to whole updates. After every chunk
-the loop logs, shows progress, and now and then saves; it never looks inside an
-algorithm, see `jaxrod.training.algorithm`.
-"""
+"""The entry point of training: checks what is asked for and starts the run."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,41 +11,9 @@ import jax
 import numpy as np
 
 from jaxrod.envs import Environment
-from jaxrod.training.algorithm import Algorithm, Metrics, find_algorithm
-from jaxrod.training.checkpoint import Checkpoints
-from jaxrod.training.devices import compile_updates, device_mesh, place
-from jaxrod.training.evaluation import Evaluation, evaluate
-from jaxrod.training.interruption import Interruption
-from jaxrod.training.policy import Policy, save_policy
-from jaxrod.training.progress import ProgressBar
+from jaxrod.training.algorithm import Algorithm, find_algorithm
+from jaxrod.training.run import Result, Run
 from jaxrod.training.run_folder import RunFolder, differences
-from jaxrod.training.score import EpisodeLog
-
-CHUNK_STEPS = 16_384
-"""A chunk is at least this many control steps, and at least one update."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Result:
-    """What a run leaves.
-
-    Attributes:
-        summary: as in `summary.json`.
-        policy: the deterministic policy.
-        progress: one row per chunk of this call, as in `progress.csv`.
-        episodes: every complete training episode of the run.
-        evaluation: of `policy`; None if interrupted or not asked for.
-        state: the final train state.
-        folder: the run's folder, None if nothing was written.
-    """
-
-    summary: dict[str, Any]
-    policy: Policy
-    progress: list[dict[str, Any]]
-    episodes: EpisodeLog
-    evaluation: Evaluation | None
-    state: Any
-    folder: RunFolder | None
 
 
 def train(
@@ -70,6 +31,7 @@ def train(
     score_window: int = 50,
     evaluation_episodes: int = 16,
     checkpoint_seconds: float = 60.0,
+    chunk_steps: int = 16_384,
     devices: Sequence[jax.Device] | None = None,
     progress: bool = True,
     log: Callable[[dict[str, Any]], None] | None = None,
@@ -100,6 +62,8 @@ def train(
         evaluation_episodes: episodes of the evaluation at the end, 0 for none.
         checkpoint_seconds: time between checkpoints [s]; there is one at the end
             in any case.
+        chunk_steps: a chunk is at least this many control steps, in whole
+            updates.
         devices: devices to spread the environments over, None for all.
         progress: show a progress bar on stderr.
         log: called with every row of the progress table.
@@ -107,14 +71,29 @@ def train(
     Raises:
         ValueError: an argument or a setting makes no sense, or `out` holds a run
             that was not asked to be resumed or overwritten.
+        FloatingPointError: learning diverged; the checkpoints are from before.
     """
     learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
     config = learner.config_type() if config is None else config
+    if not isinstance(config, learner.config_type):
+        raise ValueError(
+            f"config must be a {learner.config_type.__name__} for {learner.name}, "
+            f"got {type(config).__name__}"
+        )
     devices = jax.devices() if devices is None else devices
-    _check(learner, config, devices, steps, score_window, evaluation_episodes)
+    if not devices:
+        raise ValueError("devices must hold at least one device, got none")
+    learner.validate(config, len(devices))
+    _check_sizes(
+        steps=steps,
+        per_update=learner.steps_per_update(config),
+        score_window=score_window,
+        evaluation_episodes=evaluation_episodes,
+        chunk_steps=chunk_steps,
+    )
     asked = _describe(env, learner, config, steps, seed, env_options, score_window)
     folder = _open_folder(out, asked, resume, overwrite)
-    return _Run(
+    return Run(
         env=env,
         learner=learner,
         config=config,
@@ -123,218 +102,21 @@ def train(
         folder=folder,
         resume=resume,
         checkpoint_seconds=checkpoint_seconds,
+        chunk_steps=chunk_steps,
         devices=devices,
         show=progress,
         log=log,
     ).go(evaluation_episodes)
 
 
-class _Run:
-    """One call of `train`: the state of the host while it lasts."""
-
-    def __init__(
-        self,
-        *,
-        env: Environment,
-        learner: Algorithm,
-        config: Any,
-        env_params: Any,
-        asked: dict[str, Any],
-        folder: RunFolder | None,
-        resume: bool,
-        checkpoint_seconds: float,
-        devices: Sequence[jax.Device],
-        show: bool,
-        log: Callable[[dict[str, Any]], None] | None,
-    ) -> None:
-        self.began = time.monotonic()
-        self.env, self.learner, self.env_params = env, learner, env_params
-        self.asked, self.folder, self.devices = asked, folder, devices
-        self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log
-        self.per_update = learner.steps_per_update(config)
-        self.total = math.ceil(asked["steps"] / self.per_update)
-        self.done = 0
-        self.wall_before = 0.0
-        self.rows: list[dict[str, Any]] = []
-        self.rows_before = 0
-        self.episodes = EpisodeLog()
-        self.checkpoints = Checkpoints(folder.checkpoints) if folder else None
-
-        # The mesh first: it fails at once where the devices do not fit.
-        self.mesh = device_mesh(devices)
-        start = jax.jit(learner.init, static_argnums=(1, 4))
-        key = jax.random.key(asked["seed"])
-        state = start(key, env, config, env_params, self.total * self.per_update)
-        if resume and self.checkpoints and self.checkpoints.latest_step() is not None:
-            state = self._restore(state)
-        elif folder:
-            # Killed before the first checkpoint: start over.
-            folder.progress.cut(0)
-            folder.episodes.cut(0)
-        self.state = place(state, learner.partition(state), self.mesh)
-
-    @property
-    def env_steps(self) -> int:
-        return self.done * self.per_update
-
-    @property
-    def wall(self) -> float:
-        return self.wall_before + time.monotonic() - self.began
-
-    def go(self, evaluation_episodes: int) -> Result:
-        """Runs to the end, or to an interruption, and writes the result."""
-        bar = ProgressBar(self.total * self.per_update, self.env_steps, self.show)
-        capacity = max(1, min(self.total, math.ceil(CHUNK_STEPS / self.per_update)))
-        bar.message(f"compiling {self.learner.name} for {self.env.name}")
-        compile_began = time.monotonic()
-        update = compile_updates(self.learner, self.state, capacity, self.mesh)
-        compile_s = time.monotonic() - compile_began
-        bar = ProgressBar(self.total * self.per_update, self.env_steps, self.show)
-
-        looped = saved = time.monotonic()
-        steps_before = self.env_steps
-        with Interruption(bar.message) as interruption:
-            while self.done < self.total and not interruption.asked:
-                count = min(capacity, self.total - self.done)
-                self.state, metrics = update(self.state, count)
-                self._record(jax.device_get(metrics), count, bar)
-                if time.monotonic() - saved > self.checkpoint_seconds:
-                    self._save()
-                    saved = time.monotonic()
-            self._save()
-        looped = time.monotonic() - looped
-        bar.close()
-        finished = self.done == self.total
-
-        policy = jax.device_get(self.learner.policy(self.state))
-        summary = self._summary() | {
-            "status": "finished" if finished else "interrupted",
-            "compile_s": compile_s,
-            "loop_steps_per_s": (self.env_steps - steps_before) / looped,
-        }
-        evaluation = None
-        if finished and evaluation_episodes:
-            evaluation = self._evaluate(policy, evaluation_episodes)
-            summary |= evaluation[1]
-        if self.folder:
-            about = {
-                name: self.asked[name] for name in ("case", "variant", "algorithm")
-            }
-            save_policy(policy, self.folder.policy, about)
-            self.folder.write_summary(summary)
-            if not finished:
-                bar.message(
-                    f"stopped after {self.env_steps:,} steps; "
-                    f"resume=True continues in {self.folder.path}"
-                )
-        if self.checkpoints:
-            self.checkpoints.close()
-        return Result(
-            summary=summary,
-            policy=policy,
-            progress=self.rows,
-            episodes=self.episodes,
-            evaluation=evaluation[0] if evaluation else None,
-            state=self.state,
-            folder=self.folder,
-        )
-
-    def _record(self, metrics: Metrics, count: int, bar: ProgressBar) -> None:
-        """Takes in a chunk: one row of progress, the episodes that ended."""
-        before = self.wall
-        self.done += count
-        new = self.episodes.take(metrics.episodes, count, self.env_steps)
-        recent = self.episodes.recent(self.asked["score_window"])
-        row = {
-            "env_steps": self.env_steps,
-            "wall_s": round(before, 3),
-            "steps_per_s": round(self.env_steps / before, 1),
-            "episodes": len(self.episodes),
-            "episode_return_mean": recent,
-            "flagged_fraction": self.episodes.flagged_fraction,
-        }
-        row |= {
-            name: float(np.mean(values[:count]))
-            for name, values in sorted(metrics.scalars.items())
-        }
-        self.rows.append(row)
-        if self.folder:
-            self.folder.progress.append([row])
-            self.folder.episodes.append(new)
-        if self.log:
-            self.log(row)
-        bar.update(self.env_steps, recent)
-
-    def _save(self) -> None:
-        if self.checkpoints:
-            facts = {
-                "updates": self.done,
-                "wall_s": self.wall,
-                "progress_rows": self.rows_before + len(self.rows),
-                "episodes": len(self.episodes),
-            }
-            self.checkpoints.save(self.done, self.state, facts)
-
-    def _restore(self, template: Any) -> Any:
-        """Goes back to the last checkpoint, and the tables with it."""
-        assert self.checkpoints and self.folder
-        state, facts = self.checkpoints.restore(template)
-        self.done = facts["updates"]
-        self.wall_before = facts["wall_s"]
-        self.rows_before = facts["progress_rows"]
-        self.folder.progress.cut(facts["progress_rows"])
-        self.folder.episodes.cut(facts["episodes"])
-        self.episodes.restore(self.folder.episodes.read())
-        return state
-
-    def _evaluate(
-        self, policy: Policy, episodes: int
-    ) -> tuple[Evaluation, dict[str, Any]]:
-        began = time.monotonic()
-        seed = self.asked["seed"]
-        evaluation = evaluate(
-            self.env, policy, episodes=episodes, seed=seed, env_params=self.env_params
-        )
-        return evaluation, {
-            "evaluation_score": evaluation.mean,
-            "evaluation_std": evaluation.standard_deviation,
-            "evaluation_episodes": episodes,
-            "evaluation_flagged_fraction": evaluation.flagged_fraction,
-            "evaluation_s": time.monotonic() - began,
-        }
-
-    def _summary(self) -> dict[str, Any]:
-        wall = self.wall
-        names = ("case", "variant", "algorithm", "seed", "score_window")
-        return {name: self.asked[name] for name in names} | {
-            "final_score": self.episodes.recent(self.asked["score_window"]),
-            "env_steps": self.env_steps,
-            "wall_s": wall,
-            "steps_per_s": self.env_steps / wall,
-            "episodes": len(self.episodes),
-            "flagged_fraction": self.episodes.flagged_fraction,
-            "jax_version": jax.__version__,
-            "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
-        }
-
-
-def _check(
-    learner: Algorithm,
-    config: Any,
-    devices: Sequence[jax.Device],
+def _check_sizes(
+    *,
     steps: int,
+    per_update: int,
     score_window: int,
     evaluation_episodes: int,
+    chunk_steps: int,
 ) -> None:
-    if not isinstance(config, learner.config_type):
-        raise ValueError(
-            f"config must be a {learner.config_type.__name__} for {learner.name}, "
-            f"got {type(config).__name__}"
-        )
-    if not devices:
-        raise ValueError("devices must hold at least one device, got none")
-    learner.validate(config, len(devices))
-    per_update = learner.steps_per_update(config)
     if steps < per_update:
         raise ValueError(
             f"steps must be at least one update, {per_update} control steps, "
@@ -346,6 +128,8 @@ def _check(
         raise ValueError(
             f"evaluation_episodes must not be negative, got {evaluation_episodes}"
         )
+    if chunk_steps < 1:
+        raise ValueError(f"chunk_steps must be at least 1, got {chunk_steps}")
 
 
 def _describe(

@@ -8,7 +8,7 @@ that the rollout was acted with.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,22 +33,11 @@ from jaxrod.training.rollout import collect
 Scalar = float | Float[Array, ""]
 
 
-class OnPolicyConfig(Protocol):
-    """The part of a configuration that all on-policy learners have.
-
-    Sizes (`num_envs`, `rollout_steps`, `hidden_sizes`) and `spread_phases` are
-    static, the rest is traced.
-    """
-
-    num_envs: int
-    rollout_steps: int
-    hidden_sizes: tuple[int, ...]
-    spread_phases: bool
-    discount: Scalar
-    trace_decay: Scalar
-    reward_scale: Scalar
-    observation_limit: Scalar
-    initial_log_std: Scalar
+OnPolicyConfig = Any
+"""A configuration with at least the sizes `num_envs`, `rollout_steps`,
+`hidden_sizes` and `spread_phases` (static) and the numbers `discount`,
+`trace_decay`, `reward_scale`, `observation_limit` and `initial_log_std` (traced);
+see `jaxrod.training.PPOConfig` for what they mean."""
 
 
 @pytree

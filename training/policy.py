@@ -91,7 +91,11 @@ def save_policy(
         "about": dict(about or {}),
     }
     buffer = io.BytesIO()
-    np.savez(buffer, **{name: np.asarray(array) for name, array in arrays.items()})
+    np.savez(
+        buffer,
+        allow_pickle=False,
+        **{name: np.asarray(array) for name, array in arrays.items()},
+    )
     write_atomically(folder / "policy.npz", buffer.getvalue())
     text = json.dumps(description, indent=2) + "\n"
     write_atomically(folder / "policy.json", text.encode())

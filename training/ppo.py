@@ -112,7 +112,7 @@ def init(
     env: Environment,
     config: PPOConfig,
     env_params: Any = None,
-    total_steps: int = 10_000_000,
+    total_steps: int | Int[Array, ""] = 10_000_000,
 ) -> OnPolicyState:
     """The train state before the first update; pure, so `vmap` it over keys.
 
@@ -123,7 +123,7 @@ def init(
         env_params: parameters of the environment, None for its own.
         total_steps: control steps over which the learning rate falls.
     """
-    updates = math.ceil(total_steps / steps_per_update(config))
+    updates = -(-total_steps // steps_per_update(config))
     optimiser = _optimiser(config.gradient_norm)
     return start(key, env, config, env_params, updates, optimiser)
 
@@ -232,7 +232,7 @@ def _loss(
 def _optimiser(gradient_norm: Scalar) -> optax.GradientTransformation:
     """Adam's direction for a gradient of bounded norm; the step size comes later."""
     return optax.chain(
-        optax.clip_by_global_norm(gradient_norm),  # type: ignore[arg-type]  # traced
+        optax.clip_by_global_norm(gradient_norm),
         optax.scale_by_adam(eps=1e-5),
     )
 

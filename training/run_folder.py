@@ -72,6 +72,13 @@ class RunFolder:
         """Whether a run was started here."""
         return (self.path / "config.json").exists()
 
+    @property
+    def finished(self) -> bool:
+        """Whether the run here came to its end."""
+        if not (self.path / "summary.json").exists():
+            return False
+        return self.summary()["status"] == "finished"
+
     def config(self) -> dict[str, Any]:
         """Reads `config.json`.
 

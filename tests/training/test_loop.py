@@ -1,0 +1,316 @@
+"""The loop: interrupted, killed, continued, spread; and what it writes."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import jax
+import numpy as np
+import pytest
+
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import PPOConfig, RunFolder, evaluate, load_policy, train
+from jaxrod.training.progress import ProgressBar, progress_line
+
+SMALL = PPOConfig(
+    num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)
+)
+STEPS = 128 * 30
+QUIET = {"progress": False, "evaluation_episodes": 2}
+
+SLOW_RUN = """
+import sys, time
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import PPOConfig, train
+config = PPOConfig(
+    num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)
+)
+train(Trivial(), steps=128 * 30, config=config, out=sys.argv[1], chunk_steps=256,
+      checkpoint_seconds=0, progress=False, log=lambda row: time.sleep(0.2))
+"""
+
+TWO_DEVICES = """
+import json, sys
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import PPOConfig, train
+config = PPOConfig(
+    num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)
+)
+assert len(jax.devices()) == 2
+result = train(Trivial(), steps=128 * 6, config=config, chunk_steps=1, out=sys.argv[1],
+               progress=False, evaluation_episodes=2, checkpoint_seconds=0)
+shards = result.state.environments.observation.addressable_shards
+assert [shard.data.shape for shard in shards] == [(4, 1), (4, 1)]
+"""
+
+
+def run_python(code, *arguments):
+    return subprocess.Popen([sys.executable, "-W", "error", "-c", code, *arguments])
+
+
+def leaves(tree):
+    return [
+        np.asarray(
+            jax.random.key_data(leaf)
+            if jax.numpy.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+            else leaf
+        )
+        for leaf in jax.tree.leaves(tree)
+    ]
+
+
+def assert_same_run(a, b):
+    for left, right in zip(leaves(a.state), leaves(b.state), strict=True):
+        np.testing.assert_array_equal(left, right)
+    assert a.episodes.returns == b.episodes.returns
+    assert a.episodes.lengths == b.episodes.lengths
+    assert a.summary["final_score"] == b.summary["final_score"]
+    assert a.summary["evaluation_score"] == b.summary["evaluation_score"]
+    rows = [
+        [
+            {k: v for k, v in row.items() if k not in ("wall_s", "steps_per_s")}
+            for row in result.folder.progress.read()
+        ]
+        for result in (a, b)
+    ]
+    assert rows[0] == rows[1]
+
+
+@pytest.fixture(scope="module")
+def whole_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    with jax.enable_x64(False):
+        yield train(
+            Trivial(),
+            steps=STEPS,
+            config=SMALL,
+            out=folder,
+            chunk_steps=256,
+            **QUIET,
+        )
+
+
+@pytest.mark.default_precision
+def test_run_killed_at_any_moment_resumes_bit_by_bit(tmp_path, whole_run):
+    folder = RunFolder(tmp_path / "run")
+    process = run_python(SLOW_RUN, str(folder.path))
+    deadline = time.monotonic() + 120
+    while len(folder.progress.read()) < 5 and time.monotonic() < deadline:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    rows = len(folder.progress.read())
+    assert 5 <= rows < 15
+    result = train(
+        Trivial(),
+        steps=STEPS,
+        config=SMALL,
+        out=folder.path,
+        resume=True,
+        chunk_steps=256,
+        **QUIET,
+    )
+    assert 0 < len(result.progress) <= 15 - rows + 1
+    assert_same_run(result, whole_run)
+
+
+@pytest.mark.default_precision
+def test_interrupted_run_finishes_its_chunk_saves_and_resumes(
+    tmp_path, whole_run, capsys
+):
+    def interrupt(row):
+        if row["env_steps"] == 256 * 4:
+            signal.raise_signal(signal.SIGINT)
+
+    handler = signal.getsignal(signal.SIGINT)
+    settings = {"steps": STEPS, "config": SMALL, "out": tmp_path, "chunk_steps": 256}
+    stopped = train(
+        Trivial(), **settings, log=interrupt, evaluation_episodes=2, progress=True
+    )
+    assert signal.getsignal(signal.SIGINT) is handler
+    assert stopped.summary["status"] == "interrupted"
+    assert stopped.summary["env_steps"] == 256 * 4
+    assert "stopped after 1,024 steps" in capsys.readouterr().err
+    assert load_policy(tmp_path / "policy")(np.zeros((1, 1))).shape == (1, 1)
+    resumed = train(Trivial(), **settings, resume=True, **QUIET)
+    assert resumed.summary["status"] == "finished"
+    assert_same_run(resumed, whole_run)
+
+
+@pytest.mark.default_precision
+def test_second_interruption_stops_at_once(tmp_path):
+    def interrupt(row):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(Trivial(), steps=STEPS, config=SMALL, log=interrupt, **QUIET)
+
+
+@pytest.mark.default_precision
+def test_finished_run_resumes_to_the_same_result(whole_run):
+    again = train(
+        Trivial(),
+        steps=STEPS,
+        config=SMALL,
+        out=whole_run.folder.path,
+        resume=True,
+        chunk_steps=256,
+        **QUIET,
+    )
+    assert again.progress == []
+    assert again.summary == whole_run.summary
+    assert_same_run(again, whole_run)
+
+
+@pytest.mark.default_precision
+def test_two_devices_train_the_same_as_one(tmp_path):
+    process = run_python(TWO_DEVICES, str(tmp_path / "two"))
+    one = train(
+        Trivial(),
+        steps=128 * 6,
+        config=SMALL,
+        chunk_steps=1,
+        out=tmp_path / "one",
+        **QUIET,
+    )
+    assert process.wait(timeout=120) == 0
+    two = RunFolder(tmp_path / "two")
+    for row, other in zip(one.progress, two.progress.read(), strict=True):
+        for name in ("value_loss", "return_mean", "action_std", "gradient_norm"):
+            np.testing.assert_allclose(float(other[name]), row[name], rtol=1e-3)
+    np.testing.assert_allclose(
+        [float(row["episode_return"]) for row in two.episodes.read()],
+        one.episodes.returns,
+        rtol=1e-3,
+    )
+
+
+def test_folder_holds_what_scripts_rely_on(whole_run):
+    folder = whole_run.folder
+    summary = json.loads((folder.path / "summary.json").read_text())
+    assert summary == whole_run.summary
+    assert {
+        "final_score",
+        "env_steps",
+        "wall_s",
+        "steps_per_s",
+        "flagged_fraction",
+        "seed",
+        "variant",
+        "algorithm",
+        "case",
+    } <= set(summary)
+    assert summary["env_steps"] == STEPS
+    assert (summary["case"], summary["algorithm"]) == ("trivial", "ppo")
+    with (folder.path / "progress.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0])[:2] == ["env_steps", "wall_s"]
+    assert "episode_return_mean" in rows[0]
+    assert [int(row["env_steps"]) for row in rows] == list(range(256, STEPS + 1, 256))
+    assert folder.config()["settings"]["num_envs"] == 8
+    assert not [path for path in folder.path.iterdir() if path.name.startswith(".")]
+
+
+def test_final_score_is_the_mean_of_the_last_episodes(whole_run):
+    returns = [float(row["episode_return"]) for row in whole_run.folder.episodes.read()]
+    assert returns == whole_run.episodes.returns
+    assert len(returns) > 50
+    assert whole_run.summary["final_score"] == np.mean(returns[-50:])
+
+
+@pytest.mark.default_precision
+def test_exported_policy_earns_the_evaluation_score(whole_run):
+    policy = load_policy(whole_run.folder.policy)
+    evaluation = evaluate(Trivial(), policy, episodes=2, seed=0)
+    assert evaluation.mean == whole_run.summary["evaluation_score"]
+
+
+@pytest.mark.default_precision
+def test_evaluation_of_a_plain_function_counts_whole_episodes():
+    env = Trivial()
+    still = evaluate(env, lambda observation: 0 * observation, episodes=500)
+    assert np.all(still.lengths == env.episode_length)
+    np.testing.assert_allclose(still.mean, 20 * 2 / 3, atol=1.0)
+    away = evaluate(env, lambda observation: 0 * observation + 1, episodes=5)
+    assert np.all(away.lengths < env.episode_length)
+    assert still.flagged_fraction == 0
+
+
+@pytest.mark.default_precision
+def test_folder_with_a_run_is_neither_mixed_nor_lost_by_accident(tmp_path):
+    settings = {"steps": 256, "config": SMALL, "out": tmp_path, **QUIET}
+    (tmp_path / "notes.txt").write_text("mine")
+    train(Trivial(), **settings)
+    with pytest.raises(ValueError, match=r"resume=True.*overwrite=True"):
+        train(Trivial(), **settings)
+    other = dataclasses.replace(SMALL, clip=0.3)
+    with pytest.raises(ValueError, match=r"settings\.clip was 0\.2, now 0\.3"):
+        train(Trivial(), **(settings | {"config": other}), resume=True)
+    train(Trivial(), **settings, overwrite=True)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert len(RunFolder(tmp_path).progress.read()) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"steps": 100}, "steps must be at least one update, 128 .* got 100"),
+        ({"algorithm": "magic"}, "algorithm must be one of ppo; got 'magic'"),
+        ({"score_window": 0}, "score_window .* got 0"),
+        ({"evaluation_episodes": -1}, "evaluation_episodes .* got -1"),
+        ({"chunk_steps": 0}, "chunk_steps .* got 0"),
+        ({"devices": []}, "devices"),
+        ({"config": 3}, "config must be a PPOConfig .* got int"),
+        ({"resume": True}, "out=None"),
+    ],
+)
+def test_bad_argument_is_refused_by_name_and_value(changes, words):
+    arguments = {"steps": 256, "config": SMALL, "progress": False} | changes
+    with pytest.raises(ValueError, match=words):
+        train(Trivial(), **arguments)
+
+
+def test_resume_without_a_run_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"no config\.json"):
+        train(Trivial(), steps=256, config=SMALL, out=tmp_path, resume=True)
+
+
+def test_progress_line_tells_steps_speed_return_and_time_left():
+    line = progress_line(2_500_000, 10_000_000, 50_000, 9876.5)
+    for part in ("25%", "2.5M/10M", "50,000 steps/s", "9,876.5", "2:30 left"):
+        assert part in line
+
+
+def test_progress_in_a_log_file_is_a_few_lines():
+    stream = io.StringIO()
+    bar = ProgressBar(1000, stream=stream)
+    for done in range(1, 1001):
+        bar.update(done, None)
+    assert len(stream.getvalue().splitlines()) == 10
+    assert "\r" not in stream.getvalue()
+
+
+def test_importing_bare_folders_says_what_to_import():
+    here = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
+    for name in ("envs", "training"):
+        done = subprocess.run(
+            [sys.executable, "-c", f"import {name}"],
+            cwd=here,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode != 0
+        assert f"import jaxrod.{name}, not {name}" in done.stderr

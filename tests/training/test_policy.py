@@ -1,0 +1,64 @@
+"""Policies as functions and as files."""
+
+from __future__ import annotations
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import PPOConfig, load_policy, ppo, save_policy
+from jaxrod.training.normalisation import RunningMoments, normalise
+from jaxrod.training.on_policy import policy_network
+
+
+def some_state():
+    config = PPOConfig(num_envs=4, rollout_steps=8, minibatches=2, hidden_sizes=(8, 8))
+    return ppo.init(jax.random.key(0), Trivial(), config)
+
+
+def test_policy_is_the_mean_of_the_learners_distribution():
+    state = some_state()
+    policy = ppo.PPO.policy(state)
+    observation = jnp.linspace(-3, 3, 20)[:, None]
+    mean, _ = policy_network(state.env, state.config).apply(
+        {"params": state.weights["policy"]},
+        normalise(state.moments, observation, state.config.observation_limit),
+    )
+    np.testing.assert_allclose(policy(observation), jnp.clip(mean, -1, 1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu", "elu"])
+@pytest.mark.parametrize("output", ["clip", "tanh"])
+def test_files_hold_exactly_the_policy(tmp_path, activation, output):
+    random = np.random.default_rng(0)
+    policy = ppo.PPO.policy(some_state())
+    policy = type(policy)(
+        moments=RunningMoments(
+            jnp.asarray(10.0), random.normal(size=3), random.random(3)
+        ),
+        limit=jnp.asarray(5.0),
+        layers=(
+            (random.normal(size=(3, 7)), random.normal(size=7)),
+            (random.normal(size=(7, 2)), random.normal(size=2)),
+        ),
+        activation=activation,
+        output=output,
+    )
+    save_policy(policy, tmp_path / "policy", {"case": "none"})
+    loaded = load_policy(tmp_path / "policy")
+    observation = jnp.asarray(random.normal(size=(50, 3)))
+    np.testing.assert_array_equal(loaded(observation), policy(observation))
+    np.testing.assert_allclose(loaded(observation[0]), policy(observation)[0])
+    assert jnp.all(jnp.abs(loaded(observation)) <= 1)
+    description = json.loads((tmp_path / "policy" / "policy.json").read_text())
+    assert description["about"] == {"case": "none"}
+    assert (description["observation_size"], description["action_size"]) == (3, 2)
+
+
+def test_folder_without_a_policy_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"policy\.json"):
+        load_policy(tmp_path)

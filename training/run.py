@@ -1,0 +1,253 @@
+"""One run on the host: chunks of compiled updates, and between them the world.
+
+After every chunk the run logs, shows progress, and now and then saves; it never
+looks inside an algorithm, see `jaxrod.training.algorithm`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrod.envs import Environment
+from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.checkpoint import Checkpoints
+from jaxrod.training.devices import compile_updates, device_mesh, place
+from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.interruption import Interruption
+from jaxrod.training.policy import Policy, save_policy
+from jaxrod.training.progress import ProgressBar
+from jaxrod.training.run_folder import RunFolder
+from jaxrod.training.score import EpisodeLog
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a run leaves.
+
+    Attributes:
+        summary: as in `summary.json`.
+        policy: the deterministic policy.
+        progress: one row per chunk of this call, as in `progress.csv`.
+        episodes: every complete training episode of the run.
+        evaluation: of `policy`; None if interrupted or not asked for.
+        state: the final train state.
+        folder: the run's folder, None if nothing was written.
+    """
+
+    summary: dict[str, Any]
+    policy: Policy
+    progress: list[dict[str, Any]]
+    episodes: EpisodeLog
+    evaluation: Evaluation | None
+    state: Any
+    folder: RunFolder | None
+
+
+class Run:
+    """One call of `jaxrod.training.train`: the state of the host while it lasts."""
+
+    def __init__(
+        self,
+        *,
+        env: Environment,
+        learner: Algorithm,
+        config: Any,
+        env_params: Any,
+        asked: dict[str, Any],
+        folder: RunFolder | None,
+        resume: bool,
+        checkpoint_seconds: float,
+        chunk_steps: int,
+        devices: Sequence[jax.Device],
+        show: bool,
+        log: Callable[[dict[str, Any]], None] | None,
+    ) -> None:
+        self.began = time.monotonic()
+        self.env, self.learner, self.env_params = env, learner, env_params
+        self.asked, self.folder, self.devices = asked, folder, devices
+        self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log
+        self.per_update = learner.steps_per_update(config)
+        self.total = math.ceil(asked["steps"] / self.per_update)
+        self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
+        self.done = 0
+        self.wall_s = self.wall_before = 0.0
+        self.rows: list[dict[str, Any]] = []
+        self.rows_before = 0
+        self.episodes = EpisodeLog()
+        self.checkpoints = Checkpoints(folder.checkpoints) if folder else None
+
+        # The mesh first: it fails at once where the devices do not fit.
+        self.mesh = device_mesh(devices)
+        start = jax.jit(learner.init, static_argnums=(1, 4))
+        key = jax.random.key(asked["seed"])
+        state = start(key, env, config, env_params, self.total * self.per_update)
+        if resume and self.checkpoints and self.checkpoints.latest_step() is not None:
+            state = self._restore(state)
+        elif folder:
+            # Killed before the first checkpoint: start over.
+            folder.progress.cut(0)
+            folder.episodes.cut(0)
+        self.state = place(state, learner.partition(state), self.mesh)
+
+    @property
+    def env_steps(self) -> int:
+        return self.done * self.per_update
+
+    def _clock(self) -> float:
+        """Seconds this run has taken, with what it took before it was resumed."""
+        self.wall_s = self.wall_before + time.monotonic() - self.began
+        return self.wall_s
+
+    def go(self, evaluation_episodes: int) -> Result:
+        """Runs to the end, or to an interruption, and writes the result."""
+        # A finished run has nothing to add to: its summary stands as it is.
+        ended = self.done == self.total
+        summary = {} if ended else self._advance()
+        finished = self.done == self.total
+        policy = jax.device_get(self.learner.policy(self.state))
+        evaluation = None
+        if finished and evaluation_episodes:
+            evaluation, report = self._evaluate(policy, evaluation_episodes)
+            summary |= report
+        if ended and self.folder and self.folder.finished:
+            summary = self.folder.summary()
+        else:
+            status = "finished" if finished else "interrupted"
+            summary = self._summary() | {"status": status} | summary
+        if self.folder:
+            names = ("case", "variant", "algorithm")
+            about = {name: self.asked[name] for name in names}
+            save_policy(policy, self.folder.policy, about)
+            self.folder.write_summary(summary)
+        if self.checkpoints:
+            self.checkpoints.close()
+        return Result(
+            summary=summary,
+            policy=policy,
+            progress=self.rows,
+            episodes=self.episodes,
+            evaluation=evaluation,
+            state=self.state,
+            folder=self.folder,
+        )
+
+    def _advance(self) -> dict[str, Any]:
+        """Compiles and runs the chunks; returns how long what took."""
+        began, steps_before = time.monotonic(), self.env_steps
+        if self.show:
+            print(f"compiling {self.learner.name} for {self.env.name}", file=sys.stderr)
+        update = compile_updates(self.learner, self.state, self.capacity, self.mesh)
+        compiled = saved = time.monotonic()
+        bar = ProgressBar(self.total * self.per_update, self.env_steps, self.show)
+        with Interruption(bar.message) as interruption:
+            while self.done < self.total and not interruption.asked:
+                count = min(self.capacity, self.total - self.done)
+                self.state, metrics = update(self.state, count)
+                self._record(jax.device_get(metrics), count, bar)
+                if time.monotonic() - saved > self.checkpoint_seconds:
+                    self._save()
+                    saved = time.monotonic()
+            self._save()
+        self._clock()
+        bar.close()
+        if self.done < self.total:
+            where = (
+                f"; resume=True continues in {self.folder.path}" if self.folder else ""
+            )
+            bar.message(f"stopped after {self.env_steps:,} steps{where}")
+        return {
+            "compile_s": compiled - began,
+            "loop_steps_per_s": (self.env_steps - steps_before)
+            / (time.monotonic() - compiled),
+        }
+
+    def _record(self, metrics: Metrics, count: int, bar: ProgressBar) -> None:
+        """Takes in a chunk: one row of progress, the episodes that ended."""
+        wall = self._clock()
+        self.done += count
+        new = self.episodes.take(metrics.episodes, count, self.env_steps)
+        recent = self.episodes.recent(self.asked["score_window"])
+        row = {
+            "env_steps": self.env_steps,
+            "wall_s": round(wall, 3),
+            "steps_per_s": round(self.env_steps / wall, 1),
+            "episodes": len(self.episodes),
+            "episode_return_mean": recent,
+            "flagged_fraction": self.episodes.flagged_fraction,
+        }
+        row |= {
+            name: float(np.mean(values[:count]))
+            for name, values in sorted(metrics.scalars.items())
+        }
+        self.rows.append(row)
+        if self.folder:
+            self.folder.progress.append([row])
+            self.folder.episodes.append(new)
+        if self.log:
+            self.log(row)
+        bar.update(self.env_steps, recent)
+        broken = [name for name, value in row.items() if value != value]
+        if broken:
+            raise FloatingPointError(
+                f"{', '.join(broken)} is not a number after {self.env_steps:,} "
+                "steps: learning diverged"
+            )
+
+    def _save(self) -> None:
+        if self.checkpoints:
+            facts = {
+                "updates": self.done,
+                "wall_s": self._clock(),
+                "progress_rows": self.rows_before + len(self.rows),
+                "episodes": len(self.episodes),
+            }
+            self.checkpoints.save(self.done, self.state, facts)
+
+    def _restore(self, template: Any) -> Any:
+        """Goes back to the last checkpoint, and the tables with it."""
+        assert self.checkpoints and self.folder
+        state, facts = self.checkpoints.restore(template)
+        self.done = facts["updates"]
+        self.wall_s = self.wall_before = facts["wall_s"]
+        self.rows_before = facts["progress_rows"]
+        self.folder.progress.cut(facts["progress_rows"])
+        self.folder.episodes.cut(facts["episodes"])
+        self.episodes.restore(self.folder.episodes.read())
+        return state
+
+    def _evaluate(
+        self, policy: Policy, episodes: int
+    ) -> tuple[Evaluation, dict[str, Any]]:
+        began = time.monotonic()
+        seed = self.asked["seed"]
+        evaluation = evaluate(
+            self.env, policy, episodes=episodes, seed=seed, env_params=self.env_params
+        )
+        return evaluation, {
+            "evaluation_score": evaluation.mean,
+            "evaluation_std": evaluation.standard_deviation,
+            "evaluation_episodes": episodes,
+            "evaluation_flagged_fraction": evaluation.flagged_fraction,
+            "evaluation_s": time.monotonic() - began,
+        }
+
+    def _summary(self) -> dict[str, Any]:
+        names = ("case", "variant", "algorithm", "seed", "score_window")
+        return {name: self.asked[name] for name in names} | {
+            "final_score": self.episodes.recent(self.asked["score_window"]),
+            "env_steps": self.env_steps,
+            "wall_s": self.wall_s,
+            "steps_per_s": self.env_steps / self.wall_s,
+            "episodes": len(self.episodes),
+            "flagged_fraction": self.episodes.flagged_fraction,
+            "jax_version": jax.__version__,
+            "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
+        }
