@@ -9,105 +9,89 @@ A rod is a pytree, a step is a pure function, a thousand arms are `jax.vmap` of 
     state = jaxrod.advance(scene, state, dt, 1000)
 
 Environments are in `jaxrod.envs`, learners and optimisers in `jaxrod.training`,
-drawing in `jaxrod.viz`; none of them is imported here.
+drawing in `jaxrod.viz`.
+
+`import jaxrod` loads nothing: every name is imported from its module when it is
+first used, so the command line answers at once and `jaxrod doctor` can report on
+a JAX that jaxrod refuses to run on. Type checkers read `__init__.pyi`.
 """
 
-from jaxrod._jax_version import require_sound_jax
-from jaxrod.actuation import (
-    ControlSpline,
-    ElementCouples,
-    control_spline,
-    limit_rate,
-    spline_couples,
-)
-from jaxrod.backend import configure_cpu
-from jaxrod.effects import (
-    Clamp,
-    Effect,
-    EndLoad,
-    ExponentialDamping,
-    FixedEnd,
-    Gravity,
-    UniformLoad,
-    clamp,
-    end_load,
-    exponential_damping,
-    fixed_end,
-    gravity,
-    uniform_load,
-)
-from jaxrod.elasticity import stored_energy, strains
-from jaxrod.factories import rod_along, straight_rod, unstressed
-from jaxrod.health import Health, health
-from jaxrod.motion import Loads, Motion
-from jaxrod.rod import Rod, RodState, angular_velocities, with_angular_velocities
-from jaxrod.scene import (
-    Scene,
-    angular_momentum,
-    kinetic_energy,
-    make_scene,
-    momentum,
-    potential_energy,
-    total_energy,
-)
-from jaxrod.stability import StableStep, stable_dt
-from jaxrod.stepping import (
-    UnstableStepWarning,
-    advance,
-    rollout,
-    rollout_times,
-    step,
-)
+from __future__ import annotations
 
-require_sound_jax()
+import importlib
+from typing import Any
+
+from jaxrod._jax_version import require_sound_jax
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Clamp",
-    "ControlSpline",
-    "Effect",
-    "ElementCouples",
-    "EndLoad",
-    "ExponentialDamping",
-    "FixedEnd",
-    "Gravity",
-    "Health",
-    "Loads",
-    "Motion",
-    "Rod",
-    "RodState",
-    "Scene",
-    "StableStep",
-    "UniformLoad",
-    "UnstableStepWarning",
-    "advance",
-    "angular_momentum",
-    "angular_velocities",
-    "clamp",
-    "configure_cpu",
-    "control_spline",
-    "end_load",
-    "exponential_damping",
-    "fixed_end",
-    "gravity",
-    "health",
-    "kinetic_energy",
-    "limit_rate",
-    "make_scene",
-    "momentum",
-    "potential_energy",
-    "rod_along",
-    "rollout",
-    "rollout_times",
-    "spline_couples",
-    "stable_dt",
-    "step",
-    "stored_energy",
-    "straight_rod",
-    "strains",
-    "total_energy",
-    "uniform_load",
-    "unstressed",
-    "with_angular_velocities",
-]
+_NAMES = {
+    "_health": ("Health", "health"),
+    "actuation": (
+        "ControlSpline",
+        "ElementCouples",
+        "control_spline",
+        "limit_rate",
+        "spline_couples",
+    ),
+    "backend": ("configure_cpu",),
+    "effects": (
+        "Clamp",
+        "Effect",
+        "EndLoad",
+        "ExponentialDamping",
+        "FixedEnd",
+        "Gravity",
+        "UniformLoad",
+        "clamp",
+        "end_load",
+        "exponential_damping",
+        "fixed_end",
+        "gravity",
+        "uniform_load",
+    ),
+    "elasticity": ("stored_energy", "strains"),
+    "factories": ("rod_along", "straight_rod", "unstressed"),
+    "motion": ("Loads", "Motion"),
+    "rod": ("Rod", "RodState", "angular_velocities", "with_angular_velocities"),
+    "scene": (
+        "Scene",
+        "angular_momentum",
+        "kinetic_energy",
+        "make_scene",
+        "momentum",
+        "potential_energy",
+        "total_energy",
+    ),
+    "stability": ("StableStep", "stable_dt"),
+    "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
+}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+_SUBMODULES = ("envs", "rotations", "training", "vectors", "viz")
+
+__all__ = sorted(_MODULE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name, or a submodule, when it is first used."""
+    if name in _MODULE_OF:
+        require_sound_jax()
+        module = importlib.import_module(f"jaxrod.{_MODULE_OF[name]}")
+        globals()[name] = getattr(module, name)
+        return globals()[name]
+    if name in _SUBMODULES:
+        return _submodule(name)
+    raise AttributeError(f"module 'jaxrod' has no attribute {name!r}")
+
+
+def _submodule(name: str) -> Any:
+    try:
+        return importlib.import_module(f"jaxrod.{name}")
+    except ModuleNotFoundError as error:
+        # An optional package is missing. Attribute look-up has to say so as
+        # attributes do, or help(jaxrod) and hasattr would fail.
+        raise AttributeError(f"jaxrod.{name} cannot be imported: {error}") from error
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_SUBMODULES})

@@ -8,6 +8,11 @@ from typing import Any, TypeVar, dataclass_transform
 
 import jax
 
+from jaxrod._jax_version import require_sound_jax
+
+# No rod can be made without this module.
+require_sound_jax()
+
 T = TypeVar("T")
 
 static = partial(dataclasses.field, metadata={"static": True})

@@ -1,0 +1,55 @@
+"""What `import jaxrod` offers, for type checkers: the table of `__init__.py`."""
+
+from jaxrod import envs as envs
+from jaxrod import rotations as rotations
+from jaxrod import training as training
+from jaxrod import vectors as vectors
+from jaxrod import viz as viz
+from jaxrod._health import Health as Health
+from jaxrod._health import health as health
+from jaxrod.actuation import ControlSpline as ControlSpline
+from jaxrod.actuation import ElementCouples as ElementCouples
+from jaxrod.actuation import control_spline as control_spline
+from jaxrod.actuation import limit_rate as limit_rate
+from jaxrod.actuation import spline_couples as spline_couples
+from jaxrod.backend import configure_cpu as configure_cpu
+from jaxrod.effects import Clamp as Clamp
+from jaxrod.effects import Effect as Effect
+from jaxrod.effects import EndLoad as EndLoad
+from jaxrod.effects import ExponentialDamping as ExponentialDamping
+from jaxrod.effects import FixedEnd as FixedEnd
+from jaxrod.effects import Gravity as Gravity
+from jaxrod.effects import UniformLoad as UniformLoad
+from jaxrod.effects import clamp as clamp
+from jaxrod.effects import end_load as end_load
+from jaxrod.effects import exponential_damping as exponential_damping
+from jaxrod.effects import fixed_end as fixed_end
+from jaxrod.effects import gravity as gravity
+from jaxrod.effects import uniform_load as uniform_load
+from jaxrod.elasticity import stored_energy as stored_energy
+from jaxrod.elasticity import strains as strains
+from jaxrod.factories import rod_along as rod_along
+from jaxrod.factories import straight_rod as straight_rod
+from jaxrod.factories import unstressed as unstressed
+from jaxrod.motion import Loads as Loads
+from jaxrod.motion import Motion as Motion
+from jaxrod.rod import Rod as Rod
+from jaxrod.rod import RodState as RodState
+from jaxrod.rod import angular_velocities as angular_velocities
+from jaxrod.rod import with_angular_velocities as with_angular_velocities
+from jaxrod.scene import Scene as Scene
+from jaxrod.scene import angular_momentum as angular_momentum
+from jaxrod.scene import kinetic_energy as kinetic_energy
+from jaxrod.scene import make_scene as make_scene
+from jaxrod.scene import momentum as momentum
+from jaxrod.scene import potential_energy as potential_energy
+from jaxrod.scene import total_energy as total_energy
+from jaxrod.stability import StableStep as StableStep
+from jaxrod.stability import stable_dt as stable_dt
+from jaxrod.stepping import UnstableStepWarning as UnstableStepWarning
+from jaxrod.stepping import advance as advance
+from jaxrod.stepping import rollout as rollout
+from jaxrod.stepping import rollout_times as rollout_times
+from jaxrod.stepping import step as step
+
+__version__: str
