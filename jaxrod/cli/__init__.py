@@ -20,8 +20,8 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from importlib import metadata
 
+from jaxrod import __version__
 from jaxrod._jax_version import UnsoundJaxError
 
 COMMANDS = {
@@ -96,7 +96,7 @@ def _parser(
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="say which it is")
+    parser.add_argument("--version", action="version", version=f"jaxrod {__version__}")
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True, dest="command"
     )
@@ -111,15 +111,6 @@ def _parser(
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
     return parser, chosen if chosen in COMMANDS else None
-
-
-class _Version(argparse.Action):
-    """Prints the installed version; it is looked up only when asked for."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, *_: object, **__: object
-    ) -> None:
-        parser.exit(message=f"jaxrod {metadata.version('jaxrod')}\n")
 
 
 def _sentence(error: ValueError | OSError | ImportError) -> str:

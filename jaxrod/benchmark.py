@@ -1,0 +1,343 @@
+"""Rod-steps per second on this machine, beside PyElastica's in the same run.
+
+The arm is that of `jaxrod.benchmark_pyelastica`: 20 elements, clamped, damped, bent
+by a couple on every element. Every arm of a batch has couples of its own, as in
+reinforcement learning; here they are equal, so that the arms must stay equal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from jaxrod.actuation import ElementCouples
+from jaxrod.benchmark_pyelastica import (
+    DAMPING_RATE,
+    ELEMENT_COUPLE,
+    TIME_STEP,
+    pyelastica_steps_per_s,
+)
+from jaxrod.effects import clamp, exponential_damping, fixed_end
+from jaxrod.factories import straight_rod
+from jaxrod.rod import RodState
+from jaxrod.scene import MODES, Mode, Scene, make_scene
+from jaxrod.stepping import advance
+
+N_ELEMENTS = 20
+BATCHES = (1, 64, 256, 1024, 4096)
+DTYPES = ("float32", "float64")
+WINDOWS = 5
+_AXIS = "arm"
+
+AdvanceArms = Callable[[RodState, int], RodState]
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """What was measured of one batch.
+
+    Attributes:
+        batch: number of arms.
+        dtype: "float32" or "float64".
+        mode: the scene's mode.
+        rod_steps_per_s: steps of one arm per second, median window [1/s].
+        slowest: of the slowest window [1/s].
+        fastest: of the fastest window [1/s].
+        devices: number of devices the batch was spread over.
+        compile_s: time the program took to compile, not counted above [s].
+        times_pyelastica: ratio to PyElastica's median in the same run; None
+            without PyElastica.
+    """
+
+    batch: int
+    dtype: str
+    mode: Mode
+    rod_steps_per_s: float
+    slowest: float
+    fastest: float
+    devices: int
+    compile_s: float
+    times_pyelastica: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """A whole run.
+
+    Attributes:
+        pyelastica: PyElastica's steps per second before, between and after the
+            rows [1/s]; empty if it is not installed.
+        rows: one for every mode, type and batch.
+    """
+
+    pyelastica: tuple[float, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def pyelastica_steps_per_s(self) -> float | None:
+        """Median of the measurements [1/s]."""
+        return statistics.median(self.pyelastica) if self.pyelastica else None
+
+
+def run_benchmark(
+    batches: Sequence[int] = BATCHES,
+    dtypes: Sequence[str] = DTYPES,
+    modes: Sequence[Mode] = MODES,
+    *,
+    seconds: float = 2.0,
+    devices: Sequence[jax.Device] | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Report:
+    """Measures every combination, and PyElastica before, between and after.
+
+    Args:
+        batches: numbers of arms.
+        dtypes: "float32", "float64" or both.
+        modes: "consistent", "pyelastica" or both.
+        seconds: time to measure each row, and PyElastica each time [s].
+        devices: devices to spread batches over, None for all.
+        say: called with a line of text as each measurement is done.
+
+    Raises:
+        ValueError: an argument is out of range.
+        FloatingPointError: the arms did not move as a single rod does, so that no
+            speed would mean anything.
+    """
+    _check(batches, dtypes, modes, seconds)
+    devices = jax.devices() if devices is None else devices
+    pyelastica: list[float] = []
+
+    def step_pyelastica() -> None:
+        try:
+            rate = pyelastica_steps_per_s(N_ELEMENTS, seconds)
+        except ModuleNotFoundError as missing:
+            if missing.name != "elastica":
+                raise
+            say("PyElastica is not installed")
+            return
+        pyelastica.append(rate)
+        say(f"PyElastica {rate:,.0f} steps/s")
+
+    rows: list[Row] = []
+    step_pyelastica()
+    for mode in modes:
+        for dtype in dtypes:
+            for batch in batches:
+                row = measure(batch, dtype, mode, seconds=seconds, devices=devices)
+                rows.append(row)
+                say(f"{mode} {dtype} {batch}: {row.rod_steps_per_s:,.0f} rod-steps/s")
+            step_pyelastica()
+    report = Report(tuple(pyelastica), tuple(rows))
+    unit = report.pyelastica_steps_per_s
+    if unit is None:
+        return report
+    compared = (
+        dataclasses.replace(row, times_pyelastica=row.rod_steps_per_s / unit)
+        for row in rows
+    )
+    return Report(report.pyelastica, tuple(compared))
+
+
+def measure(
+    batch: int,
+    dtype: str = "float32",
+    mode: Mode = "consistent",
+    *,
+    seconds: float = 2.0,
+    devices: Sequence[jax.Device] | None = None,
+) -> Row:
+    """Measures one batch.
+
+    Args:
+        batch: number of arms.
+        dtype: "float32" or "float64".
+        mode: "consistent" or "pyelastica".
+        seconds: how long to measure [s].
+        devices: devices to spread the batch over, None for all; as many are used as
+            divide it evenly.
+
+    Raises:
+        ValueError: an argument is out of range.
+        FloatingPointError: the arms did not move as a single rod does.
+    """
+    _check([batch], [dtype], [mode], seconds)
+    devices = jax.devices() if devices is None else devices
+    devices = devices[: even_share(batch, len(devices))]
+    with jax.enable_x64(dtype == "float64"):
+        scene, couples, states = arms(batch, mode)
+        if str(states.positions.dtype) != dtype:
+            raise ValueError(f"dtype {dtype} is not to be had with these JAX settings")
+        began = time.perf_counter()
+        run = compile_arms(scene, couples, states, devices)
+        compile_s = time.perf_counter() - began
+        _check_against_one_rod(run(states, 200), scene, couples[0], 200)
+        rates = _time(run, states, batch, seconds)
+    return Row(
+        batch=batch,
+        dtype=dtype,
+        mode=mode,
+        rod_steps_per_s=statistics.median(rates),
+        slowest=min(rates),
+        fastest=max(rates),
+        devices=len(devices),
+        compile_s=compile_s,
+    )
+
+
+def arms(batch: int, mode: Mode) -> tuple[Scene, Float[Array, "batch 3 n"], RodState]:
+    """The scene without its actuation, couples [N m] and states of all arms."""
+    rod, state = straight_rod(
+        N_ELEMENTS, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
+    )
+    held = clamp(state) if mode == "consistent" else fixed_end(state)
+    scene = make_scene(rod, held, exponential_damping(DAMPING_RATE), mode=mode)
+    couples = jnp.zeros((batch, 3, N_ELEMENTS)).at[:, 0].set(ELEMENT_COUPLE)
+    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * batch), state)
+    return scene, couples, states
+
+
+def advance_arms(
+    scene: Scene,
+    couples: Float[Array, "batch 3 n"],
+    states: RodState,
+    dt: Float[Array, ""],
+    n_steps: Int[Array, ""],
+) -> RodState:
+    """Advances a batch of arms, each bent by its own couples: what is timed."""
+
+    def one(couples: Float[Array, "3 n"], state: RodState) -> RodState:
+        effects = (*scene.effects, ElementCouples(couples))
+        actuated = dataclasses.replace(scene, effects=effects)
+        return advance(actuated, state, dt, n_steps)
+
+    if couples.shape[0] > 1:
+        return jax.vmap(one)(couples, states)
+    alone = one(couples[0], jax.tree.map(lambda leaf: leaf[0], states))
+    return jax.tree.map(lambda leaf: leaf[None], alone)
+
+
+def compile_arms(
+    scene: Scene,
+    couples: Float[Array, "batch 3 n"],
+    states: RodState,
+    devices: Sequence[jax.Device],
+) -> AdvanceArms:
+    """Compiles `advance_arms`, every device looping over its share on its own.
+
+    Returns:
+        `(states, n_steps) -> states`; it waits until the result is there.
+    """
+    mesh = jax.make_mesh(
+        (len(devices),), (_AXIS,), axis_types=(AxisType.Auto,), devices=devices
+    )
+    repeated, shared = PartitionSpec(), PartitionSpec(_AXIS)
+    program = jax.shard_map(
+        advance_arms,
+        mesh=mesh,
+        in_specs=(repeated, shared, shared, repeated, repeated),
+        out_specs=shared,
+        check_vma=False,
+    )
+    dt = jnp.asarray(TIME_STEP, states.positions.dtype)
+    scene, dt = jax.device_put((scene, dt), NamedSharding(mesh, repeated))
+    couples, states = jax.device_put((couples, states), NamedSharding(mesh, shared))
+    counts = NamedSharding(mesh, repeated)
+    one = jax.device_put(jnp.int32(1), counts)
+    compiled = jax.jit(program).lower(scene, couples, states, dt, one).compile()
+
+    def run(states: RodState, n_steps: int) -> RodState:
+        states = jax.device_put(states, NamedSharding(mesh, shared))
+        count = jax.device_put(jnp.int32(n_steps), counts)
+        return jax.block_until_ready(compiled(scene, couples, states, dt, count))
+
+    return run
+
+
+def even_share(batch: int, n_devices: int) -> int:
+    """The largest number of devices, up to `n_devices`, that divides the batch."""
+    return max(k for k in range(1, n_devices + 1) if batch % k == 0)
+
+
+def _time(
+    run: AdvanceArms, states: RodState, batch: int, seconds: float
+) -> list[float]:
+    """Rod-steps per second of at least `WINDOWS` windows, and a check of the end."""
+
+    def window(n_steps: int) -> float:
+        nonlocal states
+        began = time.perf_counter()
+        states = run(states, n_steps)
+        return time.perf_counter() - began
+
+    # Lengthen the window until a call's fixed cost no longer shows.
+    n_steps, target = 8, seconds / (WINDOWS + 1)
+    while (took := window(n_steps)) < target / 4:
+        n_steps = int(n_steps * min(8.0, max(2.0, 0.5 * target / took)))
+    n_steps = max(1, int(n_steps * target / took))
+    rates: list[float] = []
+    end = time.perf_counter() + seconds
+    while len(rates) < WINDOWS or time.perf_counter() < end:
+        rates.append(batch * n_steps / window(n_steps))
+    _check_equal(states)
+    return rates
+
+
+def _check_against_one_rod(
+    states: RodState, scene: Scene, couples: Float[Array, "3 n"], n_steps: int
+) -> None:
+    """Compares every arm with `jaxrod.advance` on a single rod."""
+    _check_equal(states)
+    actuated = dataclasses.replace(
+        scene, effects=(*scene.effects, ElementCouples(couples))
+    )
+    start = jax.tree.map(lambda leaf: leaf[0], arms(1, scene.mode)[2])
+    alone = advance(actuated, start, TIME_STEP, n_steps)
+    _compare("a single rod", states, jax.tree.map(np.asarray, alone))
+
+
+def _check_equal(states: RodState) -> None:
+    """Checks that all arms are finite and, having the same couples, equal."""
+    first = jax.tree.map(lambda leaf: np.asarray(leaf)[0], states)
+    _compare("the first arm", states, first)
+
+
+def _compare(other: str, states: RodState, expected: Any) -> None:
+    for name in ("positions", "velocities", "orientations", "angular_momenta"):
+        got = np.asarray(getattr(states, name))
+        want = getattr(expected, name)
+        # Rounding differs between the lanes of a vector and a remainder of the loop.
+        tolerance = np.sqrt(np.finfo(got.dtype).eps) * max(1.0, np.max(np.abs(want)))
+        error = np.max(np.abs(got - want[None]))
+        if not error <= tolerance:
+            raise FloatingPointError(
+                f"{name} of an arm differ by {error:.1e} from those of {other} "
+                f"(limit {tolerance:.1e}): this program computes wrong numbers"
+            )
+
+
+def _check(
+    batches: Sequence[int],
+    dtypes: Sequence[str],
+    modes: Sequence[str],
+    seconds: float,
+) -> None:
+    for batch in batches:
+        if batch < 1:
+            raise ValueError(f"batches must be at least 1, got {batch}")
+    for name, values, known in (("dtypes", dtypes, DTYPES), ("modes", modes, MODES)):
+        for value in values:
+            if value not in known:
+                raise ValueError(
+                    f"{name} must be among {', '.join(known)}; got {value!r}"
+                )
+    if not 0 < seconds < float("inf"):
+        raise ValueError(f"seconds must be positive and finite, got {seconds} s")

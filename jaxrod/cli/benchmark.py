@@ -1,0 +1,194 @@
+"""Measure rod-steps per second on this machine, beside PyElastica's.
+
+The arm has 20 elements and is clamped, damped and actuated. Batches of it are
+stepped in float32 and float64, with both elastic laws, spread over the CPU cores
+(a single arm runs on one). PyElastica steps the same arm in the same run, before,
+between and after: on a busy machine compare ratios, not rates. Compiling is not
+counted. A rate is the median over at least five windows; before a batch is timed,
+its arms are checked against a single one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxrod.benchmark import Report
+
+EXAMPLES = """\
+examples:
+  jaxrod benchmark                          everything, in about two minutes
+  jaxrod benchmark --batches 1 1024 --dtypes float32 --modes consistent
+  jaxrod benchmark --json > here.json       for a script
+  jaxrod benchmark --out benchmarks/rod_steps/my_machine
+  JAX_PLATFORMS=cpu jaxrod benchmark        leave the accelerator out
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod benchmark`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument(
+        "--batches",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="numbers of arms (default: 1 64 256 1024 4096)",
+    )
+    parser.add_argument(
+        "--dtypes",
+        nargs="+",
+        metavar="TYPE",
+        help="float32, float64 or both (default: both)",
+    )
+    parser.add_argument(
+        "--modes",
+        nargs="+",
+        metavar="MODE",
+        help="consistent, pyelastica or both (default: both)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=2.0,
+        metavar="S",
+        help="time to measure each row, and PyElastica each time (default: 2)",
+    )
+    parser.add_argument(
+        "--devices",
+        type=int,
+        metavar="N",
+        help="CPU devices to spread batches over (default: one per core)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="also write DIR/rod_steps.json and DIR/rod_steps.md",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of a table"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures and prints."""
+    import jaxrod
+
+    jaxrod.configure_cpu(args.devices)
+    from jaxrod import benchmark
+    from jaxrod.scene import MODES
+
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+    try:
+        report = benchmark.run_benchmark(
+            args.batches or benchmark.BATCHES,
+            args.dtypes or benchmark.DTYPES,
+            args.modes or MODES,
+            seconds=args.seconds,
+            say=lambda line: print(line, file=sys.stderr, flush=True),
+        )
+    except FloatingPointError as error:
+        print(f"jaxrod benchmark: {error}", file=sys.stderr)
+        return 1
+    result = {
+        "pyelastica_steps_per_s": report.pyelastica_steps_per_s,
+        "rows": [dataclasses.asdict(row) for row in report.rows],
+        "pyelastica_measurements": list(report.pyelastica),
+        "n_elements": benchmark.N_ELEMENTS,
+        "dt": benchmark.TIME_STEP,
+        "machine": _machine(load),
+    }
+    text = json.dumps(result, indent=2)
+    if args.out is not None:
+        from jaxrod.viz.files import write_atomically
+
+        write_atomically(args.out / "rod_steps.json", f"{text}\n".encode())
+        page = f"# Rod-steps per second\n\n{_table(report, result['machine'])}"
+        write_atomically(args.out / "rod_steps.md", page.encode())
+    print(text if args.json else _table(report, result["machine"]).rstrip())
+    return 0
+
+
+def _machine(load: float | None) -> dict[str, Any]:
+    """What the numbers depend on."""
+    import jax
+
+    from jaxrod.backend import available_cores
+
+    versions = {"python": platform.python_version()}
+    for package in ("jax", "jaxlib", "numpy", "pyelastica"):
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "processor": _processor(),
+        "cores": available_cores(),
+        "load_average_before": load,
+        "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "versions": versions,
+    }
+
+
+def _processor() -> str:
+    """The processor's name, as well as it can be found out."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def _table(report: Report, machine: dict[str, Any]) -> str:
+    """The report as a Markdown table, which reads well in a terminal too."""
+    versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items())
+    lines = [f"{machine['processor']}, {machine['devices']}; {versions}", ""]
+    unit = report.pyelastica_steps_per_s
+    if unit is None:
+        lines.append(
+            "PyElastica is not installed, so there is nothing to compare with "
+            "(pip install pyelastica)."
+        )
+    else:
+        low, high = min(report.pyelastica), max(report.pyelastica)
+        lines.append(
+            f"PyElastica: {unit:,.0f} steps/s in one process (median of "
+            f"{len(report.pyelastica)} measurements, {low:,.0f} to {high:,.0f})."
+        )
+    heads = ("mode", "dtype", "batch", "rod-steps/s", "x PyElastica", "devices")
+    body = [
+        (
+            row.mode,
+            row.dtype,
+            str(row.batch),
+            f"{row.rod_steps_per_s:,.0f}",
+            "-" if row.times_pyelastica is None else f"{row.times_pyelastica:.1f}",
+            str(row.devices),
+        )
+        for row in report.rows
+    ]
+    widths = [max(len(line[i]) for line in (heads, *body)) for i in range(len(heads))]
+    rule = tuple("-" * (w - 1) + (":" if i > 1 else "-") for i, w in enumerate(widths))
+    lines.append("")
+    for line in (heads, rule, *body):
+        cells = (
+            f"{cell:>{width}}" if i > 1 else f"{cell:<{width}}"
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    compiling = sum(row.compile_s for row in report.rows)
+    lines += ["", f"Compiling took {compiling:.0f} s and is not counted."]
+    return "\n".join(lines) + "\n"
