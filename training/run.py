@@ -70,6 +70,7 @@ class Run:
         show: bool,
         log: Callable[[dict[str, Any]], None] | None,
     ) -> None:
+        """Makes the first train state, or restores the last; see `train`."""
         self.began = time.monotonic()
         self.env, self.learner, self.env_params = env, learner, env_params
         self.asked, self.folder, self.devices = asked, folder, devices
@@ -86,7 +87,7 @@ class Run:
 
         # The mesh first: it fails at once where the devices do not fit.
         self.mesh = device_mesh(devices)
-        start = jax.jit(learner.init, static_argnums=(1, 4))
+        start = jax.jit(learner.init, static_argnums=1)
         key = jax.random.key(asked["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
         if resume and self.checkpoints and self.checkpoints.latest_step() is not None:
@@ -99,6 +100,7 @@ class Run:
 
     @property
     def env_steps(self) -> int:
+        """Control steps done."""
         return self.done * self.per_update
 
     def _clock(self) -> float:
@@ -159,10 +161,9 @@ class Run:
         self._clock()
         bar.close()
         if self.done < self.total:
-            where = (
-                f"; resume=True continues in {self.folder.path}" if self.folder else ""
-            )
-            bar.message(f"stopped after {self.env_steps:,} steps{where}")
+            bar.message(f"stopped after {self.env_steps:,} steps")
+            if self.folder:
+                bar.message(f"resume=True continues the run in {self.folder.path}")
         return {
             "compile_s": compiled - began,
             "loop_steps_per_s": (self.env_steps - steps_before)
