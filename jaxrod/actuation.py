@@ -61,6 +61,7 @@ class ControlSpline:
         local = points - self.origins[piece]
         powers = jnp.stack([jnp.ones_like(local), local, local**2, local**3])
         basis = jnp.sum(self.coefficients[piece] * powers.T[:, :, None], axis=1)
+        basis = jnp.expand_dims(basis, tuple(range(controls.ndim - 1)))
         return jnp.sum(controls[..., None, :] * basis, axis=-1)
 
 

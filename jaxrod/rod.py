@@ -108,9 +108,9 @@ class RodState:
         return directors_from_orientations(self.orientations)
 
     @property
-    def tip(self) -> Float[Array, "3"]:
-        """Position of the last node [m]."""
-        return self.positions[:, -1]
+    def tip(self) -> Float[Array, "*batch 3"]:
+        """Position of the last node [m]; of a rollout, at every record."""
+        return self.positions[..., -1]
 
 
 def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
