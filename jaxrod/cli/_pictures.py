@@ -1,0 +1,73 @@
+"""The pictures of a run: its learning curve and a replay of its policy."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxrod.cli import _runs
+
+if TYPE_CHECKING:
+    from jaxrod.training import Policy
+
+
+def draw_learning_curve(path: Path, config: Mapping[str, Any]) -> Path | None:
+    """Draws `learning_curve.png` into a run folder, or says why there is none."""
+    from jaxrod import viz
+
+    out = path / "learning_curve.png"
+    try:
+        viz.learning_curve(
+            path / "progress.csv",
+            out,
+            paper=_runs.paper_result(config),
+            title=_runs.describe(config),
+        )
+    except ModuleNotFoundError as missing:
+        if missing.name != "matplotlib":
+            raise
+        _note('the learning curve needs matplotlib: pip install "jaxrod[viz]"')
+    except FileNotFoundError:
+        _note("no learning curve: the run has not logged anything yet")
+    except ValueError as error:
+        _note(f"no learning curve: {error}")
+    else:
+        return out
+    return None
+
+
+def write_replay(
+    run: _runs.StoredRun,
+    policy: Policy,
+    out: Path,
+    *,
+    seconds: float | None = None,
+    seed: int = 0,
+) -> Path | None:
+    """Plays the policy and writes a page that shows it, where there is an arm."""
+    from jaxrod import viz
+    from jaxrod.cli import _recording
+
+    if not _recording.drawable(run.env):
+        _note(f"no replay: {run.env.name} has no arm to draw")
+        return None
+    replay = _recording.record(
+        run.env, policy, seconds=seconds, seed=seed, title=run.title
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    viz.save_html(replay, out, frames_per_second=_recording.FRAMES_PER_SECOND)
+    return out
+
+
+def print_paths(*paths: Path | None) -> None:
+    """Prints what was written, one file a line."""
+    for path in paths:
+        if path is not None:
+            print(os.fspath(path))
+
+
+def _note(text: str) -> None:
+    print(text, file=sys.stderr)

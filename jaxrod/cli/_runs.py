@@ -1,0 +1,151 @@
+"""Opening what `jaxrod train` left, with a clear sentence where something is amiss."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxrod.envs import Environment
+    from jaxrod.training import Policy
+    from jaxrod.viz import PaperResult
+
+PAPER_CASES = {"tracking": "Case1"}
+"""What the paper calls a case."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StoredRun:
+    """A run on disk, finished or not.
+
+    Attributes:
+        path: its folder.
+        config: what was asked for, as in `config.json`.
+        env: the environment it was trained on.
+    """
+
+    path: Path
+    config: dict[str, Any]
+    env: Environment
+
+    @property
+    def title(self) -> str:
+        """The run in a few words."""
+        return describe(self.config)
+
+    def policy(self) -> Policy:
+        """Reads the deterministic policy.
+
+        Raises:
+            ValueError: there is none yet, or it is damaged or of another task.
+        """
+        from jaxrod.training import load_policy
+
+        folder = self.path / "policy"
+        if not (folder / "policy.json").exists():
+            raise ValueError(
+                f"{self.path} holds no policy yet: it is saved with the first "
+                "checkpoint and at the end of training"
+            )
+        try:
+            policy = load_policy(folder)
+            sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]
+        except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as e:
+            raise ValueError(f"{folder} is damaged: {e}") from e
+        wanted = self.env.observation_size, self.env.action_size
+        if sizes != wanted:
+            raise ValueError(
+                f"{folder} maps {sizes[0]} observations to {sizes[1]} actions, but "
+                f"{self.env.name} has {wanted[0]} and {wanted[1]}"
+            )
+        return policy
+
+
+def open_run(path: Path) -> StoredRun:
+    """Reads what the run in a folder was.
+
+    Raises:
+        ValueError: there is no run, or its `config.json` is damaged.
+    """
+    config = read_config(path)
+    return StoredRun(path, config, make_case(config["case"], config["env_options"]))
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Reads `config.json` of a run.
+
+    Raises:
+        ValueError: there is no run, or the file is damaged.
+    """
+    file = path / "config.json"
+    if not file.exists():
+        what = "holds no run (no config.json)" if path.is_dir() else "does not exist"
+        raise ValueError(
+            f"{path} {what}; a run is made by: jaxrod train CASE --out {path}"
+        )
+    try:
+        config = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{file} is damaged: {error}") from error
+    kinds = {
+        "case": str,
+        "env_options": dict,
+        "algorithm": str,
+        "steps": int,
+        "seed": int,
+        "settings": dict,
+    }
+    for name, kind in kinds.items():
+        if not (isinstance(config, dict) and isinstance(config.get(name), kind)):
+            raise ValueError(f"{file} is damaged: it has no proper {name!r}")
+    return config
+
+
+def make_case(case: str, options: Mapping[str, Any]) -> Environment:
+    """Makes the environment of a case.
+
+    Raises:
+        ValueError: there is no such case, or no such variant of it.
+    """
+    from jaxrod import envs
+
+    if case not in envs.names():
+        raise ValueError(f"case must be one of {', '.join(envs.names())}; got {case!r}")
+    env = envs.make(case)
+    unknown = [name for name in options if not hasattr(env, name)]
+    if unknown:
+        raise ValueError(f"case {case!r} has no {' or '.join(unknown)} to choose")
+    return envs.make(case, **options) if options else env
+
+
+def describe(config: Mapping[str, Any]) -> str:
+    """A run in a few words, such as "tracking (paper), ppo, seed 0"."""
+    variant = f" ({config['variant']})" if config.get("variant") else ""
+    return f"{config['case']}{variant}, {config['algorithm']}, seed {config['seed']}"
+
+
+def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
+    """What the paper reached at this; None where scores do not compare."""
+    from jaxrod import viz
+
+    if config.get("variant") != "paper" or config["case"] not in PAPER_CASES:
+        return None
+    try:
+        return viz.paper_result(PAPER_CASES[config["case"]], config["algorithm"])
+    except ValueError:
+        return None
+
+
+def paper_sentence(config: Mapping[str, Any]) -> str:
+    """The paper's score in words, after a separator; empty if there is none."""
+    paper = paper_result(config)
+    if paper is None:
+        return ""
+    return (
+        f"; the paper's {paper.algorithm}: {paper.final_mean:,.0f} "
+        f"after {paper.wall_hours:.1f} h"
+    )

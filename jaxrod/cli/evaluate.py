@@ -1,0 +1,79 @@
+"""Measure the policy of a run.
+
+Plays complete episodes of the deterministic policy side by side, with randomness
+that training never saw, and reports their returns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+EXAMPLES = """\
+examples:
+  jaxrod evaluate runs/first
+  jaxrod evaluate runs/first --episodes 100 --seed 7
+  jaxrod evaluate runs/first --json              for a script: score, returns, ...
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod evaluate`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument(
+        "--episodes", type=int, default=32, metavar="N", help="how many (default: 32)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the episodes (default: 1)"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of text"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plays the episodes and prints how they went."""
+    import jaxrod
+    from jaxrod.cli import _runs
+
+    if args.episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {args.episodes}")
+    if args.seed < 0:
+        raise ValueError(f"seed must not be negative, got {args.seed}")
+    jaxrod.configure_cpu()
+    stored = _runs.open_run(args.run_folder)
+    policy = stored.policy()
+    from jaxrod.training import evaluate
+
+    began = time.perf_counter()
+    found = evaluate(stored.env, policy, episodes=args.episodes, seed=args.seed)
+    wall = time.perf_counter() - began
+    if args.json:
+        result = {
+            "run": str(stored.path),
+            "case": stored.config["case"],
+            "variant": stored.config.get("variant"),
+            "algorithm": stored.config["algorithm"],
+            "episodes": args.episodes,
+            "seed": args.seed,
+            "score": found.mean,
+            "score_std": found.standard_deviation,
+            "flagged_fraction": found.flagged_fraction,
+            "returns": found.returns.tolist(),
+            "lengths": found.lengths.tolist(),
+            "wall_s": wall,
+        }
+        print(json.dumps(result, indent=2))
+        return 0
+    print(f"{stored.title}: {args.episodes} episodes of the deterministic policy")
+    print(
+        f"return    {found.mean:,.1f} ± {found.standard_deviation:,.1f} "
+        f"({found.returns.min():,.1f} to {found.returns.max():,.1f})"
+        f"{_runs.paper_sentence(stored.config)}"
+    )
+    print(f"flagged   {found.flagged_fraction:.1%} of the episodes")
+    print(f"took      {wall:.1f} s, compiling included")
+    return 0

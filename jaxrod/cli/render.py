@@ -1,0 +1,62 @@
+"""Draw the learning curve and a replay of a run.
+
+Writes RUN/learning_curve.png, with the paper's result where the run compares with
+it, and RUN/replay.html: one episode of the deterministic policy, as a page that
+plays in any browser without a network. Works while the run is still training, from
+its last checkpoint on.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+EXAMPLES = """\
+examples:
+  jaxrod render runs/first
+  jaxrod render runs/first --seed 3 --out episode3.html     another episode
+  jaxrod render runs/first --seconds 3                      the first 3 s only
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod render`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="where to write the replay (default: RUN/replay.html)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="simulated time to show (default: a whole episode)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="which episode to show (default: 0)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draws and prints the names of the files."""
+    import jaxrod
+    from jaxrod.cli import _pictures, _runs
+
+    if args.seconds is not None and not 0 < args.seconds < float("inf"):
+        raise ValueError(f"seconds must be positive and finite, got {args.seconds} s")
+    if args.seed < 0:
+        raise ValueError(f"seed must not be negative, got {args.seed}")
+    jaxrod.configure_cpu()
+    stored = _runs.open_run(args.run_folder)
+    _pictures.print_paths(_pictures.draw_learning_curve(stored.path, stored.config))
+    out = args.out or stored.path / "replay.html"
+    policy = stored.policy()
+    _pictures.print_paths(
+        _pictures.write_replay(
+            stored, policy, out, seconds=args.seconds, seed=args.seed
+        )
+    )
+    return 0

@@ -1,0 +1,320 @@
+"""Train a policy on a task.
+
+CASE is a task: `tracking` (a soft arm follows a moving target; variants `paper`,
+whose scores compare with the published ones, and `clean`) or `trivial` (solved in
+seconds, to try things out).
+
+The run folder gets config.json, progress.csv (env_steps, wall_s,
+episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
+learning_curve.png and replay.html. Ctrl-C saves and stops; --resume goes on, and
+ends as if nothing had happened.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+STEPS = 10_000_000
+"""Control steps by default: the published budget."""
+
+EXAMPLES = """\
+examples:
+  jaxrod train tracking                                    the paper's, a few minutes
+  jaxrod train tracking --variant clean --steps 5M --seed 1 --out runs/clean
+  jaxrod train tracking --resume --out runs/clean          go on after a stop
+  jaxrod train trivial --steps 200k --num-envs 32 --set rollout_steps=64
+  jaxrod train tracking --set learning_rate=3e-4 --set hidden_sizes=128,128
+  jaxrod train tracking --json > result.json               for a script: summary.json
+
+`--set help` lists the settings of the algorithm with their defaults.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod train`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("case", metavar="CASE", help="tracking or trivial")
+    parser.add_argument("--variant", help="paper or clean (default: paper)")
+    parser.add_argument("--algorithm", help="the learner (default: ppo)")
+    parser.add_argument(
+        "--steps",
+        type=_count,
+        metavar="N",
+        help="control steps, such as 500k or 10M (default: 10M)",
+    )
+    parser.add_argument("--seed", type=int, help="of all randomness (default: 0)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the run (default: runs/CASE-VARIANT-ALGORITHM-SEED)",
+    )
+    existing = parser.add_mutually_exclusive_group()
+    existing.add_argument(
+        "--resume",
+        action="store_true",
+        help="continue the run in DIR; what is not given is as it was",
+    )
+    existing.add_argument(
+        "--overwrite", action="store_true", help="replace the run in DIR"
+    )
+    parser.add_argument(
+        "--num-envs",
+        type=int,
+        metavar="N",
+        help="environments side by side; short for --set num_envs=N",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a setting of the algorithm; may be given several times",
+    )
+    parser.add_argument(
+        "--devices",
+        type=int,
+        metavar="N",
+        help="devices to spread the environments over (default: as many as fit)",
+    )
+    parser.add_argument(
+        "--no-replay", action="store_true", help="do not write replay.html"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print summary.json instead of text"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Trains, draws, and prints the result."""
+    import jaxrod
+    from jaxrod.cli import _runs
+    from jaxrod.training import find_algorithm, train
+
+    stored = None
+    if args.resume:
+        stored = _runs.read_config(_folder(args, None))
+        if stored["case"] != args.case:
+            raise ValueError(
+                f"{_folder(args, None)} holds a run of {stored['case']}, "
+                f"not of {args.case}"
+            )
+    learner = find_algorithm(_chosen(args.algorithm, stored, "algorithm", "ppo"))
+    if "help" in args.set:
+        print(_settings_help(learner.config_type()))
+        return 0
+    options = dict(stored["env_options"]) if stored else {}
+    if args.variant is not None:
+        options["variant"] = args.variant
+    env = _runs.make_case(args.case, options)
+    if hasattr(env, "variant"):
+        options["variant"] = env.variant
+    seed = _chosen(args.seed, stored, "seed", 0)
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed}")
+    words = list(args.set)
+    if args.num_envs is not None:
+        words.append(f"num_envs={args.num_envs}")
+    config = _configure(
+        learner.config_type(), stored["settings"] if stored else {}, words
+    )
+    out = _folder(args, options.get("variant"))
+    if not (args.resume or args.overwrite) and (out / "config.json").exists():
+        raise ValueError(
+            f"{out} holds a run already: continue it with --resume, replace it with "
+            "--overwrite, or choose another folder with --out"
+        )
+
+    wanted = getattr(config, "num_envs", 1)
+    jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
+    import jax
+
+    devices = jax.devices()[: _share(wanted, args.devices, jax.device_count())]
+    try:
+        result = train(
+            env,
+            learner,
+            steps=_chosen(args.steps, stored, "steps", STEPS),
+            seed=seed,
+            out=out,
+            config=config,
+            env_options=options,
+            resume=args.resume,
+            overwrite=args.overwrite,
+            devices=devices,
+        )
+    except FloatingPointError as error:
+        print(f"jaxrod train: {error}", file=sys.stderr)
+        return 1
+    summary = result.summary
+    if args.overwrite:
+        for name in ("learning_curve.png", "replay.html"):
+            (out / name).unlink(missing_ok=True)
+    if summary["status"] == "interrupted":
+        print(
+            f"continue with: jaxrod train {args.case} --resume --out {out}",
+            file=sys.stderr,
+        )
+        return 130
+    pictures = _draw(out, result.policy, replay=not args.no_replay)
+    if args.json:
+        print(json.dumps({**summary, "run": str(out)}, indent=2))
+        return 0
+    for line in _lines(summary):
+        print(line)
+    from jaxrod.cli._pictures import print_paths
+
+    print_paths(*pictures)
+    return 0
+
+
+def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
+    """Draws what there is to draw of a finished run."""
+    from jaxrod.cli import _pictures, _runs
+
+    stored = _runs.open_run(out)
+    drawn = [_pictures.draw_learning_curve(out, stored.config)]
+    if replay:
+        drawn.append(_pictures.write_replay(stored, policy, out / "replay.html"))
+    return drawn
+
+
+def _lines(summary: Mapping[str, Any]) -> list[str]:
+    """The result in words."""
+    from jaxrod.cli import _runs
+
+    final = summary["final_score"]
+    score = "no episode was completed"
+    if final is not None:
+        episodes = min(summary["score_window"], summary["episodes"])
+        score = f"{final:,.1f}, mean return of the last {episodes} training episodes"
+    lines = [
+        f"{_runs.describe(summary)}: {summary['env_steps']:,} control steps in "
+        f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s",
+        f"final score   {score}{_runs.paper_sentence(summary)}",
+    ]
+    if "evaluation_score" in summary:
+        lines.append(
+            f"evaluation    {summary['evaluation_score']:,.1f} ± "
+            f"{summary['evaluation_std']:,.1f}, "
+            f"{summary['evaluation_episodes']} episodes of the deterministic policy"
+        )
+    lines.append(
+        f"flagged       {summary['flagged_fraction']:.1%} of the training episodes"
+    )
+    return lines
+
+
+def _folder(args: argparse.Namespace, variant: str | None) -> Path:
+    """The folder of the run; by default named after what is trained."""
+    if args.out is not None:
+        return args.out
+    words = [args.case, variant, args.algorithm or "ppo", str(args.seed or 0)]
+    if args.resume and variant is None:
+        words[1] = args.variant or _default_variant(args.case)
+    return Path("runs") / "-".join(word for word in words if word)
+
+
+def _default_variant(case: str) -> str | None:
+    from jaxrod.cli import _runs
+
+    return getattr(_runs.make_case(case, {}), "variant", None)
+
+
+def _chosen(
+    given: Any, stored: Mapping[str, Any] | None, name: str, default: Any
+) -> Any:
+    """What was given now, else what the run was started with, else the default."""
+    if given is not None:
+        return given
+    return stored[name] if stored else default
+
+
+def _configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) -> Any:
+    """The configuration: defaults, then the stored settings, then NAME=VALUE words.
+
+    Raises:
+        ValueError: a name is unknown or a value is not of its kind.
+    """
+    known = {field.name for field in dataclasses.fields(defaults)}
+    changes = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in stored.items()
+        if name in known
+    }
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise ValueError(f"--set needs NAME=VALUE, got {word!r}")
+        if name not in known:
+            raise ValueError(
+                f"there is no setting {name!r}; there are {', '.join(sorted(known))}"
+            )
+        changes[name] = _parse(name, text, getattr(defaults, name))
+    return dataclasses.replace(defaults, **changes)
+
+
+def _parse(name: str, text: str, default: Any) -> Any:
+    """Reads a value of the same kind as the default."""
+    try:
+        if isinstance(default, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if isinstance(default, tuple):
+            return tuple(int(part) for part in text.split(",") if part)
+        if isinstance(default, int):
+            return _count(text)
+        if isinstance(default, float):
+            return float(text)
+        return text
+    except (ValueError, KeyError) as error:
+        kinds = {bool: "true or false", tuple: "integers with commas between"}
+        kinds |= {int: "an integer", float: "a number"}
+        raise ValueError(f"{name} must be {kinds[type(default)]}, got {text!r}") from (
+            error
+        )
+
+
+def _settings_help(defaults: Any) -> str:
+    """Every setting with its default."""
+    lines = []
+    for field in dataclasses.fields(defaults):
+        value = getattr(defaults, field.name)
+        shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
+        lines.append(f"{field.name}={shown}")
+    return "\n".join(lines)
+
+
+def _share(num_envs: int, asked: int | None, available: int | None) -> int:
+    """How many devices to use: those asked for, or as many as divide the batch.
+
+    Args:
+        num_envs: environments to spread.
+        asked: what --devices said.
+        available: devices there are; None before JAX has started, for the cores.
+    """
+    if asked is not None:
+        return asked
+    if available is None:
+        from jaxrod.backend import available_cores
+
+        available = available_cores()
+    return max(k for k in range(1, available + 1) if k == 1 or num_envs % k == 0)
+
+
+def _count(text: str) -> int:
+    """Reads a count such as 300, 500k, 10M or 1e7."""
+    sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
+    number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
+    value = float(number) * size
+    if value != int(value):
+        raise ValueError(f"{text} is not a whole number")
+    return int(value)
+
+
+_count.__name__ = "count"  # argparse names it when a count cannot be read
