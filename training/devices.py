@@ -81,7 +81,7 @@ def compile_updates(
     )
     count = jax.ShapeDtypeStruct((), jnp.int32)
     lowered = jax.jit(program, donate_argnums=0).lower(state, count)
-    compiled = lowered.compile(compiler_options=compiler_options())
+    compiled = lowered.compile()
     repeated = NamedSharding(mesh, PartitionSpec())
 
     def run(state: Any, count: int) -> tuple[Any, Metrics]:
@@ -92,8 +92,3 @@ def compile_updates(
 
 def _is_spec(leaf: Any) -> bool:
     return isinstance(leaf, PartitionSpec)
-
-
-def compiler_options() -> dict[str, Any]:
-    """Options that suit the backend, for programs that step rods."""
-    return {}

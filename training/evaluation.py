@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
-from jaxrod.training.devices import compiler_options
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def evaluate(
     if not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0]):
         # A plain function: part of the program. A `Policy` is an argument of it.
         policy = jax.tree_util.Partial(policy)
-    record = _run_episodes()(jax.random.key(seed), policy, params, env, episodes)
+    record = _episodes(jax.random.key(seed), policy, params, env, episodes)
     return Evaluation(
         np.asarray(record.episode_return),
         np.asarray(record.length),
@@ -81,14 +80,7 @@ def evaluate(
     )
 
 
-@functools.cache
-def _run_episodes() -> Callable[..., EpisodeRecord]:
-    """The program, with the options of the backend in use."""
-    return jax.jit(
-        _episodes, static_argnums=(3, 4), compiler_options=compiler_options()
-    )
-
-
+@partial(jax.jit, static_argnums=(3, 4))
 def _episodes(
     key: Key[Array, ""],
     policy: Callable[[Array], Array],

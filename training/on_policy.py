@@ -92,19 +92,18 @@ class Experience:
     value: Float[Array, "steps num_envs"]
 
 
-def policy_network(env: Environment, config: OnPolicyConfig) -> GaussianPolicy:
+def policy_network(
+    env: Environment, config: OnPolicyConfig, dtype: DTypeLike
+) -> GaussianPolicy:
     """The policy network; weights come from the train state."""
     return GaussianPolicy(
-        config.hidden_sizes,
-        env.action_size,
-        config.initial_log_std,
-        dtype=_dtype(env),
+        config.hidden_sizes, env.action_size, config.initial_log_std, dtype=dtype
     )
 
 
-def value_network(env: Environment, config: OnPolicyConfig) -> MultilayerPerceptron:
+def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> MultilayerPerceptron:
     """The value network; weights come from the train state."""
-    return MultilayerPerceptron(config.hidden_sizes, 1, dtype=_dtype(env))
+    return MultilayerPerceptron(config.hidden_sizes, 1, dtype=dtype)
 
 
 def log_density(
@@ -134,16 +133,20 @@ def start(
         total_updates: length of the schedules, in updates.
         optimiser: optax transformation, to make its state.
     """
-    dtype = _dtype(env)
-    env_params = env.default_params() if env_params is None else env_params
+    if env_params is None:
+        # Factories look at their numbers, which a trace would hide from them.
+        with jax.ensure_compile_time_eval():
+            env_params = env.default_params()
+    # The type of the observations is the type all learning is done in.
+    dtype = jax.eval_shape(env.reset, key, env_params)[0].dtype
     env_params = jax.tree.map(lambda leaf: _strong(leaf, dtype), env_params)
     # One type for all numbers, whether they came as floats or as arrays.
     config = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), config)
     keys = jax.random.split(key, 5)
     dummy = jnp.zeros(env.observation_size, dtype)
     weights = {
-        "policy": policy_network(env, config).init(keys[0], dummy)["params"],
-        "value": value_network(env, config).init(keys[1], dummy)["params"],
+        "policy": policy_network(env, config, dtype).init(keys[0], dummy)["params"],
+        "value": value_network(config, dtype).init(keys[1], dummy)["params"],
     }
     environments = VectorEnvironment(env).reset(
         keys[2], config.num_envs, env_params, spread_phases=config.spread_phases
@@ -174,8 +177,9 @@ def gather_experience(
         ended in it.
     """
     config: OnPolicyConfig = state.config
-    policy = policy_network(state.env, config)
-    values = value_network(state.env, config)
+    dtype = state.environments.observation.dtype
+    policy = policy_network(state.env, config, dtype)
+    values = value_network(config, dtype)
 
     def normalised(observation: Array) -> Array:
         return normalise(state.moments, observation, config.observation_limit)
@@ -282,20 +286,13 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
 def _noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
     """Noise of the actions of one update, drawn from each environment's own key."""
     shape = (state.config.rollout_steps, state.env.action_size)
+    dtype = state.environments.observation.dtype
     noise = jax.vmap(
         lambda key: jax.random.normal(
-            jax.random.fold_in(key, state.updates), shape, _dtype(state.env)
+            jax.random.fold_in(key, state.updates), shape, dtype
         )
     )(state.action_keys)
     return jnp.swapaxes(noise, 0, 1)
-
-
-def _dtype(env: Environment) -> DTypeLike:
-    """Type of the observations, which all learning is done in."""
-    shapes = jax.eval_shape(
-        lambda key: env.reset(key, env.default_params())[0], jax.random.key(0)
-    )
-    return shapes.dtype
 
 
 def _strong(leaf: Any, dtype: DTypeLike) -> Array:

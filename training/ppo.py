@@ -203,7 +203,8 @@ def _loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """The clipped objective, turned to be minimised, and what to report of it."""
     batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
-    mean, log_std = policy_network(env, config).apply(
+    dtype = batch.observation.dtype
+    mean, log_std = policy_network(env, config, dtype).apply(
         {"params": weights["policy"]}, batch.observation
     )
     standardised = (batch.action - mean) * jnp.exp(-log_std)[None]
@@ -212,7 +213,7 @@ def _loss(
     clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
     gain = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
 
-    value = value_network(env, config).apply(
+    value = value_network(config, dtype).apply(
         {"params": weights["value"]}, batch.observation
     )[:, 0]
     value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)

@@ -72,6 +72,7 @@ class Run:
     ) -> None:
         """Makes the first train state, or restores the last; see `train`."""
         self.began = time.monotonic()
+        env_params = env.default_params() if env_params is None else env_params
         self.env, self.learner, self.env_params = env, learner, env_params
         self.asked, self.folder, self.devices = asked, folder, devices
         self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log

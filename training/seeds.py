@@ -12,7 +12,6 @@ from jaxtyping import Array, Int, Key
 
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, find_algorithm
-from jaxrod.training.devices import compiler_options
 
 
 def train_seeds(
@@ -59,6 +58,7 @@ def train_seeds(
             f"got {steps}"
         )
     updates = math.ceil(steps / per_update)
+    params = env.default_params() if env_params is None else env_params
 
     def update(state: Any, _: None) -> tuple[Any, dict[str, Array]]:
         state, metrics = learner.update(state)
@@ -73,8 +73,8 @@ def train_seeds(
         }
 
     def run(key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
-        state = learner.init(key, env, config, env_params, updates * per_update)
+        state = learner.init(key, env, config, params, updates * per_update)
         return jax.lax.scan(update, state, length=updates)
 
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
-    return jax.jit(jax.vmap(run), compiler_options=compiler_options())(keys)
+    return jax.jit(jax.vmap(run))(keys)

@@ -24,7 +24,7 @@ def test_policy_is_the_mean_of_the_learners_distribution():
     state = some_state()
     policy = ppo.PPO.policy(state)
     observation = jnp.linspace(-3, 3, 20)[:, None]
-    mean, _ = policy_network(state.env, state.config).apply(
+    mean, _ = policy_network(state.env, state.config, observation.dtype).apply(
         {"params": state.weights["policy"]},
         normalise(state.moments, observation, state.config.observation_limit),
     )

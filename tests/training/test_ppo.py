@@ -65,6 +65,18 @@ def test_changed_numbers_recompile_nothing():
     assert update._cache_size() == 1
 
 
+def test_start_may_be_traced_although_factories_look_at_their_numbers():
+    class Checking(Trivial):
+        def default_params(self):
+            assert float(jnp.asarray(0.2)) > 0
+            return super().default_params()
+
+    states = jax.vmap(lambda key: ppo.init(key, Checking(), SMALL))(
+        jax.random.split(jax.random.key(0), 2)
+    )
+    assert states.environments.observation.shape == (2, 8, 1)
+
+
 def test_learning_rate_falls_linearly_to_its_end():
     result = train(
         Trivial(),
