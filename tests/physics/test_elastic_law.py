@@ -1,4 +1,4 @@
-"""Internal loads are minus the gradient of a stored energy, whatever the deformation."""
+"""Internal loads are minus the gradient of a stored energy, however bent."""
 
 from dataclasses import replace
 

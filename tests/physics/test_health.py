@@ -1,0 +1,120 @@
+"""Every health flag is raised by a state that deserves it, and by that alone."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from physics.rods import arm, deformed, turn
+
+DT = 1e-4
+FLAGS = ("stretch", "joint_angle", "speed", "spin", "energy")
+
+
+def raised(report):
+    flags = {name for name in FLAGS if getattr(report, name)}
+    return flags if report.finite else flags | {"finite"}
+
+
+def scaled(state, factor):
+    return replace(state, positions=factor * state.positions)
+
+
+def bent(state, angle):
+    """The last element turned about d1, its node kept at the rest length."""
+    return replace(
+        state,
+        orientations=turn(state.orientations, jnp.zeros((3, 5)).at[0, 4].set(angle)),
+    )
+
+
+def moving(state, speed):
+    return replace(state, velocities=state.velocities.at[1, 2].set(speed))
+
+
+def spinning(state, rate):
+    spins = jnp.zeros((3, 5)).at[2, 2].set(rate)
+    return jaxrod.with_angular_velocities(arm(5)[0], state, spins)
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong", "fine", "flag"),
+    [
+        (scaled, 0.29, 0.31, "stretch"),
+        (scaled, 2.51, 2.49, "stretch"),
+        (bent, 2.55, 2.45, "joint_angle"),
+        (moving, 255.0, 245.0, "speed"),
+        (spinning, 10_100.0, 9_900.0, "spin"),
+    ],
+)
+def test_each_flag_is_raised_just_beyond_its_limit(change, wrong, fine, flag):
+    rod, state = arm(5)
+    scene = jaxrod.make_scene(rod)
+    report = jaxrod.health(scene, change(state, wrong), DT)
+    assert raised(report) == {flag}
+    assert bool(report.flagged)
+    report = jaxrod.health(scene, change(state, fine), DT)
+    assert raised(report) == set()
+    assert not bool(report.flagged)
+
+
+def test_the_values_behind_the_flags():
+    rod, state = arm(5)
+    state = moving(spinning(bent(scaled(state, 1.2), 1.5), 70.0), 3.0)
+    report = jaxrod.health(jaxrod.make_scene(rod), state, DT)
+    np.testing.assert_allclose(report.smallest_stretch, 1.2)
+    np.testing.assert_allclose(report.largest_stretch, 1.2)
+    np.testing.assert_allclose(report.largest_joint_angle, 1.5)
+    np.testing.assert_allclose(report.largest_speed, 3.0)
+    np.testing.assert_allclose(report.largest_spin, 70.0)
+
+
+def test_energy_from_nowhere_is_flagged_and_work_is_not():
+    rod, state = arm(5)
+    scene = jaxrod.make_scene(rod)
+    before = jaxrod.total_energy(scene, moving(state, 1.0))
+    after = moving(state, 2.0)
+    gained = float(jaxrod.total_energy(scene, after) - before)
+    assert raised(jaxrod.health(scene, after, DT, energy_before=before)) == {"energy"}
+    report = jaxrod.health(scene, after, DT, energy_before=before, work_input=gained)
+    assert raised(report) == set()
+
+
+@pytest.mark.parametrize(
+    "field", ["positions", "orientations", "velocities", "angular_momenta"]
+)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_flagged(field, bad):
+    rod, state = arm(5)
+    broken = getattr(state, field).at[1, 2].set(bad)
+    scene = jaxrod.make_scene(rod)
+    report = jaxrod.health(
+        scene, replace(state, **{field: broken}), DT, energy_before=1.0
+    )
+    assert "finite" in raised(report)
+    assert bool(report.flagged)
+
+
+def test_nan_everywhere_raises_every_flag():
+    rod, state = arm(5)
+    nothing = jax.tree.map(lambda leaf: leaf * jnp.nan, state)
+    report = jaxrod.health(jaxrod.make_scene(rod), nothing, DT, energy_before=1.0)
+    assert raised(report) == {*FLAGS, "finite"}
+
+
+def test_one_bad_rod_in_a_batch_leaves_the_others_alone():
+    rod, _ = arm(5)
+    scene = jaxrod.make_scene(rod)
+    states = [deformed(rod, seed, 0.3, 0.02, speed=0.1) for seed in range(4)]
+    broken = replace(states[2], velocities=states[2].velocities * jnp.nan)
+    run = jax.jit(jax.vmap(lambda s: jaxrod.advance(scene, s, DT, 20)))
+    good = run(jax.tree.map(lambda *leaves: jnp.stack(leaves), *states))
+    mixed = [*states[:2], broken, states[3]]
+    bad = run(jax.tree.map(lambda *leaves: jnp.stack(leaves), *mixed))
+    flags = jax.vmap(lambda s: jaxrod.health(scene, s, DT).flagged)(bad)
+    np.testing.assert_array_equal(flags, [False, False, True, False])
+    for i in (0, 1, 3):
+        np.testing.assert_array_equal(good.positions[i], bad.positions[i])
