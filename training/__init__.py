@@ -5,6 +5,7 @@ if __name__ != "jaxrod.training":
         "import jaxrod.training, not training: the folder is installed under it"
     )
 
+from jaxrod.training.actuated_arm import ActuatedArm, actuated_arm
 from jaxrod.training.algorithm import (
     Algorithm,
     Metrics,
@@ -18,9 +19,15 @@ from jaxrod.training.ppo import PPO, PPOConfig
 from jaxrod.training.run import Result
 from jaxrod.training.run_folder import RunFolder
 from jaxrod.training.seeds import train_seeds
+from jaxrod.training.trajectory_optimisation import (
+    UnreachableTargetWarning,
+    optimise_trajectory,
+)
+from jaxrod.training.trajectory_result import TrajectoryHistory, TrajectoryResult
 
 __all__ = [
     "PPO",
+    "ActuatedArm",
     "Algorithm",
     "Evaluation",
     "Metrics",
@@ -28,10 +35,15 @@ __all__ = [
     "Policy",
     "Result",
     "RunFolder",
+    "TrajectoryHistory",
+    "TrajectoryResult",
+    "UnreachableTargetWarning",
+    "actuated_arm",
     "algorithm_names",
     "evaluate",
     "find_algorithm",
     "load_policy",
+    "optimise_trajectory",
     "save_policy",
     "train",
     "train_seeds",
