@@ -95,7 +95,9 @@ def test_a_submodule_that_lacks_an_optional_package_is_no_attribute():
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("words", [["--help"], ["--version"], ["doctor", "--help"]])
+@pytest.mark.parametrize(
+    "words", [["--help"], ["--version"], ["train", "--help"], ["benchmark", "--help"]]
+)
 def test_the_command_line_answers_without_loading_jax(words):
     program = (
         "import sys\n"

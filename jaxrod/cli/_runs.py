@@ -51,6 +51,8 @@ class StoredRun:
                 f"{self.path} holds no policy yet: it is saved with the first "
                 "checkpoint and at the end of training"
             )
+        if not zipfile.is_zipfile(folder / "policy.npz"):
+            raise ValueError(f"{folder} is damaged: policy.npz is missing or torn")
         try:
             policy = load_policy(folder)
             sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]

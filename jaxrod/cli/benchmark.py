@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
     jaxrod.configure_cpu(args.devices)
     from jaxrod import benchmark
+    from jaxrod.benchmark_pyelastica import TIME_STEP
     from jaxrod.scene import MODES
 
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
@@ -101,22 +102,23 @@ def run(args: argparse.Namespace) -> int:
     except FloatingPointError as error:
         print(f"jaxrod benchmark: {error}", file=sys.stderr)
         return 1
+    machine = _machine(load)
     result = {
         "pyelastica_steps_per_s": report.pyelastica_steps_per_s,
         "rows": [dataclasses.asdict(row) for row in report.rows],
         "pyelastica_measurements": list(report.pyelastica),
         "n_elements": benchmark.N_ELEMENTS,
-        "dt": benchmark.TIME_STEP,
-        "machine": _machine(load),
+        "dt": TIME_STEP,
+        "machine": machine,
     }
     text = json.dumps(result, indent=2)
     if args.out is not None:
         from jaxrod.viz.files import write_atomically
 
         write_atomically(args.out / "rod_steps.json", f"{text}\n".encode())
-        page = f"# Rod-steps per second\n\n{_table(report, result['machine'])}"
+        page = f"# Rod-steps per second\n\n{_table(report, machine)}"
         write_atomically(args.out / "rod_steps.md", page.encode())
-    print(text if args.json else _table(report, result["machine"]).rstrip())
+    print(text if args.json else _table(report, machine).rstrip())
     return 0
 
 

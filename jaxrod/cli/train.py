@@ -135,7 +135,11 @@ def run(args: argparse.Namespace) -> int:
     jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
     import jax
 
-    devices = jax.devices()[: _share(wanted, args.devices, jax.device_count())]
+    share = _share(wanted, args.devices, jax.device_count())
+    if share > jax.device_count():
+        raise ValueError(
+            f"devices must be at most the {jax.device_count()} there are, got {share}"
+        )
     try:
         result = train(
             env,
@@ -147,7 +151,7 @@ def run(args: argparse.Namespace) -> int:
             env_options=options,
             resume=args.resume,
             overwrite=args.overwrite,
-            devices=devices,
+            devices=jax.devices()[:share],
         )
     except FloatingPointError as error:
         print(f"jaxrod train: {error}", file=sys.stderr)
@@ -273,11 +277,14 @@ def _parse(name: str, text: str, default: Any) -> Any:
             return float(text)
         return text
     except (ValueError, KeyError) as error:
-        kinds = {bool: "true or false", tuple: "integers with commas between"}
-        kinds |= {int: "an integer", float: "a number"}
-        raise ValueError(f"{name} must be {kinds[type(default)]}, got {text!r}") from (
-            error
-        )
+        kinds = {
+            "bool": "true or false",
+            "tuple": "integers with commas between",
+            "int": "an integer",
+            "float": "a number",
+        }
+        kind = kinds[type(default).__name__]
+        raise ValueError(f"{name} must be {kind}, got {text!r}") from error
 
 
 def _settings_help(defaults: Any) -> str:
@@ -312,7 +319,7 @@ def _count(text: str) -> int:
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
     number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
     value = float(number) * size
-    if value != int(value):
+    if not value.is_integer():
         raise ValueError(f"{text} is not a whole number")
     return int(value)
 

@@ -1,0 +1,96 @@
+"""`jaxrod evaluate`: the numbers of the policy, and what cannot be evaluated."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+
+def test_json_holds_every_return_and_their_mean(trained, run_json):
+    found = run_json("evaluate", trained[0], "--episodes", 7, "--json")
+    assert found["episodes"] == len(found["returns"]) == len(found["lengths"]) == 7
+    assert found["score"] == pytest.approx(np.mean(found["returns"]))
+    assert found["score_std"] == pytest.approx(np.std(found["returns"]))
+    assert found["flagged_fraction"] == 0
+    assert (found["case"], found["algorithm"]) == ("trivial", "ppo")
+
+
+def test_the_seed_decides_the_episodes(trained, run_json):
+    first, again, other = (
+        run_json("evaluate", trained[0], "--episodes", 3, "--seed", s, "--json")
+        for s in (1, 1, 2)
+    )
+    assert first["returns"] == again["returns"]
+    assert first["returns"] != other["returns"]
+
+
+def test_the_text_says_what_was_measured(trained, run):
+    code, out, _ = run("evaluate", trained[0], "--episodes", 3)
+    assert code == 0
+    assert "trivial, ppo, seed 3: 3 episodes" in out
+    assert "±" in out
+
+
+def damage_config(folder):
+    (folder / "config.json").write_text('{"case": "tri')
+
+
+def forget_the_case(folder):
+    (folder / "config.json").write_text("{}")
+
+
+def damage_policy(folder):
+    (folder / "policy" / "policy.npz").write_bytes(b"PK\x03\x04 torn")
+
+
+def damage_policy_description(folder):
+    (folder / "policy" / "policy.json").write_text("{}")
+
+
+def remove_policy(folder):
+    shutil.rmtree(folder / "policy")
+
+
+def change_the_task(folder):
+    text = (folder / "config.json").read_text()
+    text = text.replace('"case": "trivial"', '"case": "tracking"')
+    (folder / "config.json").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("break_it", "sentence"),
+    [
+        (damage_config, "config.json is damaged"),
+        (forget_the_case, "has no proper 'case'"),
+        (damage_policy, "policy is damaged"),
+        (damage_policy_description, "policy is damaged"),
+        (remove_policy, "no policy yet"),
+        (change_the_task, "maps 1 observations to 1 actions, but tracking has 44"),
+        (shutil.rmtree, "does not exist"),
+    ],
+)
+@pytest.mark.parametrize("command", ["evaluate", "render"])
+def test_a_damaged_run_is_one_sentence(
+    command, break_it, sentence, trained, run, tmp_path
+):
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    break_it(folder)
+    code, _, err = run(command, folder)
+    assert code == 2
+    assert err.startswith(f"jaxrod {command}: ")
+    assert sentence in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--episodes", "0"], "episodes must be at least 1, got 0"),
+        (["--seed", "-2"], "seed must not be negative, got -2"),
+    ],
+)
+def test_impossible_numbers_are_named(words, sentence, trained, run):
+    code, _, err = run("evaluate", trained[0], *words)
+    assert code == 2
+    assert sentence in err

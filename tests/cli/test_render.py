@@ -1,0 +1,194 @@
+"""`jaxrod render`: the frames are the episode's, and the files are where it says."""
+
+import dataclasses
+import json
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod._pytree import pytree
+from jaxrod.cli import _recording
+from jaxrod.envs import make
+from jaxrod.training import Policy, save_policy
+from jaxrod.training.normalisation import no_moments
+
+
+@pytree
+class Part:
+    """Something with the attributes that a recording reads."""
+
+    positions: Any = None
+    position: Any = None
+    radius: Any = None
+    radii: Any = None
+
+
+@pytree
+class ClockState:
+    arm: Any
+    target: Any
+    steps: Any
+
+
+@pytree
+class ClockParams:
+    rod: Any
+    target: Any
+
+
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """An arm whose nodes stand at x = number of control steps; reward is that too."""
+
+    episode_length: int = 100
+    ends: int = 10**6
+    breaks: int = 10**6
+    control_period: float = 0.005
+    name: str = "clock"
+
+    def default_params(self):
+        return ClockParams(Part(radii=jnp.full(2, 0.1)), Part(radius=jnp.asarray(0.3)))
+
+    def _state(self, steps):
+        x = jnp.where(steps >= self.breaks, jnp.nan, steps.astype(float))
+        arm = Part(positions=jnp.stack([jnp.full(3, x), *jnp.eye(3)[1:]]))
+        return ClockState(arm, Part(position=jnp.zeros(3)), steps)
+
+    def reset(self, key, params):
+        return jnp.zeros(1), self._state(jnp.zeros((), int))
+
+    def step(self, key, state, action, params):
+        steps = state.steps + 1
+        reward = steps.astype(float)
+        ended = steps >= self.ends
+        over = steps >= self.episode_length
+        return jnp.zeros(1), self._state(steps), reward, ended, over, {}
+
+
+idle = jax.tree_util.Partial(jnp.zeros_like)
+
+
+def test_frames_are_states_of_the_episode_at_no_more_than_60_hz():
+    replay = _recording.record(Clock(), idle)
+    # 5 ms between control steps: every fourth is shown, 50 a second.
+    np.testing.assert_allclose(replay.times, np.arange(26) * 0.02)
+    np.testing.assert_array_equal(replay.positions[:, 0, 0, 0], np.arange(26) * 4)
+    assert replay.spheres[0].radius == pytest.approx(0.3)
+    np.testing.assert_allclose(replay.radii, 0.1)
+    np.testing.assert_allclose(replay.readouts["reward"][:3], [0, 2.5, 6.5])
+    assert replay.readouts["return"][-1] == pytest.approx(sum(range(101)))
+
+
+def test_seconds_shorten_the_recording():
+    assert _recording.record(Clock(), idle, seconds=0.1).times[-1] == pytest.approx(0.1)
+    assert _recording.record(Clock(), idle, seconds=99).times[-1] == pytest.approx(0.5)
+
+
+def test_the_recording_ends_with_the_episode():
+    replay = _recording.record(Clock(ends=42), idle)
+    # The last frame shows the end, not what would have come after it.
+    assert replay.positions[-1, 0, 0, 0] == 42
+    assert replay.num_frames == 12
+
+
+def test_a_broken_arm_is_shown_until_it_breaks():
+    replay = _recording.record(Clock(breaks=42), idle)
+    assert replay.positions[-1, 0, 0, 0] == 40
+
+
+def test_what_has_no_arm_is_not_drawable():
+    assert _recording.drawable(Clock())  # type: ignore[arg-type]  # has no sizes
+    assert _recording.drawable(make("tracking"))
+    assert not _recording.drawable(make("trivial"))
+    with pytest.raises(ValueError, match="trivial has no arm to draw"):
+        _recording.record(make("trivial"), idle)
+
+
+@pytest.fixture
+def tracking_run(tmp_path):
+    """A run of the tracking task as it looks while it trains: a policy, a table."""
+    env = make("tracking")
+    folder = tmp_path / "run"
+    config = {
+        "case": "tracking",
+        "variant": "paper",
+        "env_options": {"variant": "paper"},
+        "algorithm": "ppo",
+        "steps": 100,
+        "seed": 0,
+        "settings": {},
+    }
+    policy = Policy(
+        no_moments(env.observation_size, jnp.result_type(float)),
+        jnp.asarray(10.0),
+        ((jnp.zeros((env.observation_size, env.action_size)), jnp.full(12, 0.5)),),
+    )
+    save_policy(policy, folder / "policy")
+    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "progress.csv").write_text(
+        "env_steps,wall_s,episode_return_mean\n1000,1,\n2000,2,50.5\n3000,3,60\n"
+    )
+    return SimpleNamespace(folder=folder, env=env, policy=policy)
+
+
+def test_the_arm_of_the_tracking_task_is_drawn_as_it_moves(tracking_run):
+    env, policy = tracking_run.env, tracking_run.policy
+    replay = _recording.record(env, policy, seconds=0.05)
+    assert replay.num_frames == 4  # the start, and 36 control steps by twelve
+    params = env.default_params()
+    _, state = env.reset(jax.random.key(7), params)
+    step = jax.jit(env.step)
+    for _ in range(36):
+        _, state, *_ = step(jax.random.key(0), state, jnp.full(12, 0.5), params)
+    # The action is constant, so the arm's motion depends on no randomness.
+    np.testing.assert_allclose(
+        replay.positions[-1, 0].T, state.arm.positions, atol=1e-12
+    )
+
+
+def test_render_writes_both_pictures_while_a_run_goes_on(tracking_run, run):
+    folder = tracking_run.folder
+    code, out, err = run("render", folder, "--seconds", "0.1")
+    assert (code, err) == (0, "")
+    curve, replay = folder / "learning_curve.png", folder / "replay.html"
+    assert out.split() == [str(curve), str(replay)]
+    assert curve.read_bytes().startswith(b"\x89PNG")
+    page = replay.read_text()
+    assert "tracking (paper), ppo, seed 0" in page
+    assert not re.search(r"""(src|href)=["']?https?:|@import|fetch\(""", page)
+
+
+def test_render_writes_where_it_is_told_to(tracking_run, run, tmp_path):
+    out = tmp_path / "a new folder" / "episode.html"
+    code, _, _ = run(
+        "render", tracking_run.folder, "--seconds", "0.1", "--seed", "2", "--out", out
+    )
+    assert code == 0
+    assert out.read_text().startswith("<!")
+    assert not (tracking_run.folder / "replay.html").exists()
+
+
+def test_a_task_without_an_arm_gets_its_curve_and_a_word(trained, run):
+    code, out, err = run("render", trained[0])
+    assert code == 0
+    assert out.split() == [str(trained[0] / "learning_curve.png")]
+    assert "trivial has no arm to draw" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--seconds", "0"], "seconds must be positive and finite, got 0.0 s"),
+        (["--seconds", "nan"], "seconds must be positive and finite, got nan s"),
+        (["--seed", "-1"], "seed must not be negative, got -1"),
+    ],
+)
+def test_impossible_numbers_are_named(words, sentence, trained, run):
+    code, _, err = run("render", trained[0], *words)
+    assert code == 2
+    assert sentence in err

@@ -1,0 +1,227 @@
+"""`jaxrod train`: what it leaves, what it refuses, and that nothing is lost."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+
+from jaxrod import backend, cli
+from jaxrod.cli import train
+from jaxrod.training import PPOConfig
+from jaxrod.training.progress import ProgressBar
+
+CONTRACT = {
+    "final_score",
+    "env_steps",
+    "wall_s",
+    "steps_per_s",
+    "flagged_fraction",
+    "seed",
+    "variant",
+    "algorithm",
+    "case",
+}
+TINY = ["--steps", "2k", "--num-envs", "8", "--set", "rollout_steps=32"]
+
+
+def contents(folder):
+    """Every file of a folder with its bytes."""
+    return {
+        file: file.read_bytes() for file in Path(folder).rglob("*") if file.is_file()
+    }
+
+
+def test_the_summary_keeps_the_contract_and_is_what_json_prints(trained):
+    folder, out = trained
+    summary = json.loads((folder / "summary.json").read_text())
+    assert set(summary) >= CONTRACT
+    assert json.loads(out) == summary | {"run": str(folder)}
+    assert summary["case"] == "trivial"
+    assert summary["variant"] is None
+    assert summary["algorithm"] == "ppo"
+    assert summary["seed"] == 3
+    assert summary["env_steps"] == 2048
+    assert 0 < summary["final_score"] <= 20
+
+
+def test_the_batch_is_spread_over_the_cores_it_divides_into(trained):
+    summary = json.loads((trained[0] / "summary.json").read_text())
+    cores = backend.available_cores()
+    used = max(k for k in range(1, cores + 1) if 8 % k == 0)
+    assert summary["device"].startswith(f"{used} x ")
+
+
+def test_the_run_folder_holds_everything(trained):
+    folder, _ = trained
+    names = {file.name for file in folder.iterdir()}
+    assert names == {
+        "config.json",
+        "progress.csv",
+        "episodes.csv",
+        "summary.json",
+        "checkpoints",
+        "policy",
+        "learning_curve.png",
+    }
+    with (folder / "progress.csv").open() as file:
+        row = next(csv.DictReader(file))
+    assert {"env_steps", "wall_s", "episode_return_mean"} <= set(row)
+
+
+def test_a_run_that_is_there_is_refused_and_left_alone(trained, run):
+    folder, _ = trained
+    before = contents(folder)
+    code, out, err = run("train", "trivial", "--out", folder)
+    assert (code, out) == (2, "")
+    assert "--resume" in err
+    assert "--overwrite" in err
+    assert err.count("\n") == 1
+    assert contents(folder) == before
+
+
+def test_resuming_takes_over_what_the_run_was_started_with(trained, run_json, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    before = json.loads((folder / "summary.json").read_text())
+    config = (folder / "config.json").read_bytes()
+    after = run_json("train", "trivial", "--resume", "--out", folder, "--json")
+    assert after == before | {"run": str(folder)}
+    assert (folder / "config.json").read_bytes() == config
+
+
+def test_overwriting_makes_a_new_run_with_new_pictures(trained, run_json, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    (folder / "replay.html").write_text("of the run before")
+    (folder / "notes.txt").write_text("mine")
+    words = ("train", "trivial", *TINY, "--seed", 4, "--overwrite", "--out", folder)
+    assert run_json(*words, "--json")["seed"] == 4
+    assert not (folder / "replay.html").exists()
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    words = ("train", "trivial", *TINY, "--steps", "40k", "--out", folder)
+    real = ProgressBar.update
+
+    def interrupted(self, *args):
+        real(self, *args)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ProgressBar, "update", interrupted)
+        code, _, err = run(*words)
+    assert code == 130
+    command = f"jaxrod train trivial --resume --out {folder}"
+    assert f"continue with: {command}" in err
+    stopped = json.loads((folder / "summary.json").read_text())
+    assert stopped["status"] == "interrupted"
+    assert 0 < stopped["env_steps"] < 40_000
+    finished = run_json(*command.split()[1:], "--json")
+    assert finished["status"] == "finished"
+    assert finished["env_steps"] >= 40_000
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["swimming"], "case must be one of tracking, trivial; got 'swimming'"),
+        (["tracking", "--variant", "dirty"], "variant must be one of"),
+        (["trivial", "--variant", "paper"], "'trivial' has no variant"),
+        (["trivial", "--algorithm", "luck"], "algorithm must be one of"),
+        (["trivial", "--steps", "3"], "steps must be at least one update"),
+        (["trivial", "--seed", "-1"], "seed must not be negative, got -1"),
+        (["trivial", "--num-envs", "0"], "num_envs must be at least 1, got 0"),
+        (["trivial", "--devices", "99"], "devices must be at most"),
+        (["trivial", "--set", "clip"], "--set needs NAME=VALUE, got 'clip'"),
+        (["trivial", "--set", "clip=-1"], "clip must be positive"),
+        (["trivial", "--set", "clip=wide"], "clip must be a number, got 'wide'"),
+        (["trivial", "--set", "clib=1"], "there is no setting 'clib'"),
+        (["trivial", "--resume"], "does not exist"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(words, sentence, run, tmp_path):
+    folder = tmp_path / "run"
+    code, out, err = run("train", *words, "--out", folder)
+    assert (code, out) == (2, "")
+    assert err.startswith("jaxrod train: ")
+    assert sentence in err
+    assert err.count("\n") == 1
+    assert not folder.exists()
+
+
+def test_resuming_another_case_or_other_settings_is_refused(trained, run):
+    folder, _ = trained
+    before = contents(folder)
+    for words in (["tracking"], ["trivial", "--seed", "5"], ["trivial", *TINY, "--set",
+                  "clip=0.3"]):  # fmt: skip
+        code, out, err = run("train", *words, "--resume", "--out", folder)
+        assert (code, out) == (2, "")
+        assert err.count("\n") == 1
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("learning_rate=3e-4", 3e-4),
+        ("learning_rate=1", 1.0),
+        ("hidden_sizes=128,64", (128, 64)),
+        ("hidden_sizes=32", (32,)),
+        ("spread_phases=false", False),
+        ("num_envs=2k", 2000),
+    ],
+)
+def test_settings_are_read_as_their_kind(word, value):
+    changed = train._configure(PPOConfig(), {"clip": 0.1}, [word])
+    name = word.partition("=")[0]
+    assert getattr(changed, name) == value
+    assert type(getattr(changed, name)) is type(getattr(PPOConfig(), name))
+    assert changed.clip == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [("300", 300), ("500k", 500_000), ("10M", 10_000_000), ("1e7", 10_000_000)],
+)
+def test_counts_may_be_written_short(text, count):
+    assert train._count(text) == count
+
+
+@pytest.mark.parametrize("text", ["", "k", "1.5", "inf", "nan", "many"])
+def test_what_is_not_a_count_is_refused(text):
+    with pytest.raises(ValueError):
+        train._count(text)
+
+
+def test_settings_can_be_listed(run):
+    code, out, _ = run("train", "trivial", "--set", "help")
+    assert code == 0
+    assert "learning_rate=0.001" in out.splitlines()
+    assert "hidden_sizes=64,64" in out.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("words", "folder"),
+    [
+        (["tracking"], "runs/tracking-paper-ppo-0"),
+        (
+            ["tracking", "--variant", "clean", "--seed", "2"],
+            "runs/tracking-clean-ppo-2",
+        ),
+        (["trivial"], "runs/trivial-ppo-0"),
+        (["trivial", "--out", "here"], "here"),
+    ],
+)
+def test_a_run_is_found_again_where_it_was_put(words, folder):
+    parser = cli._parser(["train"])[0]
+    args = parser.parse_args(["train", *words])
+    variant = args.variant or train._default_variant(args.case)
+    assert train._folder(args, variant) == Path(folder)
+    args = parser.parse_args(["train", *words, "--resume"])
+    assert train._folder(args, None) == Path(folder)
