@@ -115,7 +115,7 @@ class Run:
         ended = self.done == self.total
         summary = {} if ended else self._advance()
         finished = self.done == self.total
-        policy = jax.device_get(self.learner.policy(self.state))
+        policy = self._export_policy()
         evaluation = None
         if finished and evaluation_episodes:
             evaluation, report = self._evaluate(policy, evaluation_episodes)
@@ -126,9 +126,6 @@ class Run:
             status = "finished" if finished else "interrupted"
             summary = self._summary() | {"status": status} | summary
         if self.folder:
-            names = ("case", "variant", "algorithm")
-            about = {name: self.asked[name] for name in names}
-            save_policy(policy, self.folder.policy, about)
             self.folder.write_summary(summary)
         if self.checkpoints:
             self.checkpoints.close()
@@ -212,6 +209,17 @@ class Run:
                 "episodes": len(self.episodes),
             }
             self.checkpoints.save(self.done, self.state, facts)
+            # So that a run can be evaluated and drawn while it goes on.
+            self._export_policy()
+
+    def _export_policy(self) -> Policy:
+        """The deterministic policy, also written into the folder."""
+        policy = jax.device_get(self.learner.policy(self.state))
+        if self.folder:
+            names = ("case", "variant", "algorithm")
+            about = {name: self.asked[name] for name in names}
+            save_policy(policy, self.folder.policy, about)
+        return policy
 
     def _restore(self, template: Any) -> Any:
         """Goes back to the last checkpoint, and the tables with it."""

@@ -5,6 +5,9 @@ import shutil
 import numpy as np
 import pytest
 
+from jaxrod.envs import make
+from jaxrod.training import PPOConfig, train
+
 
 def test_json_holds_every_return_and_their_mean(trained, run_json):
     found = run_json("evaluate", trained[0], "--episodes", 7, "--json")
@@ -29,6 +32,27 @@ def test_the_text_says_what_was_measured(trained, run):
     assert code == 0
     assert "trivial, ppo, seed 3: 3 episodes" in out
     assert "±" in out
+
+
+def test_a_run_can_be_evaluated_while_it_trains(tmp_path, run_json):
+    scores = []
+
+    def look(row):
+        if row["env_steps"] > 512:  # after the first checkpoint
+            scores.append(run_json("evaluate", tmp_path, "--json")["score"])
+
+    train(
+        make("trivial"),
+        steps=1024,
+        config=PPOConfig(num_envs=8, rollout_steps=64),
+        out=tmp_path,
+        chunk_steps=512,
+        checkpoint_seconds=0,
+        evaluation_episodes=0,
+        progress=False,
+        log=look,
+    )
+    assert len(scores) == 1
 
 
 def damage_config(folder):

@@ -1,0 +1,97 @@
+"""`jaxrod optimise`: what it writes, what it refuses, that it explains itself."""
+
+import csv
+import json
+import shlex
+
+import jax
+import numpy as np
+import pytest
+
+from jaxrod import cli
+from jaxrod.cli import optimise
+from jaxrod.envs import make
+from jaxrod.training import trajectory_optimisation
+
+
+def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path):
+    out = tmp_path / "deep" / "reach"
+    words = ["optimise", "tracking", "--out", out, "--json", "--iterations", "2"]
+    words += ["--target", "0.3", "0.7", "-0.2", "--knots", "3", "--duration", "0.1"]
+    code, printed, err = run(*words)
+    assert code == 1  # two steps do not get there, and the exit code says so
+    assert "ready after" in err and "max iterations after 2 gradient steps" in err
+    summary = json.loads((out / "summary.json").read_text())
+    assert json.loads(printed) == summary | {"out": str(out)}
+    assert summary["target"] == pytest.approx([0.3, 0.7, -0.2])
+    assert summary["iterations"] == 2 and not summary["success"]
+    with (out / "history.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["iteration"] for row in rows] == ["0", "1"]
+    assert set(rows[0]) >= {"loss", "tip_distance", "gradient_norm", "wall_s"}
+    saved = np.load(out / "trajectory.npz")
+    assert saved["knots"].shape == (3, 2, 6)
+    assert len(saved["times"]) == len(saved["positions"])
+    tip = saved["positions"][-1, :, -1]
+    apart = np.linalg.norm(tip - summary["target"])
+    assert apart == pytest.approx(summary["tip_distance"], abs=1e-6)
+    assert (out / "replay.html").read_text().startswith("<!doctype html>")
+    assert (out / "convergence.png").read_bytes().startswith(b"\x89PNG")
+
+    before = {file: file.read_bytes() for file in out.iterdir()}
+    code, _, err = run(*words)
+    assert code == 2 and "--overwrite" in err
+    assert before == {file: file.read_bytes() for file in out.iterdir()}
+
+
+def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypatch):
+    def interrupt(problem, knots):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trajectory_optimisation, "cost_and_gradient", interrupt)
+    code, _, err = run("optimise", "tracking", "--out", tmp_path / "none")
+    assert code == 130 and "interrupted" in err
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["trivial"], "case must be one of tracking; got 'trivial'"),
+        (["tracking", "--seed", "-1"], "seed must not be negative, got -1"),
+        (["tracking", "--tolerance", "0"], "tolerance must be positive, got 0 m"),
+        (["tracking", "--duration", "-1"], "duration must be positive, got -1 s"),
+        (["tracking", "--target", "nan", "0", "0"], "target must be finite, got nan m"),
+        (["tracking", "--elements", "7"], "n_elements must be"),
+        (["tracking", "--knots", "1"], "n_knots must be at least 2, got 1"),
+    ],
+)
+def test_wrong_requests_are_refused_in_one_sentence(run, tmp_path, words, message):
+    code, out, err = run("optimise", *words, "--out", tmp_path / "run")
+    assert (code, out) == (2, "")
+    assert message in err and err.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_arm_is_the_tasks_without_its_muscles():
+    env = make("tracking", variant="clean")
+    arm = optimise.arm_of(env)
+    params = env.default_params()
+    controls = jax.numpy.linspace(-1, 1, 12).reshape(2, 6)
+    acted = env.scene(params.rest, controls.ravel(), params)
+    same = jax.tree.map(
+        lambda a, b: bool(np.allclose(a, b, rtol=1e-12)),
+        arm.with_controls(controls),
+        acted,
+    )
+    assert all(jax.tree.leaves(same))
+
+
+def test_help_explains_and_its_examples_parse(run):
+    code, out, err = run("optimise", "--help")
+    assert (code, err) == (0, "") and "examples:" in out
+    assert optimise.__doc__.splitlines()[0] in out
+    for line in optimise.EXAMPLES.splitlines()[1:]:
+        words = line.partition("jaxrod ")[2].partition("   ")[0].partition(" >")[0]
+        parsed = shlex.split(words)
+        cli._parser(parsed)[0].parse_args(parsed)
