@@ -35,7 +35,7 @@ def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path):
     tip = saved["positions"][-1, :, -1]
     apart = np.linalg.norm(tip - summary["target"])
     assert apart == pytest.approx(summary["tip_distance"], abs=1e-6)
-    assert (out / "replay.html").read_text().startswith("<!doctype html>")
+    assert (out / "replay.html").read_text().startswith("<!DOCTYPE html>")
     assert (out / "convergence.png").read_bytes().startswith(b"\x89PNG")
 
     before = {file: file.read_bytes() for file in out.iterdir()}
