@@ -70,7 +70,7 @@ class GaussianPolicy(nn.Module):
 
     hidden_sizes: tuple[int, ...]
     action_size: int
-    initial_log_std: float | Float[Array, ""] = -0.5
+    initial_log_std: float | Float[Array, ""] = 0.0
     dtype: DTypeLike = jnp.float32
 
     @nn.compact

@@ -59,7 +59,7 @@ class PPOConfig:
     """
 
     num_envs: int = static(default=128)
-    rollout_steps: int = static(default=256)
+    rollout_steps: int = static(default=128)
     epochs: int = static(default=8)
     minibatches: int = static(default=8)
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
@@ -67,13 +67,13 @@ class PPOConfig:
     learning_rate: Scalar = 1e-3
     final_learning_rate: Scalar = 5e-5
     clip: Scalar = 0.2
-    discount: Scalar = 0.99
+    discount: Scalar = 0.98
     trace_decay: Scalar = 0.95
     reward_scale: Scalar = 0.1
     value_weight: Scalar = 0.5
     entropy_weight: Scalar = 0.0
     gradient_norm: Scalar = 0.5
-    initial_log_std: Scalar = -0.5
+    initial_log_std: Scalar = 0.0
     observation_limit: Scalar = 10.0
 
 
