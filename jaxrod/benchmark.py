@@ -93,7 +93,7 @@ def run_benchmark(
     dtypes: Sequence[str] = DTYPES,
     modes: Sequence[Mode] = MODES,
     *,
-    seconds: float = 2.0,
+    seconds: float = 1.5,
     devices: Sequence[jax.Device] | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Report:
@@ -152,7 +152,7 @@ def measure(
     dtype: str = "float32",
     mode: Mode = "consistent",
     *,
-    seconds: float = 2.0,
+    seconds: float = 1.5,
     devices: Sequence[jax.Device] | None = None,
 ) -> Row:
     """Measures one batch.

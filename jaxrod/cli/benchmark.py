@@ -58,9 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds",
         type=float,
-        default=2.0,
+        default=1.5,
         metavar="S",
-        help="time to measure each row, and PyElastica each time (default: 2)",
+        help="time to measure each row, and PyElastica each time (default: 1.5)",
     )
     parser.add_argument(
         "--devices",
@@ -169,6 +169,12 @@ def _table(report: Report, machine: dict[str, Any]) -> str:
         lines.append(
             f"PyElastica: {unit:,.0f} steps/s in one process (median of "
             f"{len(report.pyelastica)} measurements, {low:,.0f} to {high:,.0f})."
+        )
+    load, cores = machine["load_average_before"], machine["cores"]
+    if load is not None and load > 0.25 * cores:
+        lines.append(
+            f"The machine was busy already (load average {load:.1f} on {cores} cores): "
+            "neither rates nor ratios are what an idle one gives."
         )
     heads = ("mode", "dtype", "batch", "rod-steps/s", "x PyElastica", "devices")
     body = [

@@ -72,6 +72,13 @@ def test_without_pyelastica_it_says_so_and_compares_with_nothing(
     assert "4,000" in out
 
 
+@pytest.mark.parametrize("load", [0.0, 99.0])
+def test_a_busy_machine_is_mentioned(load, pyelastica, instant, run, monkeypatch):
+    monkeypatch.setattr("os.getloadavg", lambda: (load, load, load))
+    _, out, _ = run("benchmark")
+    assert ("The machine was busy" in out) == (load > 0)
+
+
 @pytest.mark.parametrize(
     ("batch", "dtype", "mode"),
     [(1, "float32", "consistent"), (3, "float64", "pyelastica")],
