@@ -1,9 +1,4 @@
-"""Rod-steps per second on this machine, beside PyElastica's in the same run.
-
-The arm is that of `jaxrod.benchmark_pyelastica`: 20 elements, clamped, damped, bent
-by a couple on every element. Every arm of a batch has couples of its own, as in
-reinforcement learning; here they are equal, so that the arms must stay equal.
-"""
+"""Rod-steps per second on this machine, beside PyElastica's in the same run."""
 
 from __future__ import annotations
 
@@ -14,31 +9,25 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.sharding import AxisType, NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxrod.actuation import ElementCouples
-from jaxrod.benchmark_pyelastica import (
-    DAMPING_RATE,
-    ELEMENT_COUPLE,
-    TIME_STEP,
-    pyelastica_steps_per_s,
+from jaxrod.benchmark_arms import (
+    N_ELEMENTS,
+    AdvanceArms,
+    arms,
+    compile_arms,
+    even_share,
 )
-from jaxrod.effects import clamp, exponential_damping, fixed_end
-from jaxrod.factories import straight_rod
+from jaxrod.benchmark_pyelastica import TIME_STEP, pyelastica_steps_per_s
 from jaxrod.rod import RodState
-from jaxrod.scene import MODES, Mode, Scene, make_scene
+from jaxrod.scene import MODES, Mode, Scene
 from jaxrod.stepping import advance
 
-N_ELEMENTS = 20
 BATCHES = (1, 64, 256, 1024, 4096)
 DTYPES = ("float32", "float64")
 WINDOWS = 5
-_AXIS = "arm"
-
-AdvanceArms = Callable[[RodState, int], RodState]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,80 +180,6 @@ def measure(
         devices=len(devices),
         compile_s=compile_s,
     )
-
-
-def arms(batch: int, mode: Mode) -> tuple[Scene, Float[Array, "batch 3 n"], RodState]:
-    """The scene without its actuation, couples [N m] and states of all arms."""
-    rod, state = straight_rod(
-        N_ELEMENTS, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
-    )
-    held = clamp(state) if mode == "consistent" else fixed_end(state)
-    scene = make_scene(rod, held, exponential_damping(DAMPING_RATE), mode=mode)
-    couples = jnp.zeros((batch, 3, N_ELEMENTS)).at[:, 0].set(ELEMENT_COUPLE)
-    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * batch), state)
-    return scene, couples, states
-
-
-def advance_arms(
-    scene: Scene,
-    couples: Float[Array, "batch 3 n"],
-    states: RodState,
-    dt: Float[Array, ""],
-    n_steps: Int[Array, ""],
-) -> RodState:
-    """Advances a batch of arms, each bent by its own couples: what is timed."""
-
-    def one(couples: Float[Array, "3 n"], state: RodState) -> RodState:
-        effects = (*scene.effects, ElementCouples(couples))
-        actuated = dataclasses.replace(scene, effects=effects)
-        return advance(actuated, state, dt, n_steps)
-
-    if couples.shape[0] > 1:
-        return jax.vmap(one)(couples, states)
-    alone = one(couples[0], jax.tree.map(lambda leaf: leaf[0], states))
-    return jax.tree.map(lambda leaf: leaf[None], alone)
-
-
-def compile_arms(
-    scene: Scene,
-    couples: Float[Array, "batch 3 n"],
-    states: RodState,
-    devices: Sequence[jax.Device],
-) -> AdvanceArms:
-    """Compiles `advance_arms`, every device looping over its share on its own.
-
-    Returns:
-        `(states, n_steps) -> states`; it waits until the result is there.
-    """
-    mesh = jax.make_mesh(
-        (len(devices),), (_AXIS,), axis_types=(AxisType.Auto,), devices=devices
-    )
-    repeated, shared = PartitionSpec(), PartitionSpec(_AXIS)
-    program = jax.shard_map(
-        advance_arms,
-        mesh=mesh,
-        in_specs=(repeated, shared, shared, repeated, repeated),
-        out_specs=shared,
-        check_vma=False,
-    )
-    dt = jnp.asarray(TIME_STEP, states.positions.dtype)
-    scene, dt = jax.device_put((scene, dt), NamedSharding(mesh, repeated))
-    couples, states = jax.device_put((couples, states), NamedSharding(mesh, shared))
-    counts = NamedSharding(mesh, repeated)
-    one = jax.device_put(jnp.int32(1), counts)
-    compiled = jax.jit(program).lower(scene, couples, states, dt, one).compile()
-
-    def run(states: RodState, n_steps: int) -> RodState:
-        states = jax.device_put(states, NamedSharding(mesh, shared))
-        count = jax.device_put(jnp.int32(n_steps), counts)
-        return jax.block_until_ready(compiled(scene, couples, states, dt, count))
-
-    return run
-
-
-def even_share(batch: int, n_devices: int) -> int:
-    """The largest number of devices, up to `n_devices`, that divides the batch."""
-    return max(k for k in range(1, n_devices + 1) if batch % k == 0)
 
 
 def _time(

@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
     jaxrod.configure_cpu(args.devices)
     from jaxrod import benchmark
+    from jaxrod.benchmark_arms import N_ELEMENTS
     from jaxrod.benchmark_pyelastica import TIME_STEP
     from jaxrod.scene import MODES
 
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         "pyelastica_steps_per_s": report.pyelastica_steps_per_s,
         "rows": [dataclasses.asdict(row) for row in report.rows],
         "pyelastica_measurements": list(report.pyelastica),
-        "n_elements": benchmark.N_ELEMENTS,
+        "n_elements": N_ELEMENTS,
         "dt": TIME_STEP,
         "machine": machine,
     }

@@ -13,12 +13,13 @@ ends as if nothing had happened.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from jaxrod.cli import _settings
 
 STEPS = 10_000_000
 """Control steps by default: the published budget."""
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--algorithm", help="the learner (default: ppo)")
     parser.add_argument(
         "--steps",
-        type=_count,
+        type=_settings.count,
         metavar="N",
         help="control steps, such as 500k or 10M (default: 10M)",
     )
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
             )
     learner = find_algorithm(_chosen(args.algorithm, stored, "algorithm", "ppo"))
     if "help" in args.set:
-        print(_settings_help(learner.config_type()))
+        print(_settings.listing(learner.config_type()))
         return 0
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
@@ -121,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
     words = list(args.set)
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
-    config = _configure(
+    config = _settings.configure(
         learner.config_type(), stored["settings"] if stored else {}, words
     )
     out = _folder(args, options.get("variant"))
@@ -240,63 +241,6 @@ def _chosen(
     return stored[name] if stored else default
 
 
-def _configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) -> Any:
-    """The configuration: defaults, then the stored settings, then NAME=VALUE words.
-
-    Raises:
-        ValueError: a name is unknown or a value is not of its kind.
-    """
-    known = {field.name for field in dataclasses.fields(defaults)}
-    changes = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in stored.items()
-        if name in known
-    }
-    for word in words:
-        name, equals, text = word.partition("=")
-        if not equals:
-            raise ValueError(f"--set needs NAME=VALUE, got {word!r}")
-        if name not in known:
-            raise ValueError(
-                f"there is no setting {name!r}; there are {', '.join(sorted(known))}"
-            )
-        changes[name] = _parse(name, text, getattr(defaults, name))
-    return dataclasses.replace(defaults, **changes)
-
-
-def _parse(name: str, text: str, default: Any) -> Any:
-    """Reads a value of the same kind as the default."""
-    try:
-        if isinstance(default, bool):
-            return {"true": True, "false": False}[text.lower()]
-        if isinstance(default, tuple):
-            return tuple(int(part) for part in text.split(",") if part)
-        if isinstance(default, int):
-            return _count(text)
-        if isinstance(default, float):
-            return float(text)
-        return text
-    except (ValueError, KeyError) as error:
-        kinds = {
-            "bool": "true or false",
-            "tuple": "integers with commas between",
-            "int": "an integer",
-            "float": "a number",
-        }
-        kind = kinds[type(default).__name__]
-        raise ValueError(f"{name} must be {kind}, got {text!r}") from error
-
-
-def _settings_help(defaults: Any) -> str:
-    """Every setting with its default."""
-    lines = []
-    for field in dataclasses.fields(defaults):
-        value = getattr(defaults, field.name)
-        shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
-        lines.append(f"{field.name}={shown}")
-    return "\n".join(lines)
-
-
 def _share(num_envs: int, asked: int | None, available: int | None) -> int:
     """How many devices to use: those asked for, or as many as divide the batch.
 
@@ -312,16 +256,3 @@ def _share(num_envs: int, asked: int | None, available: int | None) -> int:
 
         available = available_cores()
     return max(k for k in range(1, available + 1) if k == 1 or num_envs % k == 0)
-
-
-def _count(text: str) -> int:
-    """Reads a count such as 300, 500k, 10M or 1e7."""
-    sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
-    number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
-    value = float(number) * size
-    if not value.is_integer():
-        raise ValueError(f"{text} is not a whole number")
-    return int(value)
-
-
-_count.__name__ = "count"  # argparse names it when a count cannot be read

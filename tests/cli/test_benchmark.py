@@ -6,7 +6,7 @@ import json
 import jax
 import pytest
 
-from jaxrod import benchmark
+from jaxrod import benchmark, benchmark_arms
 
 CONTRACT = {"batch", "dtype", "mode", "rod_steps_per_s", "times_pyelastica"}
 
@@ -91,12 +91,12 @@ def test_a_row_is_measured_in_the_precision_it_names(batch, dtype, mode):
 
 
 def test_a_faster_program_that_is_wrong_is_caught(monkeypatch, no_pyelastica, run):
-    right = benchmark.advance_arms
+    right = benchmark_arms.advance_arms
 
     def skips_a_step(scene, couples, states, dt, n_steps):
         return right(scene, couples, states, dt, n_steps - 1)
 
-    monkeypatch.setattr(benchmark, "advance_arms", skips_a_step)
+    monkeypatch.setattr(benchmark_arms, "advance_arms", skips_a_step)
     code, out, err = run(
         "benchmark", "--batches", 2, "--dtypes", "float64", "--seconds", 0.02
     )
@@ -106,7 +106,7 @@ def test_a_faster_program_that_is_wrong_is_caught(monkeypatch, no_pyelastica, ru
 
 @pytest.mark.parametrize("wrong", [1e-3, float("nan")])
 def test_arms_that_drift_apart_are_caught(wrong):
-    _, _, states = benchmark.arms(3, "consistent")
+    _, _, states = benchmark_arms.arms(3, "consistent")
     benchmark._check_equal(states)
     positions = states.positions.at[-1].add(wrong)
     with pytest.raises(FloatingPointError, match="positions of an arm differ"):
@@ -116,11 +116,11 @@ def test_arms_that_drift_apart_are_caught(wrong):
 def test_a_batch_is_spread_evenly():
     for batch in (1, 6, 64, 100, 4096):
         for n_devices in (1, 2, 3, 8, 96):
-            used = benchmark.even_share(batch, n_devices)
+            used = benchmark_arms.even_share(batch, n_devices)
             assert 1 <= used <= n_devices
             assert batch % used == 0
-    assert benchmark.even_share(1, 8) == 1
-    assert benchmark.even_share(4096, 2) == 2
+    assert benchmark_arms.even_share(1, 8) == 1
+    assert benchmark_arms.even_share(4096, 2) == 2
 
 
 @pytest.mark.parametrize(

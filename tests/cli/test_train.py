@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from jaxrod import backend, cli
-from jaxrod.cli import train
+from jaxrod.cli import _settings, train
 from jaxrod.training import PPOConfig
 from jaxrod.training.progress import ProgressBar
 
@@ -178,7 +178,7 @@ def test_resuming_another_case_or_other_settings_is_refused(trained, run):
     ],
 )
 def test_settings_are_read_as_their_kind(word, value):
-    changed = train._configure(PPOConfig(), {"clip": 0.1}, [word])
+    changed = _settings.configure(PPOConfig(), {"clip": 0.1}, [word])
     name = word.partition("=")[0]
     assert getattr(changed, name) == value
     assert type(getattr(changed, name)) is type(getattr(PPOConfig(), name))
@@ -190,13 +190,13 @@ def test_settings_are_read_as_their_kind(word, value):
     [("300", 300), ("500k", 500_000), ("10M", 10_000_000), ("1e7", 10_000_000)],
 )
 def test_counts_may_be_written_short(text, count):
-    assert train._count(text) == count
+    assert _settings.count(text) == count
 
 
 @pytest.mark.parametrize("text", ["", "k", "1.5", "inf", "nan", "many"])
 def test_what_is_not_a_count_is_refused(text):
     with pytest.raises(ValueError):
-        train._count(text)
+        _settings.count(text)
 
 
 def test_settings_can_be_listed(run):
