@@ -194,6 +194,8 @@ def _build(
             "shear_modulus", shear_modulus, per_element, "Pa", positive=True
         )
     dtype = jnp.result_type(float) if dtype is None else jnp.dtype(dtype)
+    if not jnp.issubdtype(dtype, jnp.floating):
+        raise ValueError(f"dtype must be a floating-point type, got {dtype}")
     area = np.pi * radii**2
     second_moment = area**2 / (4 * np.pi)
     bending = young * second_moment

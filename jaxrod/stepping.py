@@ -45,8 +45,11 @@ def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
 
     Returns:
         The state after `dt`.
+
+    Raises:
+        ValueError: If `dt` is not positive or the state is not of the scene's rod.
     """
-    return _run_static(scene, state, _as_time(state, dt), 1)
+    return _run_static(scene, state, _check(scene, state, dt), 1)
 
 
 def advance(
@@ -70,14 +73,15 @@ def advance(
         The final state.
 
     Raises:
-        ValueError: If `dt` is not positive or `n_steps` is negative.
+        ValueError: If `dt` is not positive, `n_steps` is negative, or the state is
+            not of the scene's rod.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
     """
     if not isinstance(n_steps, jax.Array):
         n_steps = check_count("n_steps", n_steps, 0)
-    dt = _as_time(state, dt)
+    dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt, n_steps):
         check_step(scene, dt)
         return _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
@@ -114,7 +118,7 @@ def rollout(
         raise ValueError(
             f"n_steps must be a multiple of every, got {n_steps} and {every}"
         )
-    dt = _as_time(state, dt)
+    dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt):
         check_step(scene, dt)
     return _rollout_compiled(scene, state, dt, n_steps // every, every)
@@ -144,8 +148,21 @@ def check_step(scene: Scene, dt: Array) -> None:
         )
 
 
-def _as_time(state: RodState, dt: ArrayLike) -> Array:
-    return jnp.asarray(dt, state.positions.dtype)
+def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
+    """Checks the arguments of a run; gives the step the type of the scene."""
+    if not isinstance(state, RodState):
+        raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
+    n, dtype = scene.rod.n_elements, scene.rod.rest_lengths.dtype
+    if state.orientations.shape[-1] != n:
+        raise ValueError(
+            f"state must have {n} elements, as the scene's rod has, "
+            f"got {state.orientations.shape[-1]}"
+        )
+    if state.positions.dtype != dtype:
+        raise ValueError(
+            f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
+        )
+    return jnp.asarray(check_array("dt", dt, [()], "s", positive=True), dtype)
 
 
 def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:

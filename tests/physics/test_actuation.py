@@ -1,0 +1,96 @@
+"""The spline that shapes couples along a rod, and the limit on how fast they change."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+import jaxrod
+from physics.rods import arm
+
+
+@pytest.mark.parametrize(
+    "controls", [2, 3, 6, [0.1, 0.2, 0.7], [0.05, 0.3, 0.35, 0.8, 1.1]]
+)
+def test_the_spline_is_the_interpolating_not_a_knot_cubic(controls, record):
+    length = 1.3
+    spline = jaxrod.control_spline(controls, length, dtype=jnp.float64)
+    count = spline.n_controls
+    inner = controls
+    if isinstance(controls, int):
+        inner = length * np.arange(1, count + 1) / (count + 1)
+    knots = np.concatenate([[0.0], inner, [length]])
+    values = np.random.default_rng(0).uniform(-1, 1, (3, count))
+    points = np.linspace(-0.1, 1.1, 200) * length  # Beyond the ends, too.
+    got = jax.jit(spline.__call__)(jnp.asarray(values), jnp.asarray(points))
+    padded = np.pad(values, ((0, 0), (1, 1)))
+    expected = make_interp_spline(knots, padded, k=3, axis=1)(points)
+    record(
+        f"Control spline, control points {controls}",
+        "scipy.interpolate.make_interp_spline",
+        np.max(np.abs(got - expected)),
+        at_most=1e-12 * np.max(np.abs(expected)),
+    )
+
+
+def test_the_overshoot_of_six_equidistant_points_is_the_documented_one():
+    spline = jaxrod.control_spline(6, dtype=jnp.float64)
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 6), axis=-1).reshape(-1, 6)
+    highest = jnp.max(jnp.abs(spline(jnp.asarray(signs), jnp.linspace(0.0, 1.0, 1001))))
+    assert float(highest) == pytest.approx(1.67, abs=0.005)
+
+
+def test_the_load_does_not_depend_on_the_number_of_elements(record):
+    """Total couple and its first moment at n = 20 and 40 differ by O(1/n^2)."""
+    spline = jaxrod.control_spline(6, dtype=jnp.float64)
+    controls = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (3, 6)))
+
+    def totals(n):
+        rod, _ = arm(n)
+        couples = jaxrod.spline_couples(rod, spline, controls, 5.0).couples
+        return np.concatenate(
+            [np.sum(couples, axis=1), couples @ np.asarray(rod.arc_length_midpoints)]
+        )
+
+    exact = totals(2000)
+    coarse, fine = (np.max(np.abs(totals(n) - exact)) for n in (20, 40))
+    record(
+        "Total couple of a spline: error at n = 20 over that at n = 40",
+        "4",
+        coarse / fine,
+        between=(3.5, 4.5),
+    )
+    assert coarse < 0.05 * np.max(np.abs(exact))
+
+
+def test_couple_density_may_differ_between_directions():
+    rod, _ = arm(10)
+    spline = jaxrod.control_spline(4, dtype=jnp.float64)
+    couples = jaxrod.spline_couples(
+        rod, spline, jnp.ones((3, 4)), (1.0, 2.0, 0.0)
+    ).couples
+    np.testing.assert_allclose(couples[1], 2 * couples[0])
+    np.testing.assert_allclose(couples[2], 0)
+
+
+def test_applied_values_follow_commands_no_faster_than_allowed():
+    applied = jnp.array([0.0, 0.0, 0.5, -0.5])
+    commanded = jnp.array([1.0, 0.05, -1.0, -0.45])
+    after = jaxrod.limit_rate(applied, commanded, 0.1)
+    np.testing.assert_allclose(after, [0.1, 0.05, 0.4, -0.45])
+    for _ in range(20):
+        after = jaxrod.limit_rate(after, commanded, 0.1)
+    np.testing.assert_allclose(after, commanded)
+
+
+@pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
+def test_a_couple_turns_its_element_about_the_material_axis(mode):
+    """One element of a free arm, couple about each axis: P grows by c dt."""
+    for axis in range(3):
+        rod, state = arm(3, direction=(1.0, 2.0, -0.5))
+        couples = jnp.zeros((3, 3)).at[axis, 1].set(2.0)
+        scene = jaxrod.make_scene(rod, jaxrod.ElementCouples(couples), mode=mode)
+        after = jaxrod.advance(scene, state, 1e-7, 1)
+        expected = 2.0 * 1e-7 * state.directors[axis, :, 1]
+        np.testing.assert_allclose(after.angular_momenta[:, 1], expected, atol=1e-14)
