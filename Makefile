@@ -37,7 +37,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 demo: $(INSTALLED)
 	$(BIN)/jaxrod train tracking --variant paper --algorithm ppo \
-	    --steps $(DEMO_STEPS) --seed 0 --out $(DEMO)
+	    --steps $(DEMO_STEPS) --seed 0 --out $(DEMO) --overwrite
 	$(BIN)/jaxrod evaluate $(DEMO)
 	$(BIN)/jaxrod render $(DEMO)
 
