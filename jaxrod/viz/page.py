@@ -1,6 +1,6 @@
 """The replay as one HTML page that plays anywhere, without a network.
 
-The page holds its data and its program: about 30 kB of program, and two bytes per
+The page holds its data and its program: about 60 kB of program, and two bytes per
 coordinate before compression. Coordinates are rounded to 65536 steps of the range
 each axis covers, that is to within range / 131070 (8 micrometres for 1 m).
 """

@@ -193,6 +193,14 @@ class Replay:
                 high = np.maximum(high, end + cylinder.radius)
         return low, high
 
+    def __repr__(self) -> str:
+        """One line: what was recorded, not the numbers."""
+        duration = float(self.times[-1] - self.times[0])
+        return (
+            f"Replay({self.title!r}: {self.num_rods} rods, {self.num_frames} frames, "
+            f"{duration:.3g} s)"
+        )
+
     def _repr_html_(self) -> str:
         """The 3-D player in a frame of its own, for notebooks."""
         from jaxrod.viz.page import html
