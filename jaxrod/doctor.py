@@ -196,7 +196,9 @@ def check_matrix_products(device: jax.Device) -> Check:
     got = np.asarray(jax.jit(jnp.matmul)(*put), np.float64)
     exact = a.astype(np.float64) @ b.astype(np.float64)
     error = float(np.max(np.abs(got - exact)) / np.max(np.abs(exact)))
-    setting = jax.config.jax_default_matmul_precision or "default"
+    # By a variable: the type stubs of some releases lack this option.
+    option = "jax_default_matmul_precision"
+    setting = getattr(jax.config, option) or "default"
     detail = f"float32 relative error {error:.1e} (precision setting: {setting})"
     advice = ""
     if error > 1e-5:
