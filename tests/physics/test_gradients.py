@@ -90,11 +90,9 @@ def inner(a, b):
 
 
 @cache
-def programs(name):
-    """Loss with gradient, and loss alone, compiled once per mode."""
-    loss = loss_of(RUNS[name])
-    hurry = jax.jit(compiler_options=HURRY)
-    return hurry(jax.value_and_grad(loss)), hurry(loss)
+def differentiated(name):
+    """Loss and gradient of a kind of run, compiled once per mode."""
+    return jax.jit(jax.value_and_grad(loss_of(RUNS[name])), compiler_options=HURRY)
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
@@ -110,8 +108,8 @@ def programs(name):
 )
 def test_gradients_agree_with_differences(name, mode, moving, record):
     numbers = (*scene_and_state(mode, moving), jnp.asarray(2e-4))
-    differentiate, evaluate = programs(name)
-    value, gradient = differentiate(numbers)
+    evaluate = differentiated(name)
+    value, gradient = evaluate(numbers)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
     size, worst, seen = 1e-5, 0.0, 0
     for direction in directions(numbers):
