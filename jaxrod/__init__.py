@@ -26,7 +26,7 @@ from jaxrod._jax_version import require_sound_jax
 __version__ = "0.1.0"
 
 _NAMES = {
-    "_health": ("Health", "health"),
+    "_health": ("Health", "HealthLimits", "freeze", "health"),
     "actuation": (
         "ControlSpline",
         "ElementCouples",
@@ -42,6 +42,7 @@ _NAMES = {
         "ExponentialDamping",
         "FixedEnd",
         "Gravity",
+        "Resistance",
         "UniformLoad",
         "clamp",
         "end_load",
@@ -52,8 +53,15 @@ _NAMES = {
     ),
     "elasticity": ("stored_energy", "strains"),
     "factories": ("rod_along", "straight_rod", "unstressed"),
+    "frequency": ("highest_frequency",),
     "motion": ("Loads", "Motion"),
-    "rod": ("Rod", "RodState", "angular_velocities", "with_angular_velocities"),
+    "rod": (
+        "Rod",
+        "RodState",
+        "angular_velocities",
+        "compensated",
+        "with_angular_velocities",
+    ),
     "scene": (
         "Scene",
         "angular_momentum",

@@ -6,6 +6,8 @@ from jaxrod import training as training
 from jaxrod import vectors as vectors
 from jaxrod import viz as viz
 from jaxrod._health import Health as Health
+from jaxrod._health import HealthLimits as HealthLimits
+from jaxrod._health import freeze as freeze
 from jaxrod._health import health as health
 from jaxrod.actuation import ControlSpline as ControlSpline
 from jaxrod.actuation import ElementCouples as ElementCouples
@@ -19,6 +21,7 @@ from jaxrod.effects import EndLoad as EndLoad
 from jaxrod.effects import ExponentialDamping as ExponentialDamping
 from jaxrod.effects import FixedEnd as FixedEnd
 from jaxrod.effects import Gravity as Gravity
+from jaxrod.effects import Resistance as Resistance
 from jaxrod.effects import UniformLoad as UniformLoad
 from jaxrod.effects import clamp as clamp
 from jaxrod.effects import end_load as end_load
@@ -31,11 +34,13 @@ from jaxrod.elasticity import strains as strains
 from jaxrod.factories import rod_along as rod_along
 from jaxrod.factories import straight_rod as straight_rod
 from jaxrod.factories import unstressed as unstressed
+from jaxrod.frequency import highest_frequency as highest_frequency
 from jaxrod.motion import Loads as Loads
 from jaxrod.motion import Motion as Motion
 from jaxrod.rod import Rod as Rod
 from jaxrod.rod import RodState as RodState
 from jaxrod.rod import angular_velocities as angular_velocities
+from jaxrod.rod import compensated as compensated
 from jaxrod.rod import with_angular_velocities as with_angular_velocities
 from jaxrod.scene import Scene as Scene
 from jaxrod.scene import angular_momentum as angular_momentum

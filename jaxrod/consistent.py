@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import ElasticLaw, elastic_law, internal_loads
+from jaxrod.kick import Kick
 from jaxrod.motion import Motion
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
@@ -35,48 +35,11 @@ from jaxrod.rotations import (
     to_world,
 )
 from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
-from jaxrod.vectors import Vec3
+from jaxrod.verlet import Verlet
 
 
 @pytree
-class Kick:
-    """Solution after a time h of r' = load / inertia - damping r.
-
-    Attributes:
-        gain: Change of the rate per unit of load.
-        decay: What is left of the initial rate; `None` without damping.
-    """
-
-    gain: Array
-    decay: Array | None
-
-    @staticmethod
-    def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
-        """Works out both factors for a step of size `dt` [s]."""
-        duration = dt
-        decay = None
-        if damping is not None:
-            exponent = damping * dt
-            decay = jnp.exp(-exponent)
-            # (1 - exp(-x)) / x, by its series where the quotient loses digits.
-            small = exponent < 1e-2
-            series = 1 - exponent * (
-                1 / 2 - exponent * (1 / 6 - exponent * (1 / 24 - exponent / 120))
-            )
-            quotient = -jnp.expm1(-exponent) / jnp.where(small, 1, exponent)
-            duration = dt * jnp.where(small, series, quotient)
-        gain = duration if inverse_inertia is None else inverse_inertia * duration
-        return Kick(gain, decay)
-
-    def __call__(self, rate: Vec3, load: Vec3) -> Vec3:
-        """Applies the kick."""
-        if self.decay is not None:
-            rate = vectors.scale(self.decay, rate)
-        return vectors.add(rate, vectors.scale(self.gain, load))
-
-
-@pytree
-class ConsistentStepper:
+class ConsistentStepper(Verlet):
     """Constants of the consistent step for one scene and one step size.
 
     Attributes:
@@ -119,6 +82,7 @@ class ConsistentStepper:
             orientation=split_quaternion(state.orientations),
             velocity=vectors.split(state.velocities),
             spin=vectors.split(state.angular_momenta),
+            remainder=vectors.split_optional(state.remainders),
         )
         return hold_rates(self.scene, hold(self.scene, motion))
 
@@ -129,6 +93,7 @@ class ConsistentStepper:
             orientations=join_quaternion(motion.orientation),
             velocities=vectors.join(motion.velocity),
             angular_momenta=vectors.join(motion.spin),
+            remainders=vectors.join_optional(motion.remainder),
         )
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
@@ -147,12 +112,8 @@ class ConsistentStepper:
             y * cosine - x * sine,
             z * cosine + w * sine,
         )
-        moved = replace(
-            motion,
-            position=vectors.add(motion.position, vectors.scale(dt, motion.velocity)),
-            orientation=normalise(twisted),
-        )
-        return hold(self.scene, moved)
+        turned = replace(motion, orientation=normalise(twisted))
+        return hold(self.scene, turned.moved(dt))
 
     def kick(self, motion: Motion) -> Motion:
         """Changes velocities and angular momenta by all loads over one step."""
@@ -163,7 +124,7 @@ class ConsistentStepper:
         couples = to_world(directors(motion.orientation), loads.couples)
         kicked = replace(
             motion,
-            velocity=self.velocity_kick(motion.velocity, loads.forces),
-            spin=self.spin_kick(motion.spin, couples),
+            velocity=vectors.apply(self.velocity_kick, motion.velocity, loads.forces),
+            spin=vectors.apply(self.spin_kick, motion.spin, couples),
         )
         return hold_rates(self.scene, kicked)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from jaxtyping import Array
 
 from jaxrod._pytree import pytree
 from jaxrod.rotations import Quaternion
-from jaxrod.vectors import Vec3, inner_difference, safe_norm
+from jaxrod.vectors import Vec3, add, inner_difference, safe_norm, scale, subtract
 
 
 @pytree
@@ -30,16 +32,34 @@ class Motion:
     Consistent mode: angular momentum, world frame [kg m^2/s]. PyElastica mode:
     angular velocity, material frame [rad/s].
     """
+    remainder: Vec3 | None = None
+    """What rounding has added to the positions [m], where that is kept count of."""
 
     @property
     def edges(self) -> Vec3:
         """Vectors from each node to the next, world frame [m]."""
-        return inner_difference(self.position)
+        edges = inner_difference(self.position)
+        if self.remainder is None:
+            return edges
+        return subtract(edges, inner_difference(self.remainder))
 
     @property
     def lengths(self) -> Array:
         """Current element lengths [m]."""
         return safe_norm(self.edges)
+
+    def moved(self, dt: Array) -> Motion:
+        """The nodes moved at their velocities for a time `dt` [s].
+
+        With a remainder this is Kahan's compensated sum.
+        """
+        step = scale(dt, self.velocity)
+        if self.remainder is None:
+            return replace(self, position=add(self.position, step))
+        step = subtract(step, self.remainder)
+        position = add(self.position, step)
+        remainder = subtract(subtract(position, self.position), step)
+        return replace(self, position=position, remainder=remainder)
 
 
 @pytree

@@ -39,10 +39,11 @@ from jaxrod.rotations import (
 )
 from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
 from jaxrod.vectors import Vec3
+from jaxrod.verlet import Verlet
 
 
 @pytree
-class PyElasticaStepper:
+class PyElasticaStepper(Verlet):
     """Constants of the PyElastica step for one scene and one step size."""
 
     scene: Scene
@@ -99,6 +100,7 @@ class PyElasticaStepper:
             orientation=split_quaternion(state.orientations),
             velocity=vectors.split(state.velocities),
             spin=vectors.split(angular_velocities(self.scene.rod, state)),
+            remainder=vectors.split_optional(state.remainders),
         )
         return hold_rates(self.scene, hold(self.scene, motion))
 
@@ -110,18 +112,15 @@ class PyElasticaStepper:
             orientations=join_quaternion(motion.orientation),
             velocities=vectors.join(motion.velocity),
             angular_momenta=spin,
+            remainders=vectors.join_optional(motion.remainder),
         )
         return with_angular_velocities(self.scene.rod, state, spin)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
         """Moves nodes and turns elements at constant rates for `dt` [s]."""
         turn = rotation_exp(vectors.scale(dt, motion.spin))
-        moved = replace(
-            motion,
-            position=vectors.add(motion.position, vectors.scale(dt, motion.velocity)),
-            orientation=normalise(multiply_quaternions(motion.orientation, turn)),
-        )
-        return hold(self.scene, moved)
+        orientation = normalise(multiply_quaternions(motion.orientation, turn))
+        return hold(self.scene, replace(motion, orientation=orientation).moved(dt))
 
     def internal_loads(self, motion: Motion) -> Loads:
         """Internal forces and couples, gyroscopic and dilatation terms included."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,19 @@ from jaxrod.motion import Loads, Motion, accumulate
 from jaxrod.rod import Rod, RodState, angular_velocities
 from jaxrod.vectors import Vec3
 
+if TYPE_CHECKING:
+    from jaxrod.implicit import Implicit
+
 Mode = Literal["consistent", "pyelastica"]
 MODES: tuple[Mode, ...] = ("consistent", "pyelastica")
+
+Plane = Literal["xy", "yz", "zx"]
+PLANES: dict[Plane, tuple[int, int, int]] = {
+    "xy": (0, 1, 2),
+    "yz": (1, 2, 0),
+    "zx": (2, 0, 1),
+}
+"""The planes a scene can be reduced to: indices of their two axes and their normal."""
 
 
 @pytree
@@ -35,24 +46,52 @@ class Scene:
     mode: Mode = static(default="consistent")
     """"consistent": loads from a stored energy, angular momentum as state, second
     order. "pyelastica": PyElastica 1.0's law and stepping order, to round-off."""
+    plane: Plane | None = static(default=None)
+    """The plane in which everything happens: a cheaper program, the same result."""
+    implicit: Implicit | None = None
+    """Settings of the implicit integrator; `None` for explicit steps."""
 
 
-def make_scene(rod: Rod, *effects: Effect, mode: Mode = "consistent") -> Scene:
+def make_scene(
+    rod: Rod,
+    *effects: Effect,
+    mode: Mode = "consistent",
+    plane: Plane | None = None,
+    implicit: Implicit | None = None,
+) -> Scene:
     """Composes a scene from a rod and its effects.
 
-    Floating-point numbers of the effects are converted to the rod's type.
+    Floating-point numbers of effects and settings are converted to the rod's type.
 
     Args:
         rod: The rod.
         *effects: What acts on it.
         mode: "consistent" (default) or "pyelastica"; see `Scene`.
+        plane: "xy", "yz" or "zx" if the rod and all that acts on it stay in a plane
+            parallel to that one: several times cheaper, for the same result. The
+            state is the same as in space. Consistent mode only.
+        implicit: `jaxrod.implicit(...)` to step implicitly: any step size is stable.
+            Consistent mode, in space, only.
 
     Raises:
-        ValueError: If the mode is unknown.
+        ValueError: If the mode or the plane is unknown, or the choices exclude each
+            other.
         TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
     """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
+    if plane is not None:
+        if plane not in PLANES:
+            raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
+        if mode != "consistent":
+            raise ValueError(f"a plane needs mode='consistent', got mode={mode!r}")
+    if implicit is not None:
+        if mode != "consistent":
+            raise ValueError(
+                f"implicit steps need mode='consistent', got mode={mode!r}"
+            )
+        if plane is not None:
+            raise ValueError(f"implicit steps are in space only, got plane={plane!r}")
     if not isinstance(rod, Rod):
         raise TypeError(
             f"rod must be a jaxrod.Rod, got {type(rod).__name__} "
@@ -69,7 +108,8 @@ def make_scene(rod: Rod, *effects: Effect, mode: Mode = "consistent") -> Scene:
         leaf = jnp.asarray(leaf)
         return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
-    return Scene(rod=rod, effects=jax.tree.map(cast, tuple(effects)), mode=mode)
+    listed = jax.tree.map(cast, tuple(effects))
+    return Scene(rod, listed, mode, plane, jax.tree.map(cast, implicit))
 
 
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,22 +14,46 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod._validation import check_array, check_count, is_traced
 from jaxrod.consistent import ConsistentStepper
-from jaxrod.motion import Motion
+from jaxrod.implicit import ImplicitStepper
+from jaxrod.planar import PlanarStepper, check_planar
 from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stability import stable_dt
 
 Carry = TypeVar("Carry")
-Stepper = ConsistentStepper | PyElasticaStepper
+
+
+class Stepper(Protocol):
+    """An integrator with its constants worked out: what `advance` runs.
+
+    `begin` takes a state apart into whatever the integrator carries, `cycle` is what
+    the loop repeats, `end` finishes the last step and puts the state together:
+    `end(cycle(cycle(begin(state))))` is three steps. Position Verlet's cycle ends
+    where the kick of the next step acts, half a step on, so that neighbouring half
+    drifts are one.
+    """
+
+    def begin(self, state: RodState) -> Any:
+        """From a state to the carry before the first step."""
+
+    def cycle(self, carry: Any) -> Any:
+        """A step that is not the last."""
+
+    def end(self, carry: Any) -> RodState:
+        """The last step."""
 
 
 class UnstableStepWarning(UserWarning):
     """The time step is above the stability bound of the scene."""
 
 
-def stepper(scene: Scene, dt: Array) -> Stepper:
-    """The integrator of the scene's mode, its constants worked out."""
+def stepper(scene: Scene, state: RodState, dt: Array) -> Stepper:
+    """The integrator that the scene asks for, its constants worked out."""
+    if scene.implicit is not None:
+        return ImplicitStepper.create(scene, dt)
+    if scene.plane is not None:
+        return PlanarStepper.create(scene, state, dt)
     if scene.mode == "pyelastica":
         return PyElasticaStepper.create(scene, dt)
     return ConsistentStepper.create(scene, dt)
@@ -132,10 +156,14 @@ def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " rec
 def check_step(scene: Scene, dt: Array) -> None:
     """Warns when a concrete time step is above the scene's stability bound.
 
+    Implicit steps have none.
+
     Raises:
         ValueError: If `dt` is not a positive number.
     """
     check_array("dt", dt, [()], "s", positive=True)
+    if scene.implicit is not None:
+        return
     bound = stable_dt(scene, safety=1.0)
     if float(dt) > float(bound.dt):
         warnings.warn(
@@ -162,6 +190,8 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
+    if scene.plane is not None and not is_traced(scene, state):
+        check_planar(scene, state)
     return jnp.asarray(check_array("dt", dt, [()], "s", positive=True), dtype)
 
 
@@ -183,15 +213,11 @@ def _run(
     state: RodState,
     dt: Array,
     n_steps: int | Array,
-    loop: Callable[[Callable[[Motion], Motion], Motion, Any], Motion],
+    loop: Callable[[Callable[[Any], Any], Any, Any], Any],
 ) -> RodState:
-    """At least one step: half drift, kicks and drifts in turn, half drift."""
-    integrator = stepper(scene, dt)
-    motion = integrator.drift(integrator.enter(state), 0.5 * dt)
-    motion = loop(
-        lambda m: integrator.drift(integrator.kick(m), dt), motion, n_steps - 1
-    )
-    return integrator.leave(integrator.drift(integrator.kick(motion), 0.5 * dt))
+    """At least one step."""
+    integrator = stepper(scene, state, dt)
+    return integrator.end(loop(integrator.cycle, integrator.begin(state), n_steps - 1))
 
 
 def _repeat_traced(

@@ -8,6 +8,8 @@ ever handed to a matrix unit, which on some accelerators would round it to TF32.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -24,6 +26,16 @@ def split(stacked: Float[Array, "3 n"]) -> Vec3:
 def join(vector: Vec3) -> Float[Array, "3 n"]:
     """Stacks the three component arrays into one, component axis first."""
     return jnp.stack(vector)
+
+
+def split_optional(stacked: Float[Array, "3 n"] | None) -> Vec3 | None:
+    """`split` of what may not be there."""
+    return None if stacked is None else split(stacked)
+
+
+def join_optional(vector: Vec3 | None) -> Float[Array, "3 n"] | None:
+    """`join` of what may not be there."""
+    return None if vector is None else join(vector)
 
 
 def dot(a: Vec3, b: Vec3) -> Array:
@@ -58,6 +70,11 @@ def scale(factor: Array | float, a: Vec3) -> Vec3:
 def multiply(a: Vec3, b: Vec3) -> Vec3:
     """Product component by component: a diagonal matrix times a vector."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+def apply(function: Callable[[Array, Array], Array], a: Vec3, b: Vec3) -> Vec3:
+    """A function of two components, applied to each pair."""
+    return function(a[0], b[0]), function(a[1], b[1]), function(a[2], b[2])
 
 
 def safe_norm(a: Vec3) -> Array:

@@ -1,0 +1,49 @@
+"""Position Verlet: drift, kick, drift, with the half drifts of neighbours merged."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+from jaxtyping import Array
+
+from jaxrod.rod import RodState
+
+
+class Verlet(ABC):
+    """Position Verlet of whatever drift and kick a subclass has.
+
+    A cycle goes from the middle of one step, where its kick acts, to the middle of
+    the next.
+    """
+
+    dt: Array
+    """Step size [s]."""
+
+    @abstractmethod
+    def enter(self, state: RodState) -> Any:
+        """Takes a state apart into what drift and kick work on."""
+
+    @abstractmethod
+    def leave(self, motion: Any) -> RodState:
+        """Puts the state together again."""
+
+    @abstractmethod
+    def drift(self, motion: Any, dt: Array) -> Any:
+        """Moves at unchanged rates for a time `dt` [s]."""
+
+    @abstractmethod
+    def kick(self, motion: Any) -> Any:
+        """Changes the rates by all loads over one step, at rest."""
+
+    def begin(self, state: RodState) -> Any:
+        """To the middle of the first step."""
+        return self.drift(self.enter(state), 0.5 * self.dt)
+
+    def cycle(self, motion: Any) -> Any:
+        """From the middle of a step to the middle of the next."""
+        return self.drift(self.kick(motion), self.dt)
+
+    def end(self, motion: Any) -> RodState:
+        """From the middle of the last step to its end."""
+        return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))

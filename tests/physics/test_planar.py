@@ -1,0 +1,216 @@
+"""A planar scene is the three-dimensional one, for less."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.stepping import stepper
+from physics.rods import arm
+
+AXES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
+
+
+def swinging(plane, aligned=True, dtype=jnp.float64, n=12):
+    """A tapered, pre-curved, loaded arm that moves in a plane; planar scene, state."""
+    a, b = AXES[plane]
+    out = 3 - a - b
+    axis = lambda i, size=1.0: size * np.eye(3)[i]
+    s = np.linspace(0, 1, n + 1)
+    nodes = np.zeros((3, n + 1))
+    nodes[a], nodes[b], nodes[out] = s, 0.2 * s**2, 0.3
+    normal = axis(out) if aligned else axis(out) + axis(b)
+    rod, state = jaxrod.rod_along(
+        nodes,
+        radius=(0.05, 0.03),
+        density=1000.0,
+        youngs_modulus=1e7,
+        normal=normal,
+        dtype=dtype,
+    )
+    # Bending about d1 differs from bending about d2 where they lie in the plane.
+    if aligned:
+        stiffness = rod.bend_twist_stiffness.at[1].mul(3.0)
+        shear = rod.shear_stretch_stiffness.at[0].mul(0.7)
+        rod = replace(
+            rod, bend_twist_stiffness=stiffness, shear_stretch_stiffness=shear
+        )
+    # A couple about the normal, in the material frame of every element.
+    about = np.asarray(state.directors)[:, out] * 20 * np.sin(3 * s[1:])
+    effects = (
+        jaxrod.clamp(state),
+        jaxrod.gravity(axis(a, 2.0) + axis(b, -9.81)),
+        jaxrod.exponential_damping(0.5, 3.0),
+        jaxrod.end_load(axis(b, 3.0), axis(out, 2.0)),
+        jaxrod.uniform_load(axis(a, 1.0), axis(out, 5.0)),
+        jaxrod.ElementCouples(jnp.asarray(about)),
+    )
+    spin = jnp.zeros((3, n)).at[out].set(1e-3)
+    state = replace(state, angular_momenta=spin.astype(dtype))
+    return jaxrod.make_scene(rod, *effects, plane=plane), state
+
+
+def in_space(scene):
+    return replace(scene, plane=None)
+
+
+@pytest.mark.parametrize("plane", AXES)
+def test_a_planar_scene_is_the_one_in_space(plane, record):
+    scene, state = swinging(plane)
+    dt = float(jaxrod.stable_dt(scene).dt)
+    flat = jaxrod.rollout(scene, state, dt, 2000, 100)
+    full = jaxrod.rollout(in_space(scene), state, dt, 2000, 100)
+    travel = np.max(np.abs(full.positions - full.positions[:1]))
+    assert travel > 0.3, "the arm has to move for the comparison to say something"
+    worst = max(
+        float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b)))
+        for a, b in zip(jax.tree.leaves(flat), jax.tree.leaves(full), strict=True)
+    )
+    record(
+        f"Planar scene ({plane}), n = 12, 2000 steps: positions, orientations, "
+        "velocities, angular momenta, of their largest",
+        "the same scene in space",
+        worst,
+        at_most=1e-12,
+    )
+
+
+def test_principal_axes_may_lie_obliquely_where_all_axes_are_alike():
+    scene, state = swinging("yz", aligned=False)
+    flat = jaxrod.advance(scene, state, 2e-4, 200)
+    full = jaxrod.advance(in_space(scene), state, 2e-4, 200)
+    np.testing.assert_allclose(flat.positions, full.positions, atol=1e-13)
+    np.testing.assert_allclose(flat.orientations, full.orientations, atol=1e-13)
+
+
+def test_gradients_are_those_in_space():
+    scene, state = swinging("zx")
+    state = replace(state, velocities=state.velocities.at[0].set(0.1))
+
+    def height(scene, state, dt):
+        return jaxrod.advance(scene, state, dt, 30).tip[0]
+
+    gradient = jax.jit(jax.grad(height, argnums=(0, 1, 2)))
+    flat = gradient(scene, state, 2e-4)
+    full = gradient(in_space(scene), state, 2e-4)
+    # What points out of the plane has no influence on what a planar scene is.
+    for one, other in (
+        (flat[2], full[2]),
+        (flat[0].rod.linear_density, full[0].rod.linear_density),
+        (flat[0].rod.rest_lengths, full[0].rod.rest_lengths),
+        (flat[0].rod.bend_twist_stiffness[0], full[0].rod.bend_twist_stiffness[0]),
+        (flat[0].effects[1].acceleration[::2], full[0].effects[1].acceleration[::2]),
+        (flat[1].positions[::2], full[1].positions[::2]),
+        (flat[1].velocities[::2], full[1].velocities[::2]),
+        (flat[1].angular_momenta[1], full[1].angular_momenta[1]),
+    ):
+        assert float(jnp.max(jnp.abs(other))) > 0
+        np.testing.assert_allclose(
+            one, other, rtol=1e-9, atol=1e-11 * float(jnp.max(jnp.abs(other)))
+        )
+
+
+def test_batches_and_numbers_do_not_recompile():
+    scene, state = swinging("xy")
+    runs = 0
+
+    def height(scene, state, dt, n_steps):
+        nonlocal runs
+        runs += 1
+        return jaxrod.advance(scene, state, dt, n_steps).tip[1]
+
+    compiled = jax.jit(height)
+    alone = [float(compiled(scene, state, dt, 40)) for dt in (1e-4, 2e-4)]
+    stiffer = replace(
+        scene,
+        rod=replace(scene.rod, bend_twist_stiffness=2 * scene.rod.bend_twist_stiffness),
+    )
+    assert float(compiled(stiffer, state, 1e-4, 41)) != alone[0]
+    assert runs == 1
+    together = jax.vmap(height, in_axes=(None, None, 0, None))(
+        scene, state, jnp.array([1e-4, 2e-4]), 40
+    )
+    np.testing.assert_allclose(together, alone, rtol=1e-13)
+
+
+def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
+    rod, state = arm(20)
+    scene = jaxrod.make_scene(
+        rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(1.0)
+    )
+
+    def flops(scene):
+        """Of one step within many."""
+        integrator = stepper(scene, state, jnp.asarray(1e-4))
+        carry = integrator.begin(state)
+        return jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()["flops"]
+
+    record(
+        "Arithmetic of a planar step over that of a step in space",
+        "compiled programs",
+        flops(replace(scene, plane="zx")) / flops(scene),
+        at_most=0.4,
+    )
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (
+            lambda c, s: (c, replace(s, positions=s.positions.at[2, 4].add(0.01))),
+            "posi",
+        ),
+        (
+            lambda c, s: (c, replace(s, velocities=s.velocities.at[2, 4].add(1))),
+            "veloc",
+        ),
+        (
+            lambda c, s: (
+                c,
+                replace(s, angular_momenta=s.angular_momenta.at[0, 3].add(1e-3)),
+            ),
+            "angular momenta",
+        ),
+        (
+            lambda c, s: (
+                replace(c, effects=(*c.effects, jaxrod.gravity((0.0, 0.0, -9.81)))),
+                s,
+            ),
+            "forces",
+        ),
+        (
+            lambda c, s: (
+                replace(c, effects=(*c.effects, jaxrod.end_load(couple=(1.0, 0, 0)))),
+                s,
+            ),
+            "couples",
+        ),
+        (
+            lambda c, s: (
+                replace(
+                    c,
+                    rod=replace(
+                        c.rod, rest_curvatures=c.rod.rest_curvatures.at[2, 3].add(1.0)
+                    ),
+                ),
+                s,
+            ),
+            "rest curvatures",
+        ),
+    ],
+)
+def test_what_leaves_the_plane_is_refused(spoil, word):
+    scene, state = spoil(*swinging("xy"))
+    with pytest.raises(ValueError, match=rf"xy plane needs.*{word}"):
+        jaxrod.advance(scene, state, 1e-4, 5)
+
+
+def test_planes_are_named_and_consistent():
+    rod, _ = arm(4)
+    with pytest.raises(ValueError, match="plane must be one of xy, yz, zx"):
+        jaxrod.make_scene(rod, plane="xz")
+    with pytest.raises(ValueError, match="consistent"):
+        jaxrod.make_scene(rod, plane="xy", mode="pyelastica")
