@@ -54,6 +54,8 @@ _NAMES = {
     "elasticity": ("stored_energy", "strains"),
     "factories": ("rod_along", "straight_rod", "unstressed"),
     "frequency": ("highest_frequency",),
+    "inertia_scaling": ("InertiaScaling", "frequency_changes", "scale_inertia"),
+    "modes": ("natural_frequencies",),
     "motion": ("Loads", "Motion"),
     "rod": (
         "Rod",

@@ -35,6 +35,10 @@ from jaxrod.factories import rod_along as rod_along
 from jaxrod.factories import straight_rod as straight_rod
 from jaxrod.factories import unstressed as unstressed
 from jaxrod.frequency import highest_frequency as highest_frequency
+from jaxrod.inertia_scaling import InertiaScaling as InertiaScaling
+from jaxrod.inertia_scaling import frequency_changes as frequency_changes
+from jaxrod.inertia_scaling import scale_inertia as scale_inertia
+from jaxrod.modes import natural_frequencies as natural_frequencies
 from jaxrod.motion import Loads as Loads
 from jaxrod.motion import Motion as Motion
 from jaxrod.rod import Rod as Rod

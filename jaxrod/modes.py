@@ -1,0 +1,78 @@
+"""Natural frequencies of a scene: all of them, from the linearised motion."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod import vectors
+from jaxrod._validation import check_count
+from jaxrod.frequency import linearised, no_damping
+from jaxrod.motion import Motion
+from jaxrod.rod import RodState
+from jaxrod.rotations import split_quaternion
+from jaxrod.scene import Scene, hold_rates
+
+
+def natural_frequencies(
+    scene: Scene, state: RodState, n_modes: int | None = None
+) -> np.ndarray:
+    """Angular frequencies of small undamped motions about a state at rest.
+
+    From the dense eigenvalue problem of the `6 n + 3` freedoms, less those that
+    constraints hold: for looking at a rod, not for the inside of a loop. A straight
+    rod of round section bends alike in two planes and has its bending frequencies
+    twice; a free one starts with the six zeros of rigid motions.
+
+    Args:
+        scene: The scene, in consistent mode.
+        state: The configuration, in equilibrium.
+        n_modes: How many, the lowest ones; by default all.
+
+    Returns:
+        Angular frequencies, rising `(n_modes,)` [rad/s]; zero for motions without
+        (or with negative) stiffness.
+
+    Raises:
+        ValueError: If the scene's loads have no potential, or there are fewer modes.
+    """
+    if scene.mode != "consistent":
+        raise ValueError(
+            f"natural_frequencies needs mode='consistent', got mode={scene.mode!r}: "
+            "PyElastica's loads are not the gradient of an energy"
+        )
+    matrix = np.asarray(_stiffness(scene, state), np.float64)
+    free = np.asarray(_free(scene, state))
+    matrix = matrix[np.ix_(free, free)]
+    squares = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    frequencies = np.sqrt(np.maximum(squares, 0))
+    if n_modes is None:
+        return frequencies
+    if check_count("n_modes", n_modes, 1) > frequencies.size:
+        raise ValueError(
+            f"n_modes must be at most {frequencies.size}, the free motions of this "
+            f"scene, got {n_modes}"
+        )
+    return frequencies[:n_modes]
+
+
+@jax.jit
+def _stiffness(scene: Scene, state: RodState) -> jax.Array:
+    """Stiffness over inertia, in coordinates in which it is symmetric [rad^2/s^2]."""
+    apply = linearised(scene, state, no_damping(scene.rod))
+    size = state.positions.size + state.angular_momenta.size
+    return jax.vmap(apply)(jnp.eye(size, dtype=state.positions.dtype))
+
+
+@jax.jit
+def _free(scene: Scene, state: RodState) -> jax.Array:
+    """Which freedoms no constraint holds; node displacements first, then turns."""
+    moving = Motion(
+        position=vectors.split(state.positions),
+        orientation=split_quaternion(state.orientations),
+        velocity=vectors.split(jnp.ones_like(state.velocities)),
+        spin=vectors.split(jnp.ones_like(state.angular_momenta)),
+    )
+    held = hold_rates(scene, moving)
+    return jnp.concatenate([*held.velocity, *held.spin]) != 0
