@@ -14,12 +14,11 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod._validation import check_array, check_count, is_traced
 from jaxrod.consistent import ConsistentStepper
-from jaxrod.implicit import ImplicitStepper
 from jaxrod.planar import PlanarStepper, check_planar
 from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
-from jaxrod.stability import stable_dt
+from jaxrod.stability import compression, stable_dt
 
 Carry = TypeVar("Carry")
 
@@ -51,6 +50,9 @@ class UnstableStepWarning(UserWarning):
 def stepper(scene: Scene, state: RodState, dt: Array) -> Stepper:
     """The integrator that the scene asks for, its constants worked out."""
     if scene.implicit is not None:
+        # Imported when asked for: most programs never need it.
+        from jaxrod.implicit import ImplicitStepper
+
         return ImplicitStepper.create(scene, dt)
     if scene.plane is not None:
         return PlanarStepper.create(scene, state, dt)
@@ -107,7 +109,7 @@ def advance(
         n_steps = check_count("n_steps", n_steps, 0)
     dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt, n_steps):
-        check_step(scene, dt)
+        check_step(scene, dt, state)
         return _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
     if isinstance(n_steps, int):
         return _run_static(scene, state, dt, n_steps)
@@ -144,7 +146,7 @@ def rollout(
         )
     dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt):
-        check_step(scene, dt)
+        check_step(scene, dt, state)
     return _rollout_compiled(scene, state, dt, n_steps // every, every)
 
 
@@ -153,27 +155,35 @@ def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " rec
     return jnp.arange(n_steps // every + 1) * (every * dt)
 
 
-def check_step(scene: Scene, dt: Array) -> None:
+def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
     """Warns when a concrete time step is above the scene's stability bound.
 
-    Implicit steps have none.
+    Args:
+        scene: The scene.
+        dt: Step size [s].
+        state: Where the rod is, if the bound is to account for compression.
 
     Raises:
         ValueError: If `dt` is not a positive number.
     """
     check_array("dt", dt, [()], "s", positive=True)
-    if scene.implicit is not None:
-        return
     bound = stable_dt(scene, safety=1.0)
-    if float(dt) > float(bound.dt):
-        warnings.warn(
-            f"dt = {float(dt):.3g} s is above the stability bound "
-            f"{float(bound.dt):.3g} s set by {bound.limiting_mode}: expect the "
-            "simulation to blow up, with or without NaN. Use "
-            "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod.",
-            UnstableStepWarning,
-            stacklevel=3,
-        )
+    factor = 1.0 if state is None else float(compression(scene, state))
+    largest = factor * float(bound.dt)
+    if not float(dt) > largest:
+        return
+    cause = bound.limiting_mode
+    if factor < 1:
+        cause += f" in a rod compressed to {factor:.2g} of its length"
+    warnings.warn(
+        f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
+        f"{cause}: expect the simulation to blow up, with or without NaN. Use "
+        "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod; "
+        'warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes this an '
+        "error.",
+        UnstableStepWarning,
+        stacklevel=3,
+    )
 
 
 def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
