@@ -18,6 +18,7 @@ from jaxrod import (
     ElementCouples,
     Loads,
     Motion,
+    Resistance,
     Rod,
     RodState,
     straight_rod,
@@ -51,6 +52,12 @@ class ViscousDrag(Effect):
             # In PyElastica mode the spin is the material-frame angular velocity.
             couples=vectors.scale(drag, motion.spin),
         )
+
+    def resistance(self, rod: Rod) -> Resistance:
+        """Explicit drag, of the rod at its rest length."""
+        drag = self.viscosity * rod.rest_lengths
+        nodes = 0.5 * (vectors.pad(drag, 0, 1) + vectors.pad(drag, 1, 0))
+        return Resistance(node_drag=nodes, element_drag=drag)
 
 
 def legacy_arm(

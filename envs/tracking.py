@@ -11,8 +11,9 @@ Variants:
 - `"paper"`: the published environment to the detail, so that scores compare.
 - `"clean"`: the same arm with the library's own physics: consistent elastic law, a
   wall-accurate clamp, damping integrated exactly, actuation per metre instead of per
-  element, and as few elements and steps as an accuracy of about 1 % asks for. Ends an
-  episode when a numerical health flag rises.
+  element, and as few elements and steps as an accuracy of about 1 % asks for. When a
+  numerical health flag rises the arm is frozen at its last sound state and the episode
+  truncated.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from jaxrod import (
     Scene,
     advance,
     control_spline,
+    freeze,
     health,
     spline_couples,
 )
@@ -179,6 +181,11 @@ class Tracking:
         """One control period: the couples set by the action act for 1.4 ms."""
         scene = self.scene(state.arm, action, params)
         arm = advance(scene, state.arm, params.dt, self.substeps)
+        if self.variant == "paper":
+            crashed = ~jnp.all(jnp.isfinite(arm.positions))
+        else:
+            crashed = health(scene, arm, params.dt).flagged
+            arm = freeze(crashed, state.arm, arm)
         # The published walls are tested after every half step.
         target = moving_target.fly(
             state.target, params.target, 0.5 * params.dt, 2 * self.substeps
@@ -197,12 +204,10 @@ class Tracking:
         timeout = steps >= self.episode_length
         observation = self.observe(state)
         if self.variant == "paper":
-            crashed = ~jnp.all(jnp.isfinite(arm.positions))
             reward = jnp.where(crashed, params.crash_reward, reward)
             observation = jnp.where(crashed, 0, observation)
             terminated, truncated = crashed, timeout
         else:
-            crashed = health(scene, arm, params.dt).flagged
             terminated, truncated = jnp.zeros((), bool), timeout | crashed
         info = {
             "distance": jnp.where(

@@ -69,7 +69,8 @@ class VectorStep:
         terminated: the task ended; what follows is worth 0.
         truncated: cut short; what follows is worth the value of
             `final_observation`. Terminated wins where both hold.
-        info: the environment's scalars, before the restart.
+        info: the environment's scalars, before the restart; `"flagged"` is always
+            among them, raised by the environment or by a number that is not finite.
         episodes: the complete episodes that ended here.
     """
 
@@ -92,8 +93,9 @@ class VectorEnvironment:
     end early, and are left out of the score.
 
     A step that returns a number that is not finite is reported as flagged, pays
-    nothing and truncates there, with the observation before it as the final one:
-    one broken environment never spoils the batch.
+    nothing and truncates there, with the observation before it as the final one. One
+    broken environment never spoils the batch: what becomes of the others is the same
+    to the last bit.
 
     Attributes:
         env: the environment.
@@ -171,6 +173,7 @@ class VectorEnvironment:
         observation = jnp.where(sound[:, None], observation, state.observation)
         reward = jnp.where(sound, reward, 0).astype(state.episode_return.dtype)
         flagged = ~sound | info.get("flagged", ~sound)
+        info = info | {"flagged": flagged}
 
         elapsed = state.elapsed + 1
         terminated = terminated & sound

@@ -1,11 +1,21 @@
 """Numerical health of a state: is it one a simulation can be trusted to continue?
 
 Inside a compiled program nothing raises: failure is data. Look at the flags after an
-`advance`; an environment ends an episode on them.
+`advance` and go on from the last state that was sound:
+
+    after = jaxrod.advance(scene, before, dt, 7)
+    flagged = jaxrod.health(scene, after, dt).flagged
+    state = jaxrod.freeze(flagged, before, after)
+
+Nothing is clamped or repaired. Under `vmap` every rod of a batch has flags of its own,
+and what becomes of one does not touch the others.
 """
 
 from __future__ import annotations
 
+from typing import TypeVar
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
@@ -15,6 +25,8 @@ from jaxrod.elasticity import joint_rotations
 from jaxrod.rod import RodState, angular_velocities
 from jaxrod.rotations import split_quaternion
 from jaxrod.scene import Scene, total_energy
+
+State = TypeVar("State")
 
 
 @pytree
@@ -132,3 +144,26 @@ def health(
         largest_speed=jnp.max(speeds),
         largest_spin=spin,
     )
+
+
+def freeze(flagged: Bool[Array, "*batch"], before: State, after: State) -> State:
+    """The last sound state: `after`, but `before` where a flag rose.
+
+    A rod that is frozen in every step from its first flag on stays as it was before
+    that flag, bit for bit. Others are not touched.
+
+    Args:
+        flagged: From `health`; one for a state, or one for every entry of a batch.
+        before: The state before the steps that were examined: any pytree of arrays
+            whose leading axes are those of `flagged`.
+        after: The state after them.
+
+    Returns:
+        A pytree like both.
+    """
+
+    def choose(old: Array, new: Array) -> Array:
+        shape = flagged.shape + (1,) * (jnp.ndim(new) - flagged.ndim)
+        return jnp.where(jnp.reshape(flagged, shape), old, new)
+
+    return jax.tree.map(choose, before, after)

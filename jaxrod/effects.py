@@ -33,6 +33,24 @@ from jaxrod.vectors import Vec3
 End = Literal["start", "finish"]
 
 
+@pytree
+class Resistance:
+    """What an effect may add to the stiffness and drag of a rod: upper bounds.
+
+    Each is one number, or one per node or element, or `None` where there is none.
+    `stable_dt` adds them up.
+    """
+
+    nodes: Array | None = None
+    """Stiffness against moving a node [N/m]."""
+    elements: Array | None = None
+    """Stiffness against turning an element [N m]."""
+    node_drag: Array | None = None
+    """Force on a node per speed, where `loads` has it (explicit drag) [kg/s]."""
+    element_drag: Array | None = None
+    """Couple on an element per angular velocity, likewise [N m s]."""
+
+
 class Effect:
     """Base of all effects: every hook does nothing.
 
@@ -55,6 +73,14 @@ class Effect:
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
         """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
+        return None
+
+    def resistance(self, rod: Rod) -> Resistance | None:
+        """Bounds on how steeply `loads` change, for the stability bound.
+
+        An effect whose loads depend on where the rod is or how it moves must have
+        this, or `stable_dt` does not know of it. Constant loads need nothing.
+        """
         return None
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
@@ -188,6 +214,13 @@ class Clamp(Effect):
     def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Stops the end node."""
         return replace(motion, velocity=_zero_at_end(motion.velocity, self.end))
+
+    def resistance(self, rod: Rod) -> Resistance:
+        """The stiffness of the wall joint, on the end element."""
+        index = 0 if self.end == "start" else -1
+        bend_twist = rod.bend_twist_stiffness[:, index]
+        stiffness = jnp.max(bend_twist) / (0.5 * rod.rest_lengths[index])
+        return Resistance(elements=_place(stiffness, rod.n_elements, self.end))
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Elastic energy of the wall joint [J]."""
