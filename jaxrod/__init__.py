@@ -27,6 +27,7 @@ __version__ = "0.1.0"
 
 _NAMES = {
     "_health": ("Health", "HealthLimits", "freeze", "health"),
+    "_implicit": ("Implicit", "implicit"),
     "actuation": (
         "ControlSpline",
         "ElementCouples",
@@ -74,6 +75,7 @@ _NAMES = {
         "total_energy",
     ),
     "stability": ("StableStep", "stable_dt"),
+    "statics": ("Equilibrium", "equilibrium"),
     "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

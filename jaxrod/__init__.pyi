@@ -9,6 +9,8 @@ from jaxrod._health import Health as Health
 from jaxrod._health import HealthLimits as HealthLimits
 from jaxrod._health import freeze as freeze
 from jaxrod._health import health as health
+from jaxrod._implicit import Implicit as Implicit
+from jaxrod._implicit import implicit as implicit
 from jaxrod.actuation import ControlSpline as ControlSpline
 from jaxrod.actuation import ElementCouples as ElementCouples
 from jaxrod.actuation import control_spline as control_spline
@@ -55,6 +57,8 @@ from jaxrod.scene import potential_energy as potential_energy
 from jaxrod.scene import total_energy as total_energy
 from jaxrod.stability import StableStep as StableStep
 from jaxrod.stability import stable_dt as stable_dt
+from jaxrod.statics import Equilibrium as Equilibrium
+from jaxrod.statics import equilibrium as equilibrium
 from jaxrod.stepping import UnstableStepWarning as UnstableStepWarning
 from jaxrod.stepping import advance as advance
 from jaxrod.stepping import rollout as rollout

@@ -17,7 +17,7 @@ from jaxrod.rod import Rod, RodState, angular_velocities
 from jaxrod.vectors import Vec3
 
 if TYPE_CHECKING:
-    from jaxrod.implicit import Implicit
+    from jaxrod._implicit import Implicit
 
 Mode = Literal["consistent", "pyelastica"]
 MODES: tuple[Mode, ...] = ("consistent", "pyelastica")

@@ -51,7 +51,7 @@ def stepper(scene: Scene, state: RodState, dt: Array) -> Stepper:
     """The integrator that the scene asks for, its constants worked out."""
     if scene.implicit is not None:
         # Imported when asked for: most programs never need it.
-        from jaxrod.implicit import ImplicitStepper
+        from jaxrod._implicit import ImplicitStepper
 
         return ImplicitStepper.create(scene, dt)
     if scene.plane is not None:

@@ -1,0 +1,276 @@
+r"""Implicit mode: steps as large as the motion allows, however stiff the rod.
+
+Two stages of a singly diagonally implicit Runge-Kutta method of second order, with
+coefficient $\gamma$ and stages at $\gamma h$ and $(1 - \gamma) h$ of equal weight.
+Each stage is a backward Euler step of $\gamma h$ from its own base: the balance of
+loads of `jaxrod.balance`, solved by Newton's method on block-tridiagonal systems.
+Turns are composed as rotations, so the method works on the rotation group itself.
+
+The method is stable at any step size, for nonlinear motion too (it is algebraically
+stable for $\gamma \ge 1/4$). An infinitely stiff mode loses the factor
+
+$$\rho = \frac{1/2 - 2\gamma + \gamma^2}{\gamma^2}$$
+
+of its amplitude per step: the spectral radius, chosen between 0 and 1. With
+$\rho = 1$ it is two implicit midpoint half steps, symmetric in time: no numerical
+damping at all, and angular momentum conserved to the tolerance of the solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxrod import vectors
+from jaxrod._pytree import pytree, static
+from jaxrod._validation import Numbers, check_array, check_count
+from jaxrod.balance import Balance, Moves, balanced, displaced, unblocked
+from jaxrod.elasticity import ElasticLaw, elastic_law
+from jaxrod.motion import Motion
+from jaxrod.rod import RodState
+from jaxrod.rotations import (
+    directors,
+    join_quaternion,
+    multiply_quaternions,
+    normalise,
+    rotation_exp,
+    split_quaternion,
+    to_material,
+)
+from jaxrod.scene import Scene, damping_rates, hold, hold_rates
+from jaxrod.vectors import Vec3
+
+LARGEST_TURN = 1.0
+"""No iteration turns an element by more than this [rad]."""
+
+
+@pytree
+class Implicit:
+    """The choice of the implicit integrator, and its settings. See `implicit`."""
+
+    spectral_radius: Float[Array, ""]
+    """What is left of an infinitely stiff motion after a step [1]."""
+    tolerance: Float[Array, ""] | None = None
+    """Newton's method ends after a correction below this many element lengths and
+    radians [1]; the error that is left is about its square. `None`: by precision."""
+    max_iterations: int = static(default=20)
+    """Per stage. A step that needs more yields a state that is not finite."""
+
+
+def implicit(
+    spectral_radius: Numbers = 0.5,
+    *,
+    tolerance: Numbers | None = None,
+    max_iterations: int = 20,
+) -> Implicit:
+    """Steps implicitly: any step size is stable; accuracy alone limits it.
+
+    For stiff or slender rods whose interesting motion is slow. A step costs tens of
+    explicit ones; it pays where the stable step is hundreds of times shorter than
+    the motion asks for. A step that does not converge yields NaN, which
+    `jaxrod.health` reports.
+
+    Args:
+        spectral_radius: What numerical damping leaves of an infinitely stiff motion
+            after one step, from 0 (nothing) to 1 (everything: no damping). Slow
+            motion is followed to second order with any value.
+        tolerance: Newton's method ends after a correction below this many element
+            lengths and radians; by default 1e-7, or 3e-4 in single precision.
+        max_iterations: Corrections allowed per stage.
+
+    Returns:
+        What `make_scene` takes as `implicit`.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    radius = check_array(
+        "spectral_radius", spectral_radius, [()], "", non_negative=True
+    )
+    if not isinstance(radius, jax.core.Tracer) and radius > 1:
+        raise ValueError(f"spectral_radius must be at most 1, got {radius:g}")
+    dtype = jnp.result_type(float)
+    if tolerance is not None:
+        bound = check_array("tolerance", tolerance, [()], "", positive=True)
+        tolerance = jnp.asarray(bound, dtype)
+    return Implicit(
+        spectral_radius=jnp.asarray(radius, dtype),
+        tolerance=tolerance,
+        max_iterations=check_count("max_iterations", max_iterations, 1),
+    )
+
+
+def newton_tolerance(given: Array | None, dtype: jnp.dtype) -> Array:
+    """The given tolerance, or one whose square is near round-off."""
+    if given is not None:
+        return given
+    return jnp.asarray(3e-4 if jnp.finfo(dtype).bits <= 32 else 1e-7, dtype)
+
+
+@pytree
+class Base:
+    """Where a stage starts from: a configuration with the rates inertia would keep."""
+
+    motion: Motion
+    guess: tuple[Vec3, Vec3]
+    """Rates expected at the stage: velocities, and spins in the base frames."""
+
+
+@pytree
+class Increments:
+    """What a stage adds to its base."""
+
+    displacement: Vec3
+    turn: Vec3
+    velocity: Vec3
+    spin: Vec3
+
+
+@pytree
+class ImplicitStepper:
+    """Constants of the implicit step for one scene and one step size."""
+
+    scene: Scene
+    settings: Implicit
+    law: ElasticLaw
+    coefficient: Float[Array, ""]
+    """The method's gamma [1]."""
+    duration: Float[Array, ""]
+    """Of a stage, gamma dt [s]."""
+    damping: tuple[Array, Array] | None
+
+    @staticmethod
+    def create(scene: Scene, dt: Array) -> ImplicitStepper:
+        """Works out the constants once, outside the loop."""
+        settings = scene.implicit
+        assert settings is not None
+        coefficient = 0.5 / (1 + jnp.sqrt(0.5 * (1 + settings.spectral_radius)))
+        return ImplicitStepper(
+            scene=scene,
+            settings=settings,
+            law=elastic_law(scene.rod),
+            coefficient=coefficient,
+            duration=coefficient * dt,
+            damping=damping_rates(scene),
+        )
+
+    def begin(self, state: RodState) -> Motion:
+        """Takes a state apart and makes it respect the scene's constraints."""
+        return hold_rates(self.scene, hold(self.scene, motion_of(state)))
+
+    def end(self, motion: Motion) -> RodState:
+        """The last step."""
+        return state_of(self.cycle(motion))
+
+    def cycle(self, motion: Motion) -> Motion:
+        """One step."""
+        # Stage 2 starts from the base at h (1 - 2 gamma) k1, in gammas of stage 1.
+        second = 1 / self.coefficient - 2
+
+        def stage(base: Base, _: None) -> tuple[Base, Increments]:
+            added = self._stage(base)
+            return self._second_base(motion, added, second), added
+
+        first = Base(motion, self._rates(motion))
+        _, added = lax.scan(stage, first, length=2)
+        share = 0.5 / self.coefficient
+        one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
+        after = _add(_add(motion, one), two)
+        return hold_rates(self.scene, hold(self.scene, after))
+
+    def _rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
+        """Velocities, and angular velocities in the material frames."""
+        transverse, polar = self.scene.rod.inertias
+        a, b, c = to_material(directors(motion.orientation), motion.spin)
+        return motion.velocity, (a / transverse, b / transverse, c / polar)
+
+    def _second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
+        """Where the second stage starts from, and the rates extrapolated to it."""
+        base = _add(motion, jax.tree.map(lambda a: factor * a, added))
+        moved = _add(motion, added)
+        rates = self._rates(moved)
+        return Base(base, rates)
+
+    def _stage(self, base: Base) -> Increments:
+        """A backward Euler step from a base."""
+        balance = Balance(
+            self.scene, self.law, base.motion, 1 / self.duration, self.damping
+        )
+        guess = Moves(*(vectors.scale(self.duration, rate) for rate in base.guess))
+        moves = balanced(
+            balance, newton(*lax.stop_gradient((balance, guess, self.settings)))
+        )
+        reached = balance.motion(moves)
+        return Increments(
+            displacement=moves.displacement,
+            turn=moves.turn,
+            velocity=vectors.subtract(reached.velocity, base.motion.velocity),
+            spin=vectors.subtract(reached.spin, base.motion.spin),
+        )
+
+
+def motion_of(state: RodState) -> Motion:
+    """A state taken apart into component arrays."""
+    return Motion(
+        position=vectors.split(state.positions),
+        orientation=split_quaternion(state.orientations),
+        velocity=vectors.split(state.velocities),
+        spin=vectors.split(state.angular_momenta),
+        remainder=vectors.split_optional(state.remainders),
+    )
+
+
+def state_of(motion: Motion) -> RodState:
+    """The state put together again."""
+    return RodState(
+        positions=vectors.join(motion.position),
+        orientations=join_quaternion(motion.orientation),
+        velocities=vectors.join(motion.velocity),
+        angular_momenta=vectors.join(motion.spin),
+        remainders=vectors.join_optional(motion.remainder),
+    )
+
+
+def newton(balance: Balance, guess: Moves, settings: Implicit) -> Moves:
+    """Moves that balance, by Newton's method; NaN where it does not converge."""
+    length = jnp.min(balance.scene.rod.rest_lengths)
+    tolerance = newton_tolerance(settings.tolerance, length.dtype)
+
+    def unfinished(carry: tuple[Moves, Array, Array]) -> Array:
+        _, correction, iteration = carry
+        going = (correction > tolerance) & (correction < jnp.inf)
+        return (iteration < settings.max_iterations) & ((iteration == 0) | going)
+
+    def improve(carry: tuple[Moves, Array, Array]) -> tuple[Moves, Array, Array]:
+        moves, _, iteration = carry
+        step = balance.tangent(moves).solve(-balance.residual(moves))
+        displacement, turn = unblocked(step)
+        turned = largest(turn)
+        correction = jnp.maximum(largest(displacement) / length, turned)
+        share = jnp.minimum(1, LARGEST_TURN / jnp.maximum(turned, LARGEST_TURN))
+        return balance.followed(moves, share * step), correction, iteration + 1
+
+    start = (guess, jnp.zeros((), length.dtype), jnp.zeros((), jnp.int32))
+    moves, correction, _ = lax.while_loop(unfinished, improve, start)
+    converged = correction <= tolerance
+    return jax.tree.map(lambda a: jnp.where(converged, a, jnp.nan), moves)
+
+
+def largest(field: Vec3) -> Array:
+    """The largest absolute component."""
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(component)) for component in field]))
+
+
+def _add(motion: Motion, added: Increments) -> Motion:
+    """A motion with a stage's increments, or a multiple of them, put on top."""
+    turned = multiply_quaternions(motion.orientation, rotation_exp(added.turn))
+    return replace(
+        displaced(motion, added.displacement),
+        orientation=normalise(turned),
+        velocity=vectors.add(motion.velocity, added.velocity),
+        spin=vectors.add(motion.spin, added.spin),
+    )
