@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,20 +27,23 @@ class Stepper(Protocol):
     """An integrator with its constants worked out: what `advance` runs.
 
     `begin` takes a state apart into whatever the integrator carries, `cycle` is what
-    the loop repeats, `end` finishes the last step and puts the state together:
-    `end(cycle(cycle(begin(state))))` is three steps. Position Verlet's cycle ends
-    where the kick of the next step acts, half a step on, so that neighbouring half
-    drifts are one.
+    the loop repeats, `end` finishes and puts the state together. Position Verlet's
+    cycle ends where the kick of the next step acts, half a step on, so that
+    neighbouring half drifts are one: `end(cycle(cycle(begin(state))))` is three
+    steps, the last one finished by `end`.
     """
+
+    steps_of_end: ClassVar[int]
+    """How many steps `end` finishes, 1 or 0."""
 
     def begin(self, state: RodState) -> Any:
         """From a state to the carry before the first step."""
 
     def cycle(self, carry: Any) -> Any:
-        """A step that is not the last."""
+        """A step that `end` does not finish."""
 
     def end(self, carry: Any) -> RodState:
-        """The last step."""
+        """What is left to do after the cycles."""
 
 
 class UnstableStepWarning(UserWarning):
@@ -167,6 +170,8 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
         ValueError: If `dt` is not a positive number.
     """
     check_array("dt", dt, [()], "s", positive=True)
+    if scene.implicit is not None:
+        return
     bound = stable_dt(scene, safety=1.0)
     factor = 1.0 if state is None else float(compression(scene, state))
     largest = factor * float(bound.dt)
@@ -227,7 +232,8 @@ def _run(
 ) -> RodState:
     """At least one step."""
     integrator = stepper(scene, state, dt)
-    return integrator.end(loop(integrator.cycle, integrator.begin(state), n_steps - 1))
+    cycles = n_steps - integrator.steps_of_end
+    return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
 
 
 def _repeat_traced(

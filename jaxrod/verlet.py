@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 from jaxtyping import Array
 
@@ -17,6 +17,7 @@ class Verlet(ABC):
     the next.
     """
 
+    steps_of_end: ClassVar[int] = 1
     dt: Array
     """Step size [s]."""
 
