@@ -197,7 +197,10 @@ def _krylov(
 
     def extend(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         basis, projected = carry
-        image = apply(basis[k])
+        # Barriers: without, XLA's CPU compiler works for minutes on fusing the map
+        # with what surrounds it.
+        vector = lax.optimization_barrier(basis[k])
+        image = lax.optimization_barrier(apply(vector))
         whole = _norm(image)
         column = jnp.zeros_like(projected[:, 0])
         # Orthogonalised twice, which is as good as it gets.

@@ -26,6 +26,7 @@ $h\,\omega_{\max} < 2$.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -35,9 +36,16 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod._validation import check_array
-from jaxrod.frequency import InertiaFactors, fastest_vibration, no_damping
+from jaxrod.frequency import (
+    InertiaFactors,
+    Vibration,
+    fastest_vibration,
+    no_damping,
+)
 from jaxrod.rod import Rod, RodState
 from jaxrod.scene import Scene, damping_rates
+
+Details = TypeVar("Details")
 
 MODE_NAMES = ("shear and bending", "stretch", "twist")
 
@@ -107,39 +115,33 @@ def compression(scene: Scene, state: RodState) -> Float[Array, ""]:
 
 @jax.jit
 def _bounded(scene: Scene, safety: Array) -> StableStep:
-    def frequency(factors: InertiaFactors) -> Array:
-        return jnp.max(frequency_bounds(scene, factors))
+    def bounds(factors: InertiaFactors) -> tuple[Array, Array]:
+        frequencies = frequency_bounds(scene, factors)
+        return jnp.max(frequencies), frequencies
 
-    undamped = 2 / frequency(no_damping(scene.rod))
-    step = _largest_step(scene, frequency, undamped, rounds=16)
-    bounds = frequency_bounds(scene, _inertia_factors(scene, step))
-    mode, element = jnp.divmod(jnp.argmax(bounds), bounds.shape[1])
+    step, undamped, frequencies = _largest_step(scene, bounds, lambda h: h, rounds=16)
+    mode, element = jnp.divmod(jnp.argmax(frequencies), frequencies.shape[1])
     return StableStep(safety * step, element, mode, 2 / undamped)
 
 
 @jax.jit
 def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
-    def frequency(factors: InertiaFactors) -> Array:
-        return fastest_vibration(scene, state, factors).angular_frequency
+    def measure(factors: InertiaFactors) -> tuple[Array, Vibration]:
+        vibration = fastest_vibration(scene, state, factors)
+        return vibration.angular_frequency, vibration
 
-    undamped = 2 / frequency(no_damping(scene.rod))
-    start = undamped
-    if _is_damped(scene):
-        # The bound knows roughly what damping does: from there it is not far.
-        bound = _bounded(scene, jnp.ones_like(safety))
-        start = bound.dt * jnp.minimum(0.5 * undamped * bound.angular_frequency, 1)
-    step = _largest_step(scene, frequency, start, rounds=6)
-    motion = fastest_vibration(scene, state, _inertia_factors(scene, step))
+    # The bound knows roughly what damping does: from there it is not far.
+    bound = _bounded(scene, jnp.ones_like(safety))
+
+    def start(undamped: Array) -> Array:
+        return bound.dt * jnp.minimum(0.5 * undamped * bound.angular_frequency, 1)
+
+    step, undamped, motion = _largest_step(scene, measure, start, rounds=6)
     nodes = motion.displacements
-    along = jnp.sum(nodes, axis=0)
-    tangent = state.directors[2]
-    axial = jnp.sum(nodes[:, 1:] * tangent**2, axis=0)
+    axial = jnp.sum(nodes[:, 1:] * state.directors[2] ** 2, axis=0)
+    across = jnp.sum(nodes[:, 1:], axis=0) - axial
     energies = jnp.stack(
-        [
-            motion.turns[0] + motion.turns[1] + along[1:] - axial,
-            axial,
-            motion.turns[2],
-        ]
+        [motion.turns[0] + motion.turns[1] + across, axial, motion.turns[2]]
     )
     mode = jnp.argmax(jnp.sum(energies, axis=1))
     element = jnp.argmax(jnp.sum(energies, axis=0))
@@ -148,23 +150,45 @@ def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
 
 def _largest_step(
     scene: Scene,
-    frequency: Callable[[InertiaFactors], Array],
-    start: Array,
+    measure: Callable[[InertiaFactors], tuple[Array, Details]],
+    start: Callable[[Array], Array],
     rounds: int,
-) -> Array:
-    """The step h at which h times the frequency, damping included, is 2."""
+) -> tuple[Array, Array, Details]:
+    """The step h at which h times the frequency, damping included, is 2.
+
+    Args:
+        scene: The scene.
+        measure: Gives the highest frequency for given factors of the inertias, and
+            anything else that is known of it.
+        start: Gives the first guess from the limit without damping.
+        rounds: How often the guess is improved.
+
+    Returns:
+        The step, the limit without damping, and what else is known.
+    """
     if not _is_damped(scene):
-        return start
+        frequency, details = measure(no_damping(scene.rod))
+        return 2 / frequency, 2 / frequency, details
 
-    def limit(step: Array) -> Array:
-        return 2 / frequency(_inertia_factors(scene, step))
+    # All in one loop, so that what is measured is compiled once. Round 0 is without
+    # damping. Added inertia grows with the step, inertia taken away shrinks: the
+    # geometric mean converges for both, and in the last round the smaller of the two
+    # is on the safe side.
+    def improve(step: Array, k: Array) -> tuple[Array, tuple[Array, Details]]:
+        damped = _inertia_factors(scene, step)
+        factors = jax.tree.map(
+            lambda a, b: jnp.where(k == 0, a, b), no_damping(scene.rod), damped
+        )
+        frequency, details = measure(factors)
+        limit = 2 / frequency
+        better = jnp.where(
+            k <= rounds, jnp.sqrt(step * limit), jnp.minimum(step, limit)
+        )
+        return jnp.where(k == 0, start(limit), better), (limit, details)
 
-    # Added inertia grows with the step, inertia taken away shrinks: the geometric
-    # mean converges for both, and the smaller of the two is on the safe side.
-    step = lax.fori_loop(
-        0, rounds, lambda _, step: jnp.sqrt(step * limit(step)), start
-    )
-    return jnp.minimum(step, limit(step))
+    first = jnp.ones((), scene.rod.rest_lengths.dtype)
+    step, (limits, details) = lax.scan(improve, first, jnp.arange(rounds + 2))
+    return step, limits[0], jax.tree.map(lambda a: a[-1], details)
 
 
 def _total(scene: Scene, name: str) -> Array | None:
