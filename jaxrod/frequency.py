@@ -166,7 +166,13 @@ def linearised(
         held = hold_rates(scene, replace(still, velocity=velocity, spin=spin))
         return jnp.concatenate([*held.velocity, *held.spin])
 
-    return lambda motion: -hold(change(hold(motion) / root) / root)
+    def apply(motion: Array) -> Array:
+        # Barriers: without, XLA's CPU compiler works for minutes on fusing the map
+        # with what surrounds it.
+        motion = lax.optimization_barrier(hold(motion) / root)
+        return -hold(lax.optimization_barrier(change(motion)) / root)
+
+    return apply
 
 
 def _loads(scene: Scene, motion: Motion) -> Loads:
@@ -197,10 +203,7 @@ def _krylov(
 
     def extend(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         basis, projected = carry
-        # Barriers: without, XLA's CPU compiler works for minutes on fusing the map
-        # with what surrounds it.
-        vector = lax.optimization_barrier(basis[k])
-        image = lax.optimization_barrier(apply(vector))
+        image = apply(basis[k])
         whole = _norm(image)
         column = jnp.zeros_like(projected[:, 0])
         # Orthogonalised twice, which is as good as it gets.
