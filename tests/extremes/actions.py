@@ -97,8 +97,13 @@ def episode(index, key, mode, dtype, control_steps):
         report = jaxrod.health(scene, after, dt)
         work = work + jnp.sum(couples * turned(state, after))
         flags = jnp.stack(
-            [~report.finite, report.stretch, report.joint_angle, report.speed]
-            + [report.spin]
+            [
+                ~report.finite,
+                report.stretch,
+                report.joint_angle,
+                report.speed,
+                report.spin,
+            ]
         )
         energy = jaxrod.total_energy(scene, after)
         sound = ~outcome.flagged
@@ -166,12 +171,12 @@ def episodes(indices, mode, dtype, control_steps):
     )
 
 
-def run(count, seconds, mode="consistent", dtype="float32", batch=64):
-    """Runs episodes; returns what became of them all, for tabulating."""
+def run(count, seconds, mode="consistent", dtype="float32", batch=64, offset=0):
+    """Runs episodes from number `offset` on; returns what became of them all."""
     control_steps = round(seconds / (DT * SUBSTEPS))
     begin = time.perf_counter()
     parts = []
-    for first in range(0, count, batch):
+    for first in range(offset, offset + count, batch):
         indices = jnp.arange(first, first + batch)
         parts.append(
             jax.tree.map(np.asarray, episodes(indices, mode, dtype, control_steps))
@@ -179,7 +184,7 @@ def run(count, seconds, mode="consistent", dtype="float32", batch=64):
     outcome, finite = jax.tree.map(
         lambda *leaves: np.concatenate(leaves)[:count], *parts
     )
-    kinds = np.arange(count) % len(KINDS)
+    kinds = np.arange(offset, offset + count) % len(KINDS)
     return {
         "mode": mode,
         "dtype": dtype,
@@ -187,8 +192,7 @@ def run(count, seconds, mode="consistent", dtype="float32", batch=64):
         "seconds": seconds,
         "episodes_flagged": int(outcome.flagged.sum()),
         "flagged_by_kind": {
-            kind: int(outcome.flagged[kinds == k].sum())
-            for k, kind in enumerate(KINDS)
+            kind: int(outcome.flagged[kinds == k].sum()) for k, kind in enumerate(KINDS)
         },
         "flags": dict(
             zip(
@@ -211,12 +215,19 @@ def main():
     """Prints one JSON object."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=10_000)
+    parser.add_argument("--offset", type=int, default=0, help="number of the first")
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--mode", default="consistent")
     parser.add_argument("--dtype", default="float32")
     options = parser.parse_args()
     jaxrod.configure_cpu(1)
-    result = run(options.episodes, options.seconds, options.mode, options.dtype)
+    result = run(
+        options.episodes,
+        options.seconds,
+        options.mode,
+        options.dtype,
+        offset=options.offset,
+    )
     print(json.dumps(result, indent=2))
 
 

@@ -1,0 +1,107 @@
+"""Single precision beside double, and runs so long that any bias would show."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from physics.rods import AREA, YOUNG, arm
+
+DT = 2e-4
+
+
+def hanging(dtype, n_elements=20):
+    """The arm, let go under gravity, with a little damping."""
+    rod, state = arm(n_elements, dtype=dtype, direction=(1.0, 0.0, 0.0))
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
+    return scene, state
+
+
+def axial_force(scene, states):
+    """In every element and record [N]."""
+    strain = jax.vmap(lambda s: jaxrod.strains(scene.rod, s)[0])(states)
+    return YOUNG * AREA * np.asarray(strain[:, 2], np.float64)
+
+
+def test_the_arm_for_two_seconds_in_single_precision(record):
+    runs = {}
+    for dtype in (jnp.float32, jnp.float64):
+        scene, state = hanging(dtype)
+        if dtype == jnp.float32:
+            state = jaxrod.compensated(state)
+        states = jaxrod.rollout(scene, state, DT, 10_000, 100)
+        runs[dtype] = scene, states
+    tips = [np.asarray(runs[d][1].positions[..., -1], np.float64) for d in runs]
+    record(
+        "Tip in float32 with compensated positions, arm, 2 s [m]",
+        "float64",
+        np.max(np.abs(tips[0] - tips[1])),
+        at_most=1e-6,
+    )
+    forces = [axial_force(*run) for run in runs.values()]
+    record(
+        "Axial force in float32 with compensated positions, arm, 2 s, rms [N]",
+        "float64",
+        np.sqrt(np.mean((forces[0] - forces[1]) ** 2)),
+        at_most=0.2,
+    )
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [100_000, pytest.param(10_000_000, marks=pytest.mark.slow)],
+)
+def test_long_runs_do_not_drift(steps, dtype, record):
+    """A free rod, bent and turning; both precisions."""
+    rod, state = arm(3, dtype=dtype)
+    state = jaxrod.RodState(
+        **vars(state)
+        | {
+            "velocities": jnp.asarray([[0.5], [-0.3], [0.1]], dtype)
+            * jnp.asarray([[1, -2, -1, 2]], dtype)
+        }
+    )
+    state = jaxrod.with_angular_velocities(
+        rod, state, jnp.asarray([[1.0], [2.0], [3.0]], dtype) * jnp.ones((3, 3), dtype)
+    )
+    if dtype == jnp.float32:
+        state = jaxrod.compensated(state)
+    scene = jaxrod.make_scene(rod)
+    dt = jaxrod.stable_dt(scene, 0.3).dt
+
+    @jax.jit
+    def run(start):
+        def block(s, _):
+            s = jaxrod.advance(scene, s, dt, jnp.asarray(steps // 20))
+            norm = jnp.sqrt(jnp.sum(s.orientations**2, axis=0))
+            return s, (
+                jnp.max(jnp.abs(norm - 1)),
+                jaxrod.momentum(rod, s),
+                jaxrod.angular_momentum(rod, s),
+                jaxrod.total_energy(scene, s),
+            )
+
+        return jax.lax.scan(block, start, length=20)[1]
+
+    norms, momenta, spins, energies = (np.asarray(a, np.float64) for a in run(state))
+    scale = np.linalg.norm(np.asarray(jaxrod.angular_momentum(rod, state)))
+    single = dtype == jnp.float32
+    name = f"{steps:.0e} steps, {dtype}"
+    record(
+        f"Length of quaternions after {name}",
+        "1",
+        norms.max(),
+        at_most=3e-7 if single else 1e-12,
+    )
+    spin_drift = np.abs(spins - spins[0]).max() / scale
+    record(
+        f"Angular momentum, drift over {name}",
+        "conservation",
+        spin_drift,
+        at_most=1e-2 if single else 1e-9,
+    )
+    assert np.abs(momenta - momenta[0]).max() < (1e-2 if single else 1e-9)
+    # No trend: the last quarter is like the first.
+    first, last = energies[:5].mean(), energies[-5:].mean()
+    assert abs(last / first - 1) < (0.05 if single else 1e-3)
