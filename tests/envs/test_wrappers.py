@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxrod.envs import VectorEnvironment
+from jaxrod.envs.tracking import tracking
 from jaxrod.envs.trivial import Trivial
 
 
@@ -166,3 +167,45 @@ def test_empty_batch_is_refused():
     env = Trivial()
     with pytest.raises(ValueError, match="num_envs must be at least 1, got 0"):
         VectorEnvironment(env).reset(jax.random.key(0), 0, env.default_params())
+
+
+def test_a_bad_arm_in_4096_is_flagged_and_the_others_are_the_same_to_the_last_bit():
+    bad, num_envs = 77, 4096
+    env = tracking("clean", episode_length=50)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    actions = jax.random.uniform(
+        jax.random.key(1), (3, num_envs, env.action_size), minval=-1, maxval=1
+    )
+
+    @jax.jit
+    def play(fast):
+        state = batch.reset(jax.random.key(0), num_envs, params)
+        velocities = state.states.arm.velocities.at[bad, 0, -1].set(fast)
+        arm = dataclasses.replace(state.states.arm, velocities=velocities)
+        states = dataclasses.replace(state.states, arm=arm)
+        state = dataclasses.replace(state, states=states)
+        return jax.lax.scan(lambda s, a: batch.step(s, a, params), state, actions)
+
+    sound_end, sound = play(0.0)
+    end, steps = play(500.0)
+    others = np.arange(num_envs) != bad
+    assert not np.asarray(sound.info["flagged"]).any()
+    np.testing.assert_array_equal(np.flatnonzero(steps.info["flagged"][0]), [bad])
+    np.testing.assert_array_equal(np.flatnonzero(steps.truncated[0]), [bad])
+    assert not np.asarray(steps.terminated).any()
+    assert np.all(np.isfinite(steps.final_observation))
+    keyless = [dataclasses.replace(s, keys=None) for s in (sound_end, end)]
+    for a, b in zip(*map(jax.tree.leaves, keyless), strict=True):
+        np.testing.assert_array_equal(a[others], b[others])
+    for a, b in zip(jax.tree.leaves(sound), jax.tree.leaves(steps), strict=True):
+        np.testing.assert_array_equal(a[:, others], b[:, others])
+
+
+def test_what_an_environment_breaks_is_always_among_its_scalars():
+    env = Breaking(episode_length=10)
+    params = env.default_params()
+    batch = VectorEnvironment(env)
+    state = batch.reset(jax.random.key(4), 2, params)
+    _, steps = run(batch, state, actions_for(6, 2), params)
+    np.testing.assert_array_equal(steps.info["flagged"], steps.episodes.flagged)

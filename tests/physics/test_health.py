@@ -118,3 +118,48 @@ def test_one_bad_rod_in_a_batch_leaves_the_others_alone():
     np.testing.assert_array_equal(flags, [False, False, True, False])
     for i in (0, 1, 3):
         np.testing.assert_array_equal(good.positions[i], bad.positions[i])
+
+
+def test_a_flagged_rod_is_frozen_and_the_others_go_on_to_the_last_bit():
+    """Of 4096 rods one gets a not-a-number load after a while; in float32."""
+    bad, steps, fails = 1234, 6, 3
+    rod, state = arm(5, dtype=jnp.float32)
+    random = np.random.default_rng(0)
+    couples = random.uniform(-50, 50, (4096, 3, 5)).astype(np.float32)
+
+    def control_step(carry, k):
+        rods, frozen, broken = carry
+        load = jnp.where(broken & (k >= fails), jnp.nan, couples)
+
+        def one(rod_state, load):
+            scene = jaxrod.make_scene(
+                rod, jaxrod.clamp(state), jaxrod.ElementCouples(load)
+            )
+            after = jaxrod.advance(scene, rod_state, 2e-4, 3)
+            return after, jaxrod.health(scene, after, 2e-4).flagged
+
+        after, flagged = jax.vmap(one)(rods, load)
+        frozen = frozen | flagged
+        rods = jaxrod.freeze(frozen, rods, after)
+        return (rods, frozen, broken), rods
+
+    @jax.jit
+    def run(broken):
+        rods = jax.tree.map(lambda leaf: jnp.repeat(leaf[None], 4096, axis=0), state)
+        start = rods, jnp.zeros(4096, bool), broken
+        (_, frozen, _), history = jax.lax.scan(control_step, start, jnp.arange(steps))
+        return frozen, history
+
+    nobody = jnp.zeros((4096, 1, 1), bool)
+    none_frozen, sound = run(nobody)
+    one_frozen, with_bad = run(nobody.at[bad].set(True))
+    assert not np.any(none_frozen)
+    np.testing.assert_array_equal(np.flatnonzero(one_frozen), [bad])
+    others = np.arange(4096) != bad
+    for good, mixed in zip(
+        jax.tree.leaves(sound), jax.tree.leaves(with_bad), strict=True
+    ):
+        np.testing.assert_array_equal(good[:, others], mixed[:, others])
+        # The last sound state is the one before the load broke, and it stays.
+        for later in range(fails, steps):
+            np.testing.assert_array_equal(mixed[later, bad], good[fails - 1, bad])

@@ -7,23 +7,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 import jaxrod
 from jaxrod._pytree import pytree
 from jaxrod.envs.tracking import tracking
 from physics.rods import arm, deformed, random_rod
-from physics.small_motions import frequencies, held_freedoms, no_moves, perturb
-from physics.small_motions import unbalance
+from physics.small_motions import (
+    frequencies,
+    held_freedoms,
+    no_moves,
+    perturb,
+    unbalance,
+)
 
 # One program per count and kind of end, so few are compiled. True: clamped.
-FEW = {2: True, 5: False, 16: True}
+FEW = {2: True, 10: False}
 MANY = {2: True, 3: False, 5: True, 8: False, 13: True, 20: False, 35: True, 60: False}
 
 
 def drawn(seed, n, wall):
     """A random rod, tapered and curved, slender or stubby, damped or not.
 
-    Returns the scene, its state at rest, its damping rates and its free freedoms.
+    Returns the scene, the same without damping, the state at rest, the damping rates
+    and the free freedoms.
     """
     rod, state = random_rod(seed, n)
     random = np.random.default_rng(seed)
@@ -31,9 +38,10 @@ def drawn(seed, n, wall):
     if seed % 3:
         rates = 10 ** random.uniform(-3, 0.5, 2)
         rates *= float(jaxrod.stable_dt(jaxrod.make_scene(rod)).angular_frequency)
-    effects = [jaxrod.exponential_damping(*rates)]
-    effects += [jaxrod.clamp(state)] if wall else []
-    return jaxrod.make_scene(rod, *effects), state, rates, held_freedoms(rod, wall)
+    bare = jaxrod.make_scene(rod, *([jaxrod.clamp(state)] if wall else []))
+    damping = jaxrod.exponential_damping(*rates)
+    scene = replace(bare, effects=(*bare.effects, damping))
+    return scene, bare, state, rates, held_freedoms(rod, wall)
 
 
 def highest(scene, state, free, factors=(1.0, 1.0)):
@@ -77,9 +85,9 @@ def examine(counts, seeds, record):
     ratios, excursions = [], []
     for index, seed in enumerate(seeds):
         n, wall = list(counts.items())[index % len(counts)]
-        scene, state, rates, free = drawn(seed, n, wall)
+        scene, bare, state, rates, free = drawn(seed, n, wall)
         bound = jaxrod.stable_dt(scene, 1.0).dt
-        limit = true_limit(scene, state, free, rates)
+        limit = true_limit(bare, state, free, rates)
         ratios.append(float(bound) / limit)
         excursions.append(float(excursion(scene, state, bound)))
         with pytest.warns(jaxrod.UnstableStepWarning):
@@ -109,8 +117,8 @@ def test_the_stable_step_is_safe_and_close_for_two_hundred_rods(record):
 # Radius, Young's modulus, elements, and the true limit of the free rod [s].
 TABLE = {
     "arm, n = 5": (0.05, 1e7, 5, 7.96e-4),
-    "arm, n = 20": (0.05, 1e7, 20, 4.21e-4),
-    "thin rope, n = 20": (0.002, 1e7, 20, 3.516e-5),
+    "arm, n = 10": (0.05, 1e7, 10, 6.39e-4),
+    "thin rope, n = 10": (0.002, 1e7, 10, 3.527e-5),
 }
 
 
@@ -173,9 +181,10 @@ def test_the_guard_knows_that_compression_stiffens_pyelasticas_law():
 
 def test_the_limiting_motion_is_named():
     slender, state = arm(5, radius=0.005)
-    assert "shear and bending" in jaxrod.stable_dt(
-        jaxrod.make_scene(slender)
-    ).limiting_mode
+    assert (
+        "shear and bending"
+        in jaxrod.stable_dt(jaxrod.make_scene(slender)).limiting_mode
+    )
     rod, _ = arm(5)
     stiff = rod.shear_stretch_stiffness.at[2, 3].mul(100)
     stretchy = jaxrod.make_scene(replace(rod, shear_stretch_stiffness=stiff))
@@ -188,44 +197,25 @@ def test_the_limiting_motion_is_named():
         assert "twist" in named
 
 
-def spectral_radius(scene, state, dt):
-    """How fast the linearised step grows whatever grows fastest, per step."""
-    leaves, structure = jax.tree.flatten(state)
-    sizes = np.cumsum([leaf.size for leaf in leaves])[:-1]
-
-    def after(flat):
-        parts = [
-            part.reshape(leaf.shape)
-            for part, leaf in zip(jnp.split(flat, sizes), leaves, strict=True)
-        ]
-        stepped = jaxrod.step(scene, jax.tree.unflatten(structure, parts), dt)
-        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(stepped)])
-
-    start = jnp.concatenate([leaf.ravel() for leaf in leaves])
-    return np.max(np.abs(np.linalg.eigvals(jax.jacfwd(after)(start))))
-
-
-@pytest.mark.parametrize("variant", ["paper", "clean"])
-def test_the_tracking_arms_limit_knows_of_its_drag(variant):
-    """Explicit in one variant, solved exactly in the other; both far from small."""
-    env = tracking(variant)
+def test_the_published_tracking_arms_limit_knows_of_its_explicit_drag():
+    env = tracking("paper", n_elements=10)
     with jax.enable_x64(True):
         params = env.default_params()
         scene = env.scene(params.rest, jnp.zeros(12), params)
         stable = jaxrod.stable_dt(scene, 1.0)
         without = 2 / stable.angular_frequency
-        assert (stable.dt < 0.95 * without) == (variant == "paper")
-        assert spectral_radius(scene, params.rest, stable.dt) < 1 + 1e-6
+        assert stable.dt < 0.95 * without
+        assert excursion(scene, params.rest, 0.99 * stable.dt) < 1e-6
         measured = jaxrod.stable_dt(scene, 1.0, state=params.rest).dt
-        assert measured == pytest.approx(stable.dt, rel=0.05)
-        assert spectral_radius(scene, params.rest, 1.02 * measured) > 1.01
+        assert measured == pytest.approx(float(stable.dt), rel=0.05)
+        assert not excursion(scene, params.rest, 1.03 * measured) < 1e-4
 
 
 def test_deformed_rods_stay_within_the_safety_factor(record):
     """The bound is for the unstressed rod; the default factor covers the rest."""
     worst = 0.0
     for seed in range(6):
-        rod, _ = arm(10, radius=(0.01, 0.05)[seed % 2])
+        rod, _ = arm(5, radius=(0.01, 0.05)[seed % 2])
         scene = jaxrod.make_scene(rod)
         bent = deformed(rod, seed, largest_angle=0.8, largest_strain=0.3)
         default = float(jaxrod.stable_dt(scene).dt)
@@ -239,14 +229,13 @@ def test_deformed_rods_stay_within_the_safety_factor(record):
     )
 
 
-@pytest.mark.parametrize("n", [2, 10])
-def test_the_highest_frequency_is_that_of_the_tangent_stiffness(n, record):
-    errors = []
+def test_the_highest_frequency_is_that_of_the_tangent_stiffness(record):
+    n, errors = 10, []
     for seed in range(5):
         rod, state = random_rod(seed, n)
-        scene = jaxrod.make_scene(rod, jaxrod.clamp(state))
+        scene = jaxrod.make_scene(rod)
         for at in (state, deformed(rod, seed, 0.8, 0.3)):
-            exact = frequencies(scene, at, held_freedoms(rod))[-1]
+            exact = frequencies(scene, at)[-1]
             errors.append(float(jaxrod.highest_frequency(scene, at)) / exact - 1)
     record(
         f"Highest frequency by iteration, n = {n}, ten random rods at rest and bent",
@@ -266,14 +255,12 @@ def accelerations(scene, state, moves):
 
 @pytest.mark.parametrize("stretch", [1.0, 0.5, 0.1])
 def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
-    rod, state = arm(5, radius=0.02)
+    rod, state = arm(2, radius=0.02)
     scene = jaxrod.make_scene(rod, mode="pyelastica")
     short = squeezed(state, stretch)
-    moves, unravel = jax.flatten_util.ravel_pytree(no_moves(state))
+    moves, unravel = ravel_pytree(no_moves(state))
     matrix = jax.jacfwd(
-        lambda flat: jax.flatten_util.ravel_pytree(
-            accelerations(scene, short, unravel(flat))
-        )[0]
+        lambda flat: ravel_pytree(accelerations(scene, short, unravel(flat)))[0]
     )(moves)
     exact = np.sqrt(np.max(np.abs(np.linalg.eigvals(-np.asarray(matrix)))))
     measured = float(jaxrod.highest_frequency(scene, short))
@@ -316,10 +303,10 @@ def test_an_effects_own_stiffness_and_drag_are_in_the_bound(share):
     scene = jaxrod.make_scene(rod, Springs(state.positions, stiffness, drag))
     bound = jaxrod.stable_dt(scene, 1.0).dt
     measured = jaxrod.stable_dt(scene, 1.0, state=state).dt
-    assert bound <= measured * (1 + 1e-6)
+    assert bound <= measured * (1 + 1e-3)
     assert bound > 0.5 * measured
-    assert spectral_radius(scene, state, measured * 0.99) < 1 + 1e-6
-    assert spectral_radius(scene, state, measured * 1.02) > 1 + 1e-3
+    assert excursion(scene, state, 0.99 * measured) < 1e-6
+    assert not excursion(scene, state, 1.03 * measured) < 1e-4
 
 
 def test_a_rod_sheared_at_rest_is_bounded_too():
@@ -333,16 +320,15 @@ def test_a_rod_sheared_at_rest_is_bounded_too():
         assert 0.6 < ratio <= 1
 
 
-def test_measuring_works_inside_jit_and_vmap(dtype):
-    rod, state = arm(5, dtype=dtype)
-    scene = jaxrod.make_scene(rod, jaxrod.exponential_damping(10.0))
-    stretches = jnp.asarray([0.5, 1.0, 1.5], dtype)
+def test_measuring_works_inside_jit_and_vmap():
+    rod, state = arm(5, dtype=jnp.float32)
+    scene = jaxrod.make_scene(rod)
+    stretches = jnp.asarray([0.5, 1.0, 1.5], jnp.float32)
 
     def measure(stretch):
         return jaxrod.stable_dt(scene, state=squeezed(state, stretch)).dt
 
     together = jax.jit(jax.vmap(measure))(stretches)
+    assert together.dtype == jnp.float32
     alone = [measure(stretch) for stretch in stretches]
-    assert together.dtype == dtype
-    tolerance = 1e-3 if dtype == jnp.float32 else 1e-9
-    np.testing.assert_allclose(together, alone, rtol=tolerance)
+    np.testing.assert_allclose(together, alone, rtol=1e-3)
