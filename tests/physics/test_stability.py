@@ -266,7 +266,7 @@ def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
     measured = float(jaxrod.highest_frequency(scene, short))
     assert measured == pytest.approx(exact, rel=2e-3)
     rest = float(jaxrod.stable_dt(scene).angular_frequency)
-    assert measured <= rest / stretch * (1 + 1e-6)
+    assert measured <= rest / stretch * (1 + 1e-3)
     consistent = replace(scene, mode="consistent")
     assert float(jaxrod.highest_frequency(consistent, short)) <= 1.1 * rest
 
