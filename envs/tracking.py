@@ -28,6 +28,7 @@ from jaxrod import (
     Clamp,
     ControlSpline,
     Effect,
+    ElementAverages,
     ExponentialDamping,
     FixedEnd,
     Rod,
@@ -72,8 +73,8 @@ class TrackingParams:
     """The arm."""
     rest: RodState
     """The arm at the start of an episode."""
-    spline: ControlSpline
-    """Through the control points."""
+    spline: ControlSpline | ElementAverages
+    """Through the control points; in "clean", averaged over the arm's elements."""
     viscosity: Float[Array, ""]
     """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
     torque: Float[Array, ""]
@@ -135,13 +136,15 @@ class Tracking:
         rod, rest = make_arm(self.n_elements, BASE, "y")
         density = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
 
+        spline = control_spline(N_CONTROLS, LENGTH)
+
         def number(value: float) -> Array:
             return jnp.asarray(value, rod.radii.dtype)
 
         return TrackingParams(
             rod=rod,
             rest=rest,
-            spline=control_spline(N_CONTROLS, LENGTH),
+            spline=spline if paper else spline.averaged(rod),
             viscosity=number(VISCOSITY),
             torque=number(TORQUE_PER_ELEMENT if paper else density),
             dt=number(CONTROL_PERIOD / self.substeps),
@@ -225,6 +228,7 @@ class Tracking:
         controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
         rod, rest = params.rod, params.rest
         if self.variant == "paper":
+            assert isinstance(params.spline, ControlSpline)
             couples = muscle_couples(
                 rod, arm, params.spline, controls, params.torque, params.dt
             )

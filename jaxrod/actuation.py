@@ -7,6 +7,7 @@ control points: with six equidistant ones it reaches 1.67 times the largest valu
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from jaxrod._pytree import pytree
 from jaxrod._validation import Numbers, check_array
 from jaxrod.effects import Effect
+from jaxrod.interpolation import interpolated
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod
 
@@ -30,6 +32,16 @@ class ElementCouples(Effect):
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """The couples as they are."""
         return Loads(couples=(self.couples[0], self.couples[1], self.couples[2]))
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> ElementCouples:
+        """Couples of the same density per rest length, interpolated between middles."""
+        density = interpolated(
+            np.asarray(self.couples / rod.rest_lengths[None, :]),
+            np.asarray(rod.arc_length_midpoints),
+            np.asarray(new_rod.arc_length_midpoints),
+        )
+        lengths = new_rod.rest_lengths[None, :]
+        return ElementCouples(jnp.asarray(density, lengths.dtype) * lengths)
 
 
 @pytree
@@ -57,12 +69,52 @@ class ControlSpline:
         self, controls: Float[Array, "*batch n_controls"], points: Float[Array, " m"]
     ) -> Float[Array, "*batch m"]:
         """Values of the spline at the given arc lengths [m]."""
+        return _combined(self.basis(points), controls)
+
+    def basis(self, points: Float[Array, " m"]) -> Float[Array, "m n_controls"]:
+        """What each control value contributes at the given arc lengths [m]."""
         piece = jnp.sum(points[:, None] >= self.breaks[None, :], axis=1)
         local = points - self.origins[piece]
         powers = jnp.stack([jnp.ones_like(local), local, local**2, local**3])
-        basis = jnp.sum(self.coefficients[piece] * powers.T[:, :, None], axis=1)
-        basis = jnp.expand_dims(basis, tuple(range(controls.ndim - 1)))
-        return jnp.sum(controls[..., None, :] * basis, axis=-1)
+        return jnp.sum(self.coefficients[piece] * powers.T[:, :, None], axis=1)
+
+    def averaged(self, rod: Rod) -> ElementAverages:
+        """The spline's averages over the elements of a rod, worked out once.
+
+        What the elements as a whole get is then what the spline has, however few
+        they are. Two points of Gauss' rule: exact for a cubic.
+        """
+        middles = rod.arc_length_midpoints
+        offset = rod.rest_lengths / (2 * math.sqrt(3))
+        return ElementAverages(
+            0.5 * (self.basis(middles - offset) + self.basis(middles + offset))
+        )
+
+
+@pytree
+class ElementAverages:
+    """A control spline averaged over each element of a rod; linear in its controls."""
+
+    basis: Float[Array, "n n_controls"]
+    """Average over each element of what each control value contributes [1]."""
+
+    @property
+    def n_controls(self) -> int:
+        """Number of control values."""
+        return self.basis.shape[-1]
+
+    def __call__(
+        self, controls: Float[Array, "*batch n_controls"]
+    ) -> Float[Array, "*batch n"]:
+        """The averages for given control values, in their unit."""
+        return _combined(self.basis, controls)
+
+
+def _combined(
+    basis: Float[Array, "m n_controls"], controls: Float[Array, "*batch n_controls"]
+) -> Float[Array, "*batch m"]:
+    basis = jnp.expand_dims(basis, tuple(range(controls.ndim - 1)))
+    return jnp.sum(controls[..., None, :] * basis, axis=-1)
 
 
 def control_spline(
@@ -139,18 +191,19 @@ def _cardinal_coefficients(
 
 def spline_couples(
     rod: Rod,
-    spline: ControlSpline,
+    spline: ControlSpline | ElementAverages,
     controls: Float[Array, "3 n_controls"],
     couple_density: ArrayLike,
 ) -> ElementCouples:
     """Couples distributed along the rod in proportion to a spline, per rest length.
 
-    The resolution-independent form: the couple on element k is the density at its
-    middle times its rest length, so refining the rod does not change the load.
+    The resolution-independent form: the couple on an element is the integral of the
+    density over it, so that refining the rod does not change the load.
 
     Args:
         rod: The rod.
-        spline: From `control_spline`.
+        spline: From `control_spline`; or its averages over the elements of this rod,
+            `spline.averaged(rod)`, where controls change often.
         controls: Control values [1] about d1, d2 (bending) and d3 (twist).
         couple_density: Couple per rest length for a control value of one [N m/m];
             one number, or one per direction `(3,)`.
@@ -164,7 +217,8 @@ def spline_couples(
     check_array("controls", controls, [(3, spline.n_controls)], "")
     check_array("couple_density", couple_density, [(), (3,)], "N m/m")
     density = jnp.broadcast_to(jnp.asarray(couple_density, controls.dtype), (3,))
-    values = spline(controls, rod.arc_length_midpoints)
+    averages = spline.averaged(rod) if isinstance(spline, ControlSpline) else spline
+    values = averages(controls)
     return ElementCouples(density[:, None] * values * rod.rest_lengths[None, :])
 
 

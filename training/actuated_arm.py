@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import (
     ControlSpline,
+    ElementAverages,
     RodState,
     Scene,
     clamp,
@@ -34,7 +35,7 @@ class ActuatedArm:
     """The rod and everything that acts on it but its muscles."""
     state: RodState
     """Where it starts."""
-    spline: ControlSpline
+    spline: ControlSpline | ElementAverages
     """Shape of the muscle couples along the rod, from `control_spline`."""
     couple_density: Float[Array, ""]
     """Couple per rest length for a control value of one [N m/m]."""

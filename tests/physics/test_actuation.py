@@ -42,26 +42,43 @@ def test_the_overshoot_of_six_equidistant_points_is_the_documented_one():
 
 
 def test_the_load_does_not_depend_on_the_number_of_elements(record):
-    """Total couple and its first moment at n = 20 and 40 differ by O(1/n^2)."""
+    """Total couple and first moment are the spline's, where elements end at breaks."""
     spline = jaxrod.control_spline(6, dtype=jnp.float64)
     controls = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (3, 6)))
 
     def totals(n):
         rod, _ = arm(n)
         couples = jaxrod.spline_couples(rod, spline, controls, 5.0).couples
-        return np.concatenate(
-            [np.sum(couples, axis=1), couples @ np.asarray(rod.arc_length_midpoints)]
-        )
+        middles = np.asarray(rod.arc_length_midpoints)
+        return np.sum(couples, axis=1), couples @ middles
 
-    exact = totals(2000)
-    coarse, fine = (np.max(np.abs(totals(n) - exact)) for n in (20, 40))
+    places = np.linspace(0.0, 1.0, 200_001)
+    density = 5.0 * np.asarray(spline(controls, jnp.asarray(places)))
+    exact = np.trapezoid(density, places, axis=1)
+    moment = np.trapezoid(density * places[None, :], places, axis=1)
     record(
-        "Total couple of a spline: error at n = 20 over that at n = 40",
-        "4",
-        coarse / fine,
-        between=(3.5, 4.5),
+        "Total couple of a spline on 7 elements, whose ends are its breaks",
+        "integral of the spline",
+        np.max(np.abs(totals(7)[0] - exact)) / np.max(np.abs(exact)),
+        at_most=1e-8,
     )
-    assert coarse < 0.05 * np.max(np.abs(exact))
+    assert np.max(np.abs(totals(10)[0] - exact)) < 1e-3 * np.max(np.abs(exact))
+    coarse, fine = (np.max(np.abs(totals(n)[1] - moment)) for n in (21, 42))
+    record(
+        "First moment of a spline's couples: error at n = 21 over that at n = 42",
+        "16 (fourth order)",
+        coarse / fine,
+        between=(14.0, 18.0),
+    )
+
+
+def test_averages_worked_out_once_give_the_same_couples():
+    rod, _ = arm(9)
+    spline = jaxrod.control_spline(4, dtype=jnp.float64)
+    controls = jnp.asarray(np.random.default_rng(2).uniform(-1, 1, (3, 4)))
+    couples = jaxrod.spline_couples(rod, spline, controls, 2.0).couples
+    again = jaxrod.spline_couples(rod, spline.averaged(rod), controls, 2.0).couples
+    np.testing.assert_array_equal(again, couples)
 
 
 def test_couple_density_may_differ_between_directions():
