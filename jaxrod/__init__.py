@@ -30,6 +30,7 @@ _NAMES = {
     "_implicit": ("Implicit", "implicit"),
     "actuation": (
         "ControlSpline",
+        "ElementAverages",
         "ElementCouples",
         "control_spline",
         "limit_rate",
@@ -77,9 +78,10 @@ _NAMES = {
     "stability": ("StableStep", "stable_dt"),
     "statics": ("Equilibrium", "equilibrium"),
     "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
+    "tradeoff": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
-_SUBMODULES = ("envs", "rotations", "training", "vectors", "viz")
+_SUBMODULES = ("envs", "rotations", "tradeoff", "training", "vectors", "viz")
 
 __all__ = sorted(_MODULE_OF)
 

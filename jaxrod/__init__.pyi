@@ -2,6 +2,7 @@
 
 from jaxrod import envs as envs
 from jaxrod import rotations as rotations
+from jaxrod import tradeoff as tradeoff
 from jaxrod import training as training
 from jaxrod import vectors as vectors
 from jaxrod import viz as viz
@@ -12,6 +13,7 @@ from jaxrod._health import health as health
 from jaxrod._implicit import Implicit as Implicit
 from jaxrod._implicit import implicit as implicit
 from jaxrod.actuation import ControlSpline as ControlSpline
+from jaxrod.actuation import ElementAverages as ElementAverages
 from jaxrod.actuation import ElementCouples as ElementCouples
 from jaxrod.actuation import control_spline as control_spline
 from jaxrod.actuation import limit_rate as limit_rate
@@ -64,5 +66,7 @@ from jaxrod.stepping import advance as advance
 from jaxrod.stepping import rollout as rollout
 from jaxrod.stepping import rollout_times as rollout_times
 from jaxrod.stepping import step as step
+from jaxrod.tradeoff import Tuned as Tuned
+from jaxrod.tradeoff import tune as tune
 
 __version__: str

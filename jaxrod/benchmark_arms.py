@@ -37,7 +37,9 @@ def arms(batch: int, mode: Mode) -> tuple[Scene, Float[Array, "batch 3 n"], RodS
     held = clamp(state) if mode == "consistent" else fixed_end(state)
     scene = make_scene(rod, held, exponential_damping(DAMPING_RATE), mode=mode)
     couples = jnp.zeros((batch, 3, N_ELEMENTS)).at[:, 0].set(ELEMENT_COUPLE)
-    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * batch), state)
+    states = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf, (batch, *leaf.shape)), state
+    )
     return scene, couples, states
 
 

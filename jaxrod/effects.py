@@ -23,7 +23,9 @@ from jaxrod.rotations import (
     Quaternion,
     conjugate,
     directors,
+    join_quaternion,
     multiply_quaternions,
+    rotation_exp,
     rotation_log_and_coupling,
     split_quaternion,
     to_material,
@@ -86,6 +88,13 @@ class Effect:
     def energy(self, rod: Rod, state: RodState) -> Array | float:
         """Potential energy of the effect [J], zero where there is none."""
         return 0.0
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Effect:
+        """The same influence on the rod with another number of elements.
+
+        An effect that holds numbers per node or element must have this.
+        """
+        return self
 
 
 @pytree
@@ -222,6 +231,11 @@ class Clamp(Effect):
         stiffness = jnp.max(bend_twist) / (0.5 * rod.rest_lengths[index])
         return Resistance(elements=_place(stiffness, rod.n_elements, self.end))
 
+    def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
+        """Held by the middle of the new end element, which a curved rod turns."""
+        frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
+        return replace(self, orientation=frame)
+
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Elastic energy of the wall joint [J]."""
         orientation = _at_end(split_quaternion(state.orientations), self.end)
@@ -243,6 +257,11 @@ class FixedEnd(Effect):
     end: End = static(default="start")
     """Which end is held."""
 
+    def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
+        """Held by the middle of the new end element, which a curved rod turns."""
+        frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
+        return replace(self, orientation=frame)
+
     def hold(self, rod: Rod, motion: Motion) -> Motion:
         """Puts the end node and end element back."""
         x, y, z = (
@@ -262,6 +281,15 @@ class FixedEnd(Effect):
             velocity=_zero_at_end(motion.velocity, self.end),
             spin=_zero_at_end(motion.spin, self.end),
         )
+
+
+def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
+    """An end element's frame, carried along the rest curvature to another middle."""
+    index, sign = (0, 1) if end == "start" else (-1, -1)
+    way = sign * 0.5 * (new_rod.rest_lengths[index] - rod.rest_lengths[index])
+    turn = vectors.split(way * rod.rest_curvatures[:, index])
+    carried = multiply_quaternions(split_quaternion(orientation), rotation_exp(turn))
+    return join_quaternion(carried)
 
 
 def _zero_one_end(field: Array, end: End) -> Array:

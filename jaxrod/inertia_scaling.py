@@ -58,7 +58,8 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     limit the step, but never beyond the radius of gyration of a sphere as long as the
     element. A rod thicker than its elements are long is left as it is. With `dt`: as
     far as that step asks for, whatever it does to the frequencies.
-    `frequency_changes` says what it does to them.
+    `frequency_changes` says what it does to them. Rates of rotational damping act on
+    the enlarged inertia: the couples they stand for grow with it.
 
     Args:
         scene: The scene; effects and damping are as before.

@@ -29,6 +29,7 @@ COMMANDS = {
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
     "optimise": "find actuation by gradients through the simulation",
+    "tradeoff": "measure what accuracy costs, and find the cheapest setting",
     "benchmark": "measure rod-steps per second on this machine",
     "doctor": "check that this machine computes right",
 }

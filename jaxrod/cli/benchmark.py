@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     except FloatingPointError as error:
         print(f"jaxrod benchmark: {error}", file=sys.stderr)
         return 1
-    machine = _machine(load)
+    machine = machine_facts(load)
     result = {
         "pyelastica_steps_per_s": report.pyelastica_steps_per_s,
         "rows": [dataclasses.asdict(row) for row in report.rows],
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _machine(load: float | None) -> dict[str, Any]:
+def machine_facts(load: float | None) -> dict[str, Any]:
     """What the numbers depend on."""
     import jax
 

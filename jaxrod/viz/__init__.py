@@ -9,6 +9,7 @@ from jaxrod.viz.page import html, save_html
 from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Replay
 from jaxrod.viz.shapes import Cylinder, Sphere
+from jaxrod.viz.work_precision import work_precision
 
 __all__ = [
     "Cylinder",
@@ -21,4 +22,5 @@ __all__ = [
     "learning_curve",
     "paper_result",
     "save_html",
+    "work_precision",
 ]

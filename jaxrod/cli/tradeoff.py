@@ -1,0 +1,225 @@
+"""Measure what accuracy costs, and find the cheapest setting.
+
+SCENE is `swing` (an arm let go when it is horizontal), `tracking` (the tracking task's
+arm under recorded actions of a trained policy) or `rope` (4 mm thick, 1 m long, let
+go). A grid of settings (elements, step, precision, law, integrator, reductions) is
+compared with a converged reference (160 elements, an eighth of the stable step,
+float64) and timed per simulated second and rod, one rod and many at once, on one core.
+PyElastica runs the same scene in the same run. Then the cheapest setting that keeps
+the tolerance is looked for, with steps between those of the grid.
+
+DIR gets tradeoff.csv (a line per setting and batch), tradeoff.png (error against cost)
+and tradeoff.md (what was found).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxrod.tradeoff import Reference, Tuned
+    from jaxrod.tradeoff.grid import Row
+
+EXAMPLES = """\
+examples:
+  jaxrod tradeoff swing                            everything, in some ten minutes
+  jaxrod tradeoff tracking --out runs/tradeoff     into another folder
+  jaxrod tradeoff rope --elements 10 20 --batches 1       a few, in a minute
+  jaxrod tradeoff swing --tolerance 0.001          the cheapest within 0.1 %
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod tradeoff`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("scene", metavar="SCENE", help="swing, tracking or rope")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the results (default: runs/tradeoff/SCENE)",
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.01,
+        metavar="X",
+        help="error allowed, in lengths of the rod (default: 0.01)",
+    )
+    parser.add_argument(
+        "--elements",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="numbers of elements (default: 5 8 10 14 20 28 40 80)",
+    )
+    parser.add_argument(
+        "--batches",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="numbers of rods at once (default: 1 256 4096)",
+    )
+    parser.add_argument(
+        "--pyelastica-elements",
+        type=int,
+        nargs="*",
+        metavar="N",
+        help="PyElastica's numbers of elements (default: 10 20 40 80 160 320)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of text"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures, writes and prints."""
+    import jaxrod
+
+    # One core each: what is compared is work, not machines.
+    jaxrod.configure_cpu(1)
+    from jaxrod import tradeoff
+    from jaxrod.cli.benchmark import machine_facts
+    from jaxrod.tradeoff import grid
+    from jaxrod.viz.files import write_atomically
+    from jaxrod.viz.work_precision import work_precision
+
+    if args.scene not in tradeoff.SCENES:
+        known = ", ".join(tradeoff.SCENES)
+        raise ValueError(f"SCENE must be one of {known}, got {args.scene!r}")
+    for name, least in (("elements", 2), ("batches", 1), ("pyelastica_elements", 2)):
+        if any(n < least for n in getattr(args, name) or ()):
+            flag = name.replace("_", "-")
+            raise ValueError(f"--{flag} must be at least {least} each")
+    out: Path = args.out or Path("runs/tradeoff") / args.scene
+    out.mkdir(parents=True, exist_ok=True)
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+    def say(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    problem = tradeoff.SCENES[args.scene]()
+    exact = tradeoff.reference(problem)
+    say(f"reference: uncertain by {exact.error:.2g} of the length")
+    wanted = args.pyelastica_elements
+    batches = tuple(args.batches or grid.BATCHES)
+    rows = grid.measure_grid(
+        problem,
+        exact,
+        elements=args.elements or grid.ELEMENTS,
+        batches=batches,
+        pyelastica_elements=grid.PYELASTICA_ELEMENTS if wanted is None else wanted,
+        say=say,
+    )
+    write_atomically(out / "tradeoff.csv", grid.as_csv(rows).encode())
+    work_precision(
+        rows,
+        out / "tradeoff.png",
+        title=f"{args.scene}: error against cost, one core",
+        floor=exact.error,
+    )
+    tuned = {
+        batch: tradeoff.tune(problem, tolerance=args.tolerance, batch=batch, say=say)
+        for batch in batches
+    }
+    compared = [_compared(rows, tuned[batch]) for batch in batches]
+    machine = machine_facts(load)
+    page = _page(args.scene, exact, compared, machine)
+    write_atomically(out / "tradeoff.md", page.encode())
+    if args.json:
+        result = {
+            "scene": args.scene,
+            "tolerance": args.tolerance,
+            "reference_error": exact.error,
+            "tuned": compared,
+            "machine": machine,
+        }
+        print(json.dumps(result, indent=2))
+    else:
+        print(page.rstrip())
+        print(f"\n{out / 'tradeoff.csv'}\n{out / 'tradeoff.png'}")
+    return 0
+
+
+def _compared(rows: list[Row], tuned: Tuned) -> dict[str, Any]:
+    """A tuned setting beside the cheapest of PyElastica that is as accurate."""
+    from jaxrod.tradeoff.grid import cheapest
+
+    theirs = [
+        row
+        for row in rows
+        if row.simulator == "pyelastica" and row.batch == tuned.batch
+    ]
+    other = cheapest(theirs, tuned.tolerance)
+    closest = min(theirs, key=lambda row: row.error, default=None)
+    shown = other or closest
+    return {
+        "batch": tuned.batch,
+        "tolerance": tuned.tolerance,
+        "met": tuned.met,
+        "setting": str(tuned.setting),
+        "error": tuned.error,
+        "wall_s_per_sim_s": tuned.wall_s_per_sim_s,
+        "pyelastica_met": other is not None,
+        "pyelastica_elements": shown and shown.setting.n_elements,
+        "pyelastica_error": shown and shown.error,
+        "pyelastica_wall_s_per_sim_s": shown and shown.wall_s_per_sim_s,
+        "times_pyelastica": shown and shown.wall_s_per_sim_s / tuned.wall_s_per_sim_s,
+    }
+
+
+def _page(
+    scene: str,
+    exact: Reference,
+    compared: list[dict[str, Any]],
+    machine: dict[str, Any],
+) -> str:
+    """What was found, as a Markdown page."""
+    versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items())
+    tolerance = compared[0]["tolerance"]
+    lines = [
+        f"# Speed for accuracy: {scene}",
+        "",
+        f"Written by `jaxrod tradeoff {scene}`. {machine['processor']}, one core; "
+        f"{versions}. The reference has {exact.n_elements} elements and is uncertain "
+        f"by {exact.error:.1e} of the length. Cost: wall-clock time per simulated "
+        "second and rod. Error: root mean square over time of the tip's distance "
+        "from the reference, in lengths of the rod.",
+        "",
+        f"The cheapest setting with an error of at most {tolerance:g}:",
+        "",
+        "| rods | setting | error | cost [s/s] | PyElastica | its error | its cost "
+        "[s/s] | ratio |",
+        "|---:|---|---:|---:|---|---:|---:|---:|",
+    ]
+    for one in compared:
+        setting = one["setting"] if one["met"] else f"(not met) {one['setting']}"
+        cells = [
+            f"{one['batch']}",
+            setting,
+            f"{one['error']:.2g}",
+            f"{one['wall_s_per_sim_s']:.2g}",
+        ]
+        if one["pyelastica_elements"] is None:
+            cells += ["-"] * 4
+        else:
+            bound = "" if one["pyelastica_met"] else "> "
+            cells += [
+                f"n = {one['pyelastica_elements']}",
+                f"{one['pyelastica_error']:.2g}",
+                f"{one['pyelastica_wall_s_per_sim_s']:.2g}",
+                f"{bound}{one['times_pyelastica']:,.0f} x",
+            ]
+        lines.append(f"| {' | '.join(cells)} |")
+    if not all(one["pyelastica_met"] for one in compared):
+        lines += [
+            "",
+            "PyElastica did not reach the tolerance with the elements it was given; "
+            "its most accurate run stands in its place.",
+        ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,28 @@
+"""Speed for accuracy, measured: what a setting costs and how wrong it is.
+
+`tune` finds the cheapest setting of a scene that keeps a tolerance; `measure_grid`
+and `jaxrod tradeoff` lay out the whole trade, PyElastica beside it.
+"""
+
+from jaxrod.tradeoff.measure import Measurement, Reference, measure, reference
+from jaxrod.tradeoff.problem import Problem, problem_of
+from jaxrod.tradeoff.scenes import SCENES, rope, swing, tracking_arm
+from jaxrod.tradeoff.setting import Setting, prepare
+from jaxrod.tradeoff.tuning import Tuned, tune
+
+__all__ = [
+    "SCENES",
+    "Measurement",
+    "Problem",
+    "Reference",
+    "Setting",
+    "Tuned",
+    "measure",
+    "prepare",
+    "problem_of",
+    "reference",
+    "rope",
+    "swing",
+    "tracking_arm",
+    "tune",
+]

@@ -1,0 +1,168 @@
+"""The whole trade of a problem: every setting of a grid, and PyElastica."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from jaxrod.tradeoff.measure import Measurement, Reference, measure
+from jaxrod.tradeoff.problem import Problem
+from jaxrod.tradeoff.pyelastica import measure_pyelastica
+from jaxrod.tradeoff.setting import Reduction, Setting
+
+BATCHES = (1, 256, 4096)
+ELEMENTS = (5, 8, 10, 14, 20, 28, 40, 80)
+PYELASTICA_ELEMENTS = (10, 20, 40, 80, 160, 320)
+PYELASTICA_SAFETY = 0.5
+"""PyElastica's frequencies rise when the rod is compressed: it needs the room."""
+COLUMNS = (
+    "simulator",
+    "mode",
+    "integrator",
+    "n_elements",
+    "dt",
+    "dtype",
+    "reductions",
+    "batch",
+    "error",
+    "wall_s_per_sim_s",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of tradeoff.csv.
+
+    Attributes:
+        simulator: "jaxrod" or "pyelastica".
+        setting: How it was simulated.
+        batch: Number of rods at once.
+        error: Root mean square over time of the tip's distance from the reference, in
+            lengths of the rod.
+        wall_s_per_sim_s: Wall-clock time per simulated second and rod, on one core.
+    """
+
+    simulator: str
+    setting: Setting
+    batch: int
+    error: float
+    wall_s_per_sim_s: float
+
+    def cells(self) -> tuple[object, ...]:
+        """The values under `COLUMNS`."""
+        s = self.setting
+        return (
+            self.simulator,
+            s.mode,
+            s.integrator,
+            s.n_elements,
+            s.dt,
+            s.dtype,
+            "+".join(s.reductions),
+            self.batch,
+            self.error,
+            self.wall_s_per_sim_s,
+        )
+
+
+def settings_of(
+    problem: Problem, elements: Sequence[int] = ELEMENTS
+) -> Iterable[Setting]:
+    """The grid: modes, types, reductions and steps, for each number of elements."""
+    kinds: list[tuple[Reduction, ...]] = [(), ("inertia",), ("compensated",)]
+    if problem.plane is not None:
+        kinds += [("planar",), ("planar", "inertia")]
+    for n in elements:
+        for kind in kinds:
+            yield Setting(n, reductions=kind)
+        yield Setting(n, safety=0.3)
+        yield Setting(n, dtype="float64")
+        yield Setting(n, dtype="float64", mode="pyelastica", safety=PYELASTICA_SAFETY)
+        for part in (1, 4):
+            yield Setting(
+                n, problem.period / part, dtype="float64", integrator="implicit"
+            )
+
+
+def measure_grid(
+    problem: Problem,
+    exact: Reference,
+    *,
+    elements: Sequence[int] = ELEMENTS,
+    batches: Sequence[int] = BATCHES,
+    pyelastica_elements: Sequence[int] = PYELASTICA_ELEMENTS,
+    seconds: float = 0.2,
+    say: Callable[[str], None] = lambda line: None,
+) -> list[Row]:
+    """Measures a problem's grid of settings, and PyElastica, in one run.
+
+    Args:
+        problem: The problem.
+        exact: Its reference.
+        elements: Numbers of elements.
+        batches: How many rods at once; implicit steps are timed for one.
+        pyelastica_elements: Numbers of elements for PyElastica; left out, with a
+            word, where it is not installed.
+        seconds: How long to time each setting and batch [s].
+        say: Called with a line of text after every measurement.
+    """
+    rows: list[Row] = []
+
+    def add(simulator: str, one: Measurement) -> None:
+        for batch, wall in one.wall_s_per_sim_s.items():
+            rows.append(Row(simulator, one.setting, batch, one.error, wall))
+        costs = ", ".join(f"{w:.2g}" for w in one.wall_s_per_sim_s.values())
+        say(f"{simulator} {one.setting}: error {one.error:.2g}, {costs} s/s")
+
+    seen = set()
+    for setting in settings_of(problem, elements):
+        sizes = tuple(batches)
+        if setting.integrator == "implicit":
+            sizes = tuple(batch for batch in batches if batch == 1)
+        one = measure(problem, setting, exact, batches=sizes, seconds=seconds)
+        if dataclasses.replace(one.setting, safety=1.0) not in seen:
+            seen.add(dataclasses.replace(one.setting, safety=1.0))
+            add("jaxrod", one)
+    for n in pyelastica_elements:
+        try:
+            one = measure_pyelastica(
+                problem,
+                n,
+                exact,
+                batches=tuple(batches),
+                safety=PYELASTICA_SAFETY,
+            )
+        except ModuleNotFoundError as missing:
+            if missing.name != "elastica":
+                raise
+            say("PyElastica is not installed")
+            break
+        add("pyelastica", one)
+    return rows
+
+
+def pareto(rows: Iterable[Row]) -> list[Row]:
+    """Those that no other beats in both error and cost, the cheapest first."""
+    front: list[Row] = []
+    for row in sorted(rows, key=lambda row: (row.wall_s_per_sim_s, row.error)):
+        if not front or row.error < front[-1].error:
+            front.append(row)
+    return front
+
+
+def cheapest(rows: Iterable[Row], tolerance: float) -> Row | None:
+    """The cheapest that keeps a tolerance, if any does."""
+    accurate = [row for row in rows if row.error <= tolerance]
+    return min(accurate, key=lambda row: row.wall_s_per_sim_s, default=None)
+
+
+def as_csv(rows: Iterable[Row]) -> str:
+    """The rows as tradeoff.csv."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(row.cells() for row in rows)
+    return text.getvalue()

@@ -1,0 +1,214 @@
+"""How wrong a setting is, against a converged reference, and what it costs."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene
+from jaxrod.stepping import advance
+from jaxrod.tradeoff.problem import Problem
+from jaxrod.tradeoff.setting import Prepared, Setting, prepare
+
+REFERENCE_ELEMENTS = 160
+REFERENCE_REFINEMENT = 8
+WINDOWS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The path of the tip that settings are compared with.
+
+    Attributes:
+        tips: Tip at the end of every control period `(periods, 3)` [m].
+        length: Length of the rod [m].
+        error: By how much a reference of half the resolution differs from this one,
+            over four, as the next refinement would differ (second order): root mean
+            square over time, in lengths of the rod.
+        n_elements: Its number of elements.
+        dt: Its step [s].
+    """
+
+    tips: np.ndarray
+    length: float
+    error: float
+    n_elements: int
+    dt: float
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One point of the trade.
+
+    Attributes:
+        setting: The setting, with the step that was taken.
+        error: Root mean square over time of the tip's distance from the reference,
+            in lengths of the rod; infinite if the run was not finite.
+        wall_s_per_sim_s: Wall-clock time per simulated second and rod [1], for every
+            batch size that was timed.
+    """
+
+    setting: Setting
+    error: float
+    wall_s_per_sim_s: dict[int, float]
+
+
+def reference(problem: Problem, n_elements: int = REFERENCE_ELEMENTS) -> Reference:
+    """Simulates a problem finely, in float64, and finds out how fine that is.
+
+    Args:
+        problem: The problem.
+        n_elements: Elements of the reference; it takes an eighth of the stable step,
+            the one it is checked against has half the elements and twice the step.
+    """
+    runs = []
+    for n, refinement in (
+        (n_elements // 2, REFERENCE_REFINEMENT // 2),
+        (n_elements, REFERENCE_REFINEMENT),
+    ):
+        fine = Setting(n, dtype="float64", safety=1 / refinement)
+        prepared = prepare(problem, fine)
+        runs.append((prepared, tips_of(problem, prepared)))
+    (_, coarse), (prepared, tips) = runs
+    length = float(np.sum(np.asarray(prepared.scene.rod.rest_lengths)))
+    assert prepared.setting.dt is not None
+    return Reference(
+        tips=tips,
+        length=length,
+        error=tip_error(coarse, tips, length) / 4,
+        n_elements=n_elements,
+        dt=prepared.setting.dt,
+    )
+
+
+def tips_of(problem: Problem, prepared: Prepared) -> np.ndarray:
+    """Tip at the end of every control period `(periods, 3)` [m]."""
+    with jax.enable_x64(prepared.setting.dtype == "float64"):
+        args = _arguments(problem, prepared)
+        return np.asarray(_run(problem, *args), np.float64)
+
+
+def tip_error(tips: np.ndarray, exact: np.ndarray, length: float) -> float:
+    """Root mean square over time of the distance, in lengths of the rod."""
+    squares = np.sum((tips - exact) ** 2, axis=1)
+    error = float(np.sqrt(np.mean(squares))) / length
+    return error if np.isfinite(error) else float("inf")
+
+
+def measure(
+    problem: Problem,
+    setting: Setting,
+    exact: Reference,
+    *,
+    batches: tuple[int, ...] = (1,),
+    seconds: float = 0.3,
+) -> Measurement:
+    """Measures error and cost of a setting.
+
+    Args:
+        problem: The problem.
+        setting: The setting.
+        exact: The problem's reference.
+        batches: How many rods at once to time it with, each under controls of its
+            own; on one core if JAX has one device.
+        seconds: How long to time each batch [s]; the median of five windows counts.
+    """
+    prepared = prepare(problem, setting)
+    error = tip_error(tips_of(problem, prepared), exact.tips, exact.length)
+    costs = {batch: cost(problem, prepared, batch, seconds) for batch in batches}
+    return Measurement(prepared.setting, error, costs)
+
+
+def cost(
+    problem: Problem, prepared: Prepared, batch: int, seconds: float = 0.3
+) -> float:
+    """Wall-clock time per simulated second and rod [1]; compiling not counted."""
+    with jax.enable_x64(prepared.setting.dtype == "float64"):
+        scene, state, controls, dt, substeps = _arguments(problem, prepared)
+        if batch == 1:
+            run: Any = partial(_run, problem)
+        else:
+            run = partial(_run_many, problem)
+            state = jax.tree.map(partial(_repeated, batch), state)
+        # A few periods are enough to time, and a batch's controls take room.
+        periods = min(len(problem.controls), 20)
+        controls = controls[:periods]
+        if batch > 1:
+            controls = jnp.swapaxes(_repeated(batch, controls), 0, 1)
+
+        def once() -> float:
+            start = time.perf_counter()
+            jax.block_until_ready(run(scene, state, controls, dt, substeps))
+            return time.perf_counter() - start
+
+        once()
+        rounds = max(1, int(seconds / WINDOWS / once()))
+        windows = [sum(once() for _ in range(rounds)) for _ in range(WINDOWS)]
+    simulated = rounds * periods * problem.period * batch
+    return statistics.median(windows) / simulated
+
+
+def _repeated(batch: int, leaf: Array) -> Array:
+    """Copies of an array, along a new first axis."""
+    return jnp.broadcast_to(leaf, (batch, *leaf.shape))
+
+
+def _arguments(
+    problem: Problem, prepared: Prepared
+) -> tuple[Scene, RodState, Array, Array, Array]:
+    kind = prepared.state.positions.dtype
+    return (
+        prepared.scene,
+        prepared.state,
+        jnp.asarray(problem.controls, kind),
+        jnp.asarray(prepared.setting.dt, kind),
+        jnp.asarray(prepared.substeps),
+    )
+
+
+@partial(jax.jit, static_argnums=0)
+def _run(
+    problem: Problem,
+    scene: Scene,
+    state: RodState,
+    controls: Float[Array, "periods controls"],
+    dt: Array,
+    substeps: Array,
+) -> Float[Array, "periods 3"]:
+    """The path of the tip."""
+    act = problem.act(scene)
+
+    def period(state: RodState, control: Array) -> tuple[RodState, Array]:
+        state = advance(act(control), state, dt, substeps)
+        return state, state.tip
+
+    return lax.scan(period, state, controls)[1]
+
+
+@partial(jax.jit, static_argnums=0)
+def _run_many(
+    problem: Problem,
+    scene: Scene,
+    states: RodState,
+    controls: Float[Array, "periods batch controls"],
+    dt: Array,
+    substeps: Array,
+) -> Float[Array, "periods batch 3"]:
+    """The paths of the tips of many rods, each under its own controls."""
+    act = problem.act(scene)
+
+    def one(state: RodState, control: Array) -> tuple[RodState, Array]:
+        state = advance(act(control), state, dt, substeps)
+        return state, state.tip
+
+    return lax.scan(jax.vmap(one), states, controls)[1]

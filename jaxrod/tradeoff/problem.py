@@ -1,0 +1,98 @@
+"""A problem: a scene that can be built at any resolution, and what happens to it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from jaxrod._validation import check_array
+from jaxrod.resampling import resampled
+from jaxrod.rod import RodState
+from jaxrod.scene import Mode, Plane, Scene
+
+Build = Callable[[int, Mode], tuple[Scene, RodState]]
+Act = Callable[[Scene], Callable[[jax.Array], Scene]]
+
+
+def _unchanged(scene: Scene) -> Callable[[jax.Array], Scene]:
+    return lambda control: scene
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """What is simulated to find out how wrong and how fast a setting is.
+
+    Time is cut into control periods. In each the scene is what `act` makes of it,
+    and at the end of each the tip is recorded; steps are whole fractions of a period.
+
+    Attributes:
+        name: What it is called.
+        build: The scene and its initial state, in float64, given the number of
+            elements and the mode.
+        period: Length of a control period [s].
+        controls: What acts during each period `(periods, controls)`; empty columns
+            where nothing changes.
+        act: Given the scene, once: a function from a period's controls to the scene
+            during that period.
+        plane: The plane in which everything happens, if it does.
+    """
+
+    name: str
+    build: Build
+    period: float
+    controls: np.ndarray
+    act: Act = _unchanged
+    plane: Plane | None = None
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return self.period * len(self.controls)
+
+
+def problem_of(
+    scene: Scene,
+    state: RodState,
+    *,
+    duration: float = 1.0,
+    periods: int = 50,
+    name: str = "scene",
+) -> Problem:
+    """The problem of letting a scene go on by itself for a while.
+
+    Args:
+        scene: The scene; it is resampled to other numbers of elements, so numbers
+            that vary along the rod are interpolated.
+        state: Its initial state.
+        duration: How long to look at it [s].
+        periods: How often to look at its tip; no step is longer than the time between.
+        name: What to call it.
+
+    Raises:
+        ValueError: If `duration` is not positive, or `scene` is not in consistent
+            mode.
+    """
+    check_array("duration", duration, [()], "s", positive=True)
+    if scene.mode != "consistent":
+        raise ValueError(
+            "a scene in PyElastica mode has no setting to choose: its clamp and its "
+            "law are wrong by more than its steps are"
+        )
+    with jax.enable_x64(True):
+        scene, state = jax.tree.map(_double, (scene, state))
+        plain = dataclasses.replace(scene, plane=None, implicit=None)
+
+    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+        if mode != "consistent":
+            raise ValueError("a scene of one's own is tuned in consistent mode only")
+        return resampled(plain, state, n_elements)
+
+    controls = np.zeros((periods, 0))
+    return Problem(name, build, duration / periods, controls, plane=scene.plane)
+
+
+def _double(leaf: jax.Array) -> jax.Array:
+    return jax.numpy.asarray(np.asarray(leaf, np.float64))

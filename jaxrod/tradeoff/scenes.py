@@ -1,0 +1,121 @@
+"""The named problems on which speed is traded for accuracy."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from importlib import resources
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.actuation import control_spline, spline_couples
+from jaxrod.effects import clamp, exponential_damping, fixed_end, gravity
+from jaxrod.factories import straight_rod
+from jaxrod.rod import Rod, RodState
+from jaxrod.scene import Mode, Scene, make_scene
+from jaxrod.tradeoff.problem import Problem
+
+N_CONTROLS = 6
+COUPLE_DENSITY = 1500.0
+"""Couple per length for a control value of one, as in the tracking task [N m/m]."""
+VISCOSITY = 30.0
+"""Viscous force per length and speed of the tracking task's arm [kg/(m s)]."""
+
+
+def swing() -> Problem:
+    """The arm let go when it is horizontal: 1 s of swinging under its weight.
+
+    1 m long, 5 cm in radius, 10 MPa, clamped, lightly damped; it stays in a plane.
+    """
+
+    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+        rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        return _clamped(rod, state, mode, 0.5, gravity((0.0, -9.81, 0.0)))
+
+    return Problem("swing", build, 0.01, np.zeros((100, 0)), plane="xy")
+
+
+def rope() -> Problem:
+    """A rope, 4 mm thick and 1 m long, let go when it is horizontal: 0.3 s.
+
+    Elements much longer than thick: the scene for enlarged inertia and implicit steps.
+    """
+
+    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+        rod, state = _arm(n_elements, 0.002, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        return _clamped(rod, state, mode, 1.0, gravity((0.0, -9.81, 0.0)))
+
+    return Problem("rope", build, 0.01, np.zeros((30, 0)), plane="xy")
+
+
+def tracking_arm() -> Problem:
+    """The tracking task's arm under recorded actions of a trained policy: 1 s.
+
+    Twelve control values, a third of the time at their limits, are renewed every
+    1.4 ms and shape the bending couples along the arm, which is damped as in the
+    published task.
+    """
+    name = "tracking_actions.npy"
+    with resources.as_file(resources.files("jaxrod.data") / name) as path:
+        actions = np.load(path) / 127
+
+    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+        rod, state = _arm(n_elements, 0.05, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        # One viscosity for translation and rotation, as rates.
+        rates = (
+            VISCOSITY / float(rod.linear_density[0]),
+            VISCOSITY / float(rod.rotary_inertia[0, 0]),
+        )
+        held = clamp(state) if mode == "consistent" else fixed_end(state)
+        return make_scene(rod, held, exponential_damping(*rates), mode=mode), state
+
+    def act(scene: Scene) -> Callable[[jax.Array], Scene]:
+        spline = control_spline(N_CONTROLS, 1.0, scene.rod.rest_lengths.dtype)
+        averages = spline.averaged(scene.rod)
+
+        def during(control: jax.Array) -> Scene:
+            bends = jnp.reshape(control, (2, N_CONTROLS))
+            controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
+            couples = spline_couples(scene.rod, averages, controls, COUPLE_DENSITY)
+            return dataclasses.replace(scene, effects=(*scene.effects, couples))
+
+        return during
+
+    return Problem("tracking", build, 1.4e-3, actions[:714], act)
+
+
+SCENES: dict[str, Callable[[], Problem]] = {
+    "swing": swing,
+    "tracking": tracking_arm,
+    "rope": rope,
+}
+"""The named problems: what makes each of them."""
+
+
+def _arm(
+    n_elements: int,
+    radius: float,
+    direction: tuple[float, float, float],
+    normal: tuple[float, float, float],
+) -> tuple[Rod, RodState]:
+    """A rod 1 m long of 10 MPa and 1000 kg/m^3."""
+    return straight_rod(
+        n_elements,
+        length=1.0,
+        radius=radius,
+        density=1000.0,
+        youngs_modulus=1e7,
+        direction=direction,
+        normal=normal,
+        dtype=jnp.float64,
+    )
+
+
+def _clamped(
+    rod: Rod, state: RodState, mode: Mode, damping_rate: float, *effects: object
+) -> tuple[Scene, RodState]:
+    held = clamp(state) if mode == "consistent" else fixed_end(state)
+    damping = exponential_damping(damping_rate)
+    return make_scene(rod, held, damping, *effects, mode=mode), state

@@ -1,0 +1,111 @@
+"""A setting: everything about a simulation that trades speed for accuracy."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod._implicit import implicit
+from jaxrod.inertia_scaling import scale_inertia
+from jaxrod.rod import RodState, compensated
+from jaxrod.scene import Mode, Scene
+from jaxrod.stability import stable_dt
+from jaxrod.tradeoff.problem import Problem
+
+Integrator = Literal["explicit", "implicit"]
+Reduction = Literal["planar", "inertia", "compensated"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a problem is simulated.
+
+    Attributes:
+        n_elements: Number of elements.
+        dt: Step [s]; `None` for the largest stable one that divides the control
+            period, with the safety factor below.
+        dtype: "float32" or "float64".
+        mode: "consistent" or "pyelastica".
+        integrator: "explicit" or "implicit".
+        reductions: "planar" (motion in a plane), "inertia" (enlarged transverse
+            inertia), "compensated" (compensated positions).
+        safety: Fraction of the stability limit, where `dt` is `None`.
+    """
+
+    n_elements: int
+    dt: float | None = None
+    dtype: str = "float32"
+    mode: Mode = "consistent"
+    integrator: Integrator = "explicit"
+    reductions: tuple[Reduction, ...] = ()
+    safety: float = 0.9
+
+    def __str__(self) -> str:
+        """In words."""
+        words = [f"n = {self.n_elements}", self.integrator, self.dtype, self.mode]
+        if self.dt is not None:
+            words.insert(1, f"dt = {self.dt:.3g} s")
+        return ", ".join([*words, *self.reductions])
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A problem under a setting, ready to run.
+
+    Attributes:
+        setting: The setting, its step worked out.
+        scene: The scene, in the setting's type.
+        state: The initial state.
+        substeps: Steps per control period.
+    """
+
+    setting: Setting
+    scene: Scene
+    state: RodState
+    substeps: int
+
+
+def prepare(problem: Problem, setting: Setting) -> Prepared:
+    """Builds a problem under a setting.
+
+    Args:
+        problem: The problem.
+        setting: The setting.
+
+    Raises:
+        ValueError: If the setting does not fit the problem: "planar" where there is
+            no plane, or implicit steps without a step size.
+    """
+    with jax.enable_x64(True):
+        scene, state = problem.build(setting.n_elements, setting.mode)
+        if "inertia" in setting.reductions:
+            scene = scale_inertia(scene).scene
+        limit = float(stable_dt(scene, 1.0).dt)
+    dt = setting.dt
+    if setting.integrator == "implicit":
+        if dt is None:
+            raise ValueError("an implicit setting needs a step dt [s], got None")
+    elif dt is None:
+        dt = setting.safety * limit
+    substeps = max(1, math.ceil(problem.period / dt - 1e-9))
+    with jax.enable_x64(setting.dtype == "float64"):
+        kind = jnp.dtype(setting.dtype)
+        scene, state = jax.tree.map(
+            lambda leaf: jnp.asarray(np.asarray(leaf), kind), (scene, state)
+        )
+        if "planar" in setting.reductions:
+            if problem.plane is None:
+                raise ValueError(f"{problem.name} has no plane that it stays in")
+            scene = dataclasses.replace(scene, plane=problem.plane)
+        if setting.integrator == "implicit":
+            scene = dataclasses.replace(scene, implicit=implicit())
+        if "compensated" in setting.reductions:
+            state = compensated(state)
+    chosen = dataclasses.replace(setting, dt=problem.period / substeps)
+    return Prepared(chosen, scene, state, substeps)

@@ -1,0 +1,303 @@
+"""The cheapest setting that keeps a tolerance, found by measurement."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxrod._validation import check_array
+from jaxrod.inertia_scaling import scale_inertia
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene
+from jaxrod.tradeoff.measure import (
+    Measurement,
+    Reference,
+    cost,
+    reference,
+    tip_error,
+    tips_of,
+)
+from jaxrod.tradeoff.problem import Problem, problem_of
+from jaxrod.tradeoff.setting import (
+    Integrator,
+    Prepared,
+    Reduction,
+    Setting,
+    prepare,
+)
+
+ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
+"""Numbers of elements that are tried, in this order."""
+STEPS_FOR_IMPLICIT = 40
+"""Explicit steps that an implicit one has to replace to be worth trying."""
+TRUSTED = 0.2
+"""The reference's own error may be this share of the tolerance."""
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What `tune` found.
+
+    Attributes:
+        met: Whether the setting keeps the tolerance. If nothing does, the setting is
+            the most accurate one that was tried.
+        setting: The cheapest setting that does.
+        error: Its measured error: root mean square over time of the tip's distance
+            from the reference, in lengths of the rod.
+        wall_s_per_sim_s: Its measured cost: wall-clock time per simulated second and
+            rod, at the batch size asked for.
+        tolerance: What was asked for.
+        batch: The batch size it was timed with.
+        reference_error: How far the reference itself is from convergence.
+        tried: Everything that was measured, in the order in which it was; what was
+            not accurate enough was not timed.
+        prepared: The scene and the state under the setting, ready to step.
+    """
+
+    met: bool
+    setting: Setting
+    error: float
+    wall_s_per_sim_s: float
+    tolerance: float
+    batch: int
+    reference_error: float
+    tried: tuple[Measurement, ...]
+    prepared: Prepared
+
+    def __str__(self) -> str:
+        """In words."""
+        found = (
+            f"{self.setting}: error {self.error:.2g} of the length, "
+            f"{self.wall_s_per_sim_s:.2g} s per simulated second"
+        )
+        if self.met:
+            return f"{found} (tolerance {self.tolerance:g})"
+        return f"nothing keeps {self.tolerance:g}; the most accurate is {found}"
+
+
+def tune(
+    scene: Scene | Problem,
+    state: RodState | None = None,
+    *,
+    tolerance: float = 0.01,
+    duration: float = 1.0,
+    batch: int = 1,
+    seconds: float = 0.3,
+    say: Callable[[str], None] = lambda line: None,
+) -> Tuned:
+    """Finds the cheapest setting that keeps a tolerance, by measuring on the scene.
+
+    First the number of elements: the smallest with which explicit float64 steps keep
+    the tolerance. Then the ways of simulating with that many, or somewhat more:
+    explicit steps, with enlarged inertia if the rod is slender, in the plane if the
+    scene has one, and implicit steps where explicit ones are many; in float32, with
+    compensated positions where that needs it, in float64 where that needs it. All
+    that keep the tolerance are timed, and the cheapest is it. Errors are against a
+    converged reference of 160 elements. Takes a minute or two; not inside jit.
+
+    Args:
+        scene: The scene, in consistent mode; or a `Problem` for what changes in time.
+        state: Where it starts.
+        tolerance: Largest error allowed, in lengths of the rod: root mean square over
+            time of the tip's distance from where it should be.
+        duration: How long to simulate [s].
+        batch: How many rods at once it shall be fast for.
+        seconds: How long to time each setting [s].
+        say: Called with a line of text after every measurement.
+
+    Returns:
+        The setting with its measured error and cost.
+
+    Raises:
+        ValueError: If `tolerance` is not positive, `state` is missing, or the
+            reference is not converged well enough to judge by: then the motion
+            depends on details beyond any resolution, or needs a looser tolerance.
+    """
+    check_array("tolerance", tolerance, [()], "", positive=True)
+    if isinstance(scene, Problem):
+        problem = scene
+    elif state is None:
+        raise ValueError("state must be given with a scene")
+    else:
+        problem = problem_of(scene, state, duration=duration)
+    exact = reference(problem)
+    if not exact.error <= TRUSTED * tolerance:
+        raise ValueError(
+            f"the reference of {exact.n_elements} elements is itself uncertain by "
+            f"{exact.error:.2g} of the length, too much to judge a tolerance of "
+            f"{tolerance:g}: try a tolerance above {exact.error / TRUSTED:.1g}, or a "
+            "shorter duration"
+        )
+    search = _Search(problem, exact, tolerance, say)
+    found = [
+        _timed(problem, one, batch, seconds, say) for one in search.accurate_settings()
+    ]
+    met = bool(found)
+    if not found:
+        closest = min(search.tried, key=lambda one: one.error)
+        found = [
+            _timed(problem, prepare(problem, closest.setting), batch, seconds, say)
+        ]
+    costs = [timed for _, timed in found]
+    prepared, timed = found[int(np.argmin(costs))]
+    error = next(m.error for m in search.tried if m.setting == prepared.setting)
+    times = {one.setting: {batch: cost} for one, cost in found}
+    return Tuned(
+        met=met,
+        setting=prepared.setting,
+        error=error,
+        wall_s_per_sim_s=timed,
+        tolerance=tolerance,
+        batch=batch,
+        reference_error=exact.error,
+        tried=tuple(
+            dataclasses.replace(m, wall_s_per_sim_s=times.get(m.setting, {}))
+            for m in search.tried
+        ),
+        prepared=prepared,
+    )
+
+
+def _timed(
+    problem: Problem,
+    prepared: Prepared,
+    batch: int,
+    seconds: float,
+    say: Callable[[str], None],
+) -> tuple[Prepared, float]:
+    timed = cost(problem, prepared, batch, seconds)
+    say(f"{prepared.setting}: {timed:.2g} s per simulated second")
+    return prepared, timed
+
+
+class _Search:
+    """The settings of a problem that keep a tolerance, and all that were tried."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        exact: Reference,
+        tolerance: float,
+        say: Callable[[str], None],
+    ) -> None:
+        self.problem = problem
+        self.exact = exact
+        self.tolerance = tolerance
+        self.say = say
+        self.tried: list[Measurement] = []
+
+    def accurate_settings(self) -> Iterator[Prepared]:
+        """Every way of simulating that keeps the tolerance, as coarse as it does."""
+        index = self._coarsest()
+        if index is None:
+            return
+        explicit = None
+        for reductions in _kinds(self.problem, ELEMENTS[index]):
+            best = self._in_some_precision(index, "explicit", reductions, None)
+            if best is not None:
+                yield best
+                if explicit is None or best.substeps < explicit.substeps:
+                    explicit = best
+        substeps = 1
+        most = explicit.substeps if explicit is not None else STEPS_FOR_IMPLICIT
+        while substeps * STEPS_FOR_IMPLICIT <= most:
+            dt = self.problem.period / substeps
+            best = self._in_some_precision(index, "implicit", (), dt)
+            if best is not None:
+                yield best
+                return
+            substeps *= 2
+
+    def _error(self, setting: Setting) -> tuple[Prepared, float]:
+        prepared = prepare(self.problem, setting)
+        for one in self.tried:
+            if one.setting == prepared.setting:
+                return prepared, one.error
+        tips = tips_of(self.problem, prepared)
+        error = tip_error(tips, self.exact.tips, self.exact.length)
+        self.tried.append(Measurement(prepared.setting, error, {}))
+        self.say(f"{prepared.setting}: error {error:.2g}")
+        return prepared, error
+
+    def _keeps(self, setting: Setting) -> Prepared | None:
+        prepared, error = self._error(setting)
+        return prepared if error <= self.tolerance else None
+
+    def _coarsest(self) -> int | None:
+        """Index of the smallest number of elements that is enough in float64."""
+
+        def error(index: int) -> float:
+            return self._error(Setting(ELEMENTS[index], dtype="float64"))[1]
+
+        # The error falls as one over the square: jump to where it should be enough.
+        index = ELEMENTS.index(10)
+        for _ in range(3):
+            size = min(error(index), 1.0)
+            wanted = ELEMENTS[index] * np.sqrt(size / self.tolerance)
+            jump = int(np.searchsorted(ELEMENTS, wanted))
+            jump = min(jump, len(ELEMENTS) - 1)
+            if jump == index:
+                break
+            index = jump
+        while error(index) > self.tolerance:
+            index += 1
+            if index == len(ELEMENTS):
+                return None
+        while index > 0 and error(index - 1) <= self.tolerance:
+            index -= 1
+        return index
+
+    def _in_some_precision(
+        self,
+        index: int,
+        integrator: Integrator,
+        reductions: tuple[Reduction, ...],
+        dt: float | None,
+    ) -> Prepared | None:
+        """The cheapest precision that keeps the tolerance, with somewhat more elements.
+
+        Reductions and larger steps have errors of their own, which a few more
+        elements may make room for.
+        """
+        for n in ELEMENTS[index : index + 3]:
+            for dtype, more in _PRECISIONS:
+                best = self._keeps(
+                    Setting(
+                        n,
+                        dt,
+                        dtype,
+                        integrator=integrator,
+                        reductions=(*reductions, *more),
+                    )
+                )
+                if best is not None:
+                    return best
+        return None
+
+
+_PRECISIONS: tuple[tuple[str, tuple[Reduction, ...]], ...] = (
+    ("float32", ()),
+    ("float32", ("compensated",)),
+    ("float64", ()),
+)
+
+
+def _kinds(problem: Problem, n_elements: int) -> list[tuple[Reduction, ...]]:
+    """The combinations of reductions that make sense for a problem."""
+    kinds: list[tuple[Reduction, ...]] = [()]
+    if _is_slender(problem, n_elements):
+        kinds.append(("inertia",))
+    if problem.plane is not None:
+        kinds += [("planar", *kind) for kind in kinds]
+    return kinds
+
+
+def _is_slender(problem: Problem, n_elements: int) -> bool:
+    """Whether enlarging the transverse inertia changes anything."""
+    with jax.enable_x64(True):
+        scene, _ = problem.build(n_elements, "consistent")
+        return bool((scale_inertia(scene).factors > 1).any())

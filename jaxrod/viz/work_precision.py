@@ -1,0 +1,110 @@
+"""Work-precision diagrams: what accuracy costs, and where the best settings lie."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from jaxrod.viz.files import write_atomically
+
+if TYPE_CHECKING:
+    from jaxrod.tradeoff.grid import Row
+    from jaxrod.viz.curves import FilePath
+
+_QUIET = "#5a6676"
+_KINDS = (
+    # simulator, mode, integrator: label, colour, marker
+    (("pyelastica", "pyelastica", "explicit"), "PyElastica", "#b45309", "s"),
+    (("jaxrod", "pyelastica", "explicit"), "PyElastica's law", "#d99a5b", "^"),
+    (("jaxrod", "consistent", "implicit"), "implicit", "#15803d", "D"),
+    (("jaxrod", "consistent", "explicit"), "explicit", "#2563c9", "o"),
+)
+
+
+def work_precision(
+    rows: Sequence[Row], out: FilePath, *, title: str = "", floor: float = 0.0
+) -> None:
+    """Draws error against cost into a PNG file, one panel for every batch size.
+
+    Every setting is a point; the line joins those that none beats in both. Settings
+    that did not stay finite are left out. The file appears whole or not at all.
+
+    Args:
+        rows: What was measured, from `jaxrod.tradeoff`.
+        out: The PNG file to write; its folder must exist.
+        title: Heading of the picture.
+        floor: Error of the reference, below which errors mean nothing; shaded.
+
+    Raises:
+        ValueError: If no row has a finite error.
+    """
+    finite = [row for row in rows if row.error < 10]
+    if not finite:
+        raise ValueError("rows must hold a setting with a finite error, got none")
+    write_atomically(out, _draw(finite, title, floor))
+
+
+def _draw(rows: list[Row], title: str, floor: float) -> bytes:
+    from matplotlib.figure import Figure
+
+    batches = sorted({row.batch for row in rows})
+    figure = Figure(figsize=(4.2 * len(batches) + 0.8, 4.6), dpi=130)
+    figure.set_layout_engine("constrained")
+    panels = figure.subplots(1, len(batches), sharex=True, sharey=True, squeeze=False)
+    for axes, batch in zip(panels[0], batches, strict=True):
+        _panel(axes, [row for row in rows if row.batch == batch], floor)
+        many = "one rod" if batch == 1 else f"{batch:,} rods at once"
+        axes.set_title(many, fontsize=10, color=_QUIET)
+    panels[0][0].set_ylabel("error of the tip, RMS over time [lengths]")
+    panels[0][0].legend(
+        loc="lower left", frameon=True, framealpha=0.9, edgecolor="none", fontsize=8
+    )
+    figure.supxlabel("wall-clock time per simulated second and rod [s]", fontsize=10)
+    if title:
+        figure.suptitle(title, fontsize=12, fontweight="bold")
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", metadata={"Description": title})
+    return picture.getvalue()
+
+
+def _panel(axes: Any, rows: list[Row], floor: float) -> None:
+    from jaxrod.tradeoff.grid import pareto
+
+    for key, label, colour, marker in _KINDS:
+        ours = [
+            row
+            for row in rows
+            if (row.simulator, row.setting.mode, row.setting.integrator) == key
+        ]
+        for dtype, filled in (("float32", True), ("float64", False)):
+            some = [row for row in ours if row.setting.dtype == dtype]
+            if not some:
+                continue
+            axes.plot(
+                [row.wall_s_per_sim_s for row in some],
+                [row.error for row in some],
+                linestyle="none",
+                marker=marker,
+                markersize=5,
+                color=colour,
+                markerfacecolor=colour if filled else "white",
+                label=f"{label}, {dtype}",
+            )
+    front = pareto([row for row in rows if row.simulator == "jaxrod"])
+    axes.plot(
+        [row.wall_s_per_sim_s for row in front],
+        [row.error for row in front],
+        color="#2563c9",
+        linewidth=1.2,
+        alpha=0.6,
+        label="best of jaxrod",
+    )
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    if floor > 0:
+        axes.axhspan(floor / 10, floor, color=_QUIET, alpha=0.12, linewidth=0)
+    axes.axhline(0.01, color=_QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
+    axes.grid(color="#d5dbe4", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=_QUIET, labelcolor="black", labelsize=8)

@@ -1,0 +1,182 @@
+"""Errors against a converged reference, and the settings that are measured."""
+
+import csv
+import dataclasses
+import io
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.tradeoff import Problem, Setting, measure, prepare, problem_of, reference
+from jaxrod.tradeoff import grid as grids
+from jaxrod.tradeoff.measure import tip_error, tips_of
+from jaxrod.tradeoff.scenes import SCENES, rope, swing, tracking_arm
+
+
+def short(problem, periods):
+    return dataclasses.replace(problem, controls=problem.controls[:periods])
+
+
+@pytest.fixture(scope="module")
+def swinging():
+    """A quarter of a swing, with a reference of 24 elements."""
+    with jax.enable_x64(True):
+        problem = short(swing(), 25)
+        return problem, reference(problem, 24)
+
+
+def test_the_error_falls_with_the_square_of_the_number_of_elements(swinging):
+    problem, exact = swinging
+    errors = [
+        measure(problem, Setting(n, dtype="float64"), exact, seconds=0.01).error
+        for n in (4, 8)
+    ]
+    # The reference of 24 elements has a ninth of the error of 8.
+    assert 3.0 < errors[0] / errors[1] < 6.0
+    assert exact.error < 0.2 * errors[1]
+
+
+def test_the_reference_knows_how_wrong_it_is(swinging):
+    problem, exact = swinging
+    finer = tips_of(problem, prepare(problem, Setting(48, dtype="float64", safety=0.1)))
+    assert 0.5 < tip_error(exact.tips, finer, exact.length) / exact.error < 2.0
+
+
+@pytest.mark.parametrize("reductions", [("planar",), ("compensated",), ("inertia",)])
+def test_reductions_are_what_they_say(swinging, reductions):
+    problem, exact = swinging
+    plain = measure(problem, Setting(8), exact, seconds=0.01)
+    reduced = measure(problem, Setting(8, reductions=reductions), exact, seconds=0.01)
+    assert reduced.setting.reductions == reductions
+    assert reduced.error == pytest.approx(plain.error, rel=1.0)
+    if reductions == ("inertia",):
+        assert reduced.setting.dt > 1.2 * plain.setting.dt
+    else:
+        assert reduced.setting.dt == plain.setting.dt
+
+
+@pytest.mark.slow
+def test_implicit_steps_are_measured_too(swinging):
+    problem, exact = swinging
+    setting = Setting(5, problem.period, "float64", integrator="implicit")
+    assert measure(problem, setting, exact, seconds=0.01).error < 0.05
+    with pytest.raises(ValueError, match="needs a step dt"):
+        prepare(problem, dataclasses.replace(setting, dt=None))
+
+
+def test_steps_divide_the_control_period():
+    problem = tracking_arm()
+    for n in (5, 20):
+        prepared = prepare(problem, Setting(n))
+        assert prepared.setting.dt * prepared.substeps == pytest.approx(1.4e-3)
+        limit = float(jaxrod.stable_dt(prepared.scene, 1.0).dt)
+        assert prepared.setting.dt <= 0.9 * limit * (1 + 1e-6)
+
+
+def test_a_run_that_blows_up_has_an_infinite_error(swinging):
+    problem, exact = swinging
+    assert measure(problem, Setting(10, 0.01), exact, seconds=0.01).error > 10
+
+
+def test_a_rod_without_a_plane_is_not_planar():
+    with pytest.raises(ValueError, match="tracking has no plane"):
+        prepare(tracking_arm(), Setting(5, reductions=("planar",)))
+
+
+def test_own_scenes_become_problems():
+    rod, state = jaxrod.straight_rod(
+        8, length=2.0, radius=0.05, density=1000.0, youngs_modulus=1e6
+    )
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity((0.5, 0, 0)))
+    problem = problem_of(scene, state, duration=0.2, periods=4)
+    assert problem.duration == pytest.approx(0.2)
+    tips = tips_of(problem, prepare(problem, Setting(8, dtype="float64")))
+    steps = round(0.2 / prepare(problem, Setting(8, dtype="float64")).setting.dt)
+    alone = jaxrod.advance(scene, state, 0.2 / steps, steps)
+    np.testing.assert_allclose(tips[-1], alone.tip, atol=1e-12)
+    with pytest.raises(ValueError, match="duration must be positive"):
+        problem_of(scene, state, duration=0.0)
+    with pytest.raises(ValueError, match="PyElastica mode has no setting"):
+        problem_of(dataclasses.replace(scene, mode="pyelastica"), state)
+
+
+def test_the_grid_has_every_way_of_simulating(swinging):
+    problem, _ = swinging
+    settings = list(grids.settings_of(problem, (5, 10)))
+    assert {s.n_elements for s in settings} == {5, 10}
+    assert {s.integrator for s in settings} == {"explicit", "implicit"}
+    assert {s.mode for s in settings} == {"consistent", "pyelastica"}
+    assert {s.dtype for s in settings} == {"float32", "float64"}
+    assert {(), ("planar",), ("inertia",), ("compensated",), ("planar", "inertia")} == {
+        s.reductions for s in settings
+    }
+    assert not any("planar" in s.reductions for s in grids.settings_of(tracking_arm()))
+
+
+def test_the_table_has_every_column_and_pyelastica(swinging, monkeypatch):
+    problem, exact = swinging
+    some = [
+        Setting(5, reductions=("planar",)),
+        Setting(5, dtype="float64", mode="pyelastica", safety=0.5),
+    ]
+    monkeypatch.setattr(grids, "settings_of", lambda problem, elements: some)
+    rows = grids.measure_grid(
+        short(problem, 5),
+        dataclasses.replace(exact, tips=exact.tips[:5]),
+        elements=(5,),
+        batches=(1, 3),
+        pyelastica_elements=(5,),
+        seconds=0.005,
+    )
+    table = list(csv.DictReader(io.StringIO(grids.as_csv(rows))))
+    assert tuple(table[0]) == grids.COLUMNS
+    assert {row["simulator"] for row in table} == {"jaxrod", "pyelastica"}
+    assert {row["batch"] for row in table} == {"1", "3"}
+    assert {row["reductions"] for row in table} == {"", "planar"}
+    assert all(float(row["wall_s_per_sim_s"]) > 0 for row in table)
+    # PyElastica itself and its law in jaxrod are wrong by the same.
+    theirs = {
+        row["simulator"]: float(row["error"])
+        for row in table
+        if row["mode"] == "pyelastica"
+    }
+    assert theirs["pyelastica"] == pytest.approx(theirs["jaxrod"], rel=1e-6)
+
+
+def test_the_front_holds_what_none_beats():
+    points = [(1.0, 0.3), (2.0, 0.1), (2.5, 0.2), (0.5, 0.5), (4.0, 0.1)]
+    rows = [grids.Row("jaxrod", Setting(5), 1, error, wall) for wall, error in points]
+    front = [(row.wall_s_per_sim_s, row.error) for row in grids.pareto(rows)]
+    assert front == [(0.5, 0.5), (1.0, 0.3), (2.0, 0.1)]
+    assert grids.cheapest(rows, 0.2).wall_s_per_sim_s == 2.0
+    assert grids.cheapest(rows, 0.01) is None
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_named_problems_are_made_of_effects_pyelastica_has(name):
+    from jaxrod.tradeoff.pyelastica import measure_pyelastica
+
+    problem = short(SCENES[name](), 2)
+    tips = tips_of(
+        problem, prepare(problem, Setting(6, None, "float64", "pyelastica", safety=0.5))
+    )
+    exact = dataclasses.replace(_reference_of(problem), tips=tips)
+    measured = measure_pyelastica(problem, 6, exact, safety=0.5)
+    assert measured.error < 1e-9
+
+
+def _reference_of(problem: Problem):
+    from jaxrod.tradeoff import Reference
+
+    return Reference(np.zeros((2, 3)), 1.0, 0.0, 6, 1e-4)
+
+
+def test_the_rope_is_slender_and_the_arm_is_not():
+    assert prepare(rope(), Setting(20, reductions=("inertia",))).substeps < 40
+    scene = prepare(swing(), Setting(20, reductions=("inertia",))).scene
+    plain = prepare(swing(), Setting(20)).scene
+    np.testing.assert_array_equal(scene.rod.rotary_inertia, plain.rod.rotary_inertia)
+    assert scene.rod.rotary_inertia.dtype == jnp.float32

@@ -1,0 +1,80 @@
+"""The cheapest setting that keeps a tolerance."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.tradeoff import tuning
+from jaxrod.tradeoff.measure import reference, tip_error, tips_of
+from jaxrod.tradeoff.scenes import swing
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """A small reference and few settings: enough for tolerances of some per cent."""
+    monkeypatch.setattr(tuning, "reference", lambda problem: reference(problem, 24))
+    monkeypatch.setattr(tuning, "ELEMENTS", (4, 5, 7, 10))
+
+
+def quarter_of_a_swing():
+    return dataclasses.replace(swing(), controls=np.zeros((25, 0)))
+
+
+def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
+    lines = []
+    problem = quarter_of_a_swing()
+    found = jaxrod.tune(problem, tolerance=0.002, seconds=0.01, say=lines.append)
+    assert found.met and found.error <= 0.002
+    exact = reference(problem, 24)
+    again = tip_error(tips_of(problem, found.prepared), exact.tips, exact.length)
+    assert again == pytest.approx(found.error, rel=0.01)
+    # With the next fewer elements it is not kept.
+    fewer = [
+        one.error
+        for one in found.tried
+        if one.setting.n_elements < found.setting.n_elements
+    ]
+    assert fewer and min(fewer) > 0.002
+    timed = [one for one in found.tried if one.wall_s_per_sim_s]
+    assert found.wall_s_per_sim_s == min(one.wall_s_per_sim_s[1] for one in timed)
+    assert "planar" in found.setting.reductions
+    assert any("error" in line for line in lines)
+    assert str(found).startswith("n = ")
+
+
+def test_it_says_so_when_nothing_keeps_the_tolerance(monkeypatch):
+    monkeypatch.setattr(tuning, "ELEMENTS", (4, 10))
+    found = jaxrod.tune(quarter_of_a_swing(), tolerance=0.0006, seconds=0.01)
+    assert not found.met
+    assert found.error > 0.0006
+    assert found.error == min(one.error for one in found.tried)
+    assert "nothing keeps 0.0006" in str(found)
+
+
+@pytest.mark.slow
+def test_own_scenes_are_tuned_by_resampling_them():
+    rod, state = jaxrod.straight_rod(
+        20, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
+    )
+    scene = jaxrod.make_scene(
+        rod, jaxrod.clamp(state), jaxrod.gravity((9.81, 0.0, 0.0))
+    )
+    found = jaxrod.tune(scene, state, tolerance=0.03, duration=0.3, seconds=0.01)
+    assert found.met
+    assert found.setting.n_elements < 20
+    assert found.prepared.scene.rod.n_elements == found.setting.n_elements
+
+
+def test_bad_input_is_refused():
+    rod, state = jaxrod.straight_rod(
+        4, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
+    )
+    scene = jaxrod.make_scene(rod)
+    with pytest.raises(ValueError, match="tolerance must be positive, got 0"):
+        jaxrod.tune(scene, state, tolerance=0.0)
+    with pytest.raises(ValueError, match="state must be given"):
+        jaxrod.tune(scene)
+    with pytest.raises(ValueError, match="too much to judge a tolerance of 1e-06"):
+        jaxrod.tune(quarter_of_a_swing(), tolerance=1e-6)
