@@ -53,13 +53,13 @@ def test_the_arm_for_two_seconds_in_single_precision(record):
     [100_000, pytest.param(10_000_000, marks=pytest.mark.slow)],
 )
 def test_long_runs_do_not_drift(steps, dtype, record):
-    """A free rod, bent and turning; both precisions."""
+    """A free rod that shakes and turns about a centre at rest; both precisions."""
     rod, state = arm(3, dtype=dtype)
     state = jaxrod.RodState(
         **vars(state)
         | {
             "velocities": jnp.asarray([[0.5], [-0.3], [0.1]], dtype)
-            * jnp.asarray([[1, -2, -1, 2]], dtype)
+            * jnp.asarray([[2, -1, -1, 2]], dtype)
         }
     )
     state = jaxrod.with_angular_velocities(
@@ -99,7 +99,7 @@ def test_long_runs_do_not_drift(steps, dtype, record):
         f"Angular momentum, drift over {name}",
         "conservation",
         spin_drift,
-        at_most=1e-2 if single else 1e-9,
+        at_most=1e-2 if single else 1e-10,
     )
     assert np.abs(momenta - momenta[0]).max() < (1e-2 if single else 1e-9)
     # No trend: the last quarter is like the first.
