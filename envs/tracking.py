@@ -264,7 +264,7 @@ class Tracking:
 def tracking(
     variant: Variant = "paper",
     *,
-    n_elements: int | None = None,
+    n_elements: int = REFERENCE_ELEMENTS,
     substeps: int | None = None,
     episode_length: int = 7142,
 ) -> Tracking:
@@ -272,9 +272,9 @@ def tracking(
 
     Args:
         variant: "paper" or "clean".
-        n_elements: Elements of the arm, a multiple of 10; by default 20 for "paper"
-            and 10 for "clean".
-        substeps: Simulation steps per control step of 1.4 ms; by default 7 and 3.
+        n_elements: Elements of the arm, a multiple of 10.
+        substeps: Simulation steps per control step of 1.4 ms; by default 7 in
+            "paper" and 4 in "clean".
         episode_length: Control steps per episode.
 
     Raises:
@@ -282,8 +282,7 @@ def tracking(
     """
     if variant not in VARIANTS:
         raise ValueError(f"variant must be one of {VARIANTS}, got {variant!r}")
-    default_elements, default_substeps = (20, 7) if variant == "paper" else (10, 3)
-    n_elements = default_elements if n_elements is None else n_elements
+    default_substeps = 7 if variant == "paper" else 4
     substeps = default_substeps if substeps is None else substeps
     check_count("n_elements", n_elements, OBSERVED_NODES - 1)
     if n_elements % (OBSERVED_NODES - 1):

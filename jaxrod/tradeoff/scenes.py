@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.actuation import control_spline, spline_couples
-from jaxrod.effects import clamp, exponential_damping, fixed_end, gravity
+from jaxrod.effects import Effect, clamp, exponential_damping, fixed_end, gravity
 from jaxrod.factories import straight_rod
 from jaxrod.rod import Rod, RodState
 from jaxrod.scene import Mode, Scene, make_scene
@@ -114,7 +114,7 @@ def _arm(
 
 
 def _clamped(
-    rod: Rod, state: RodState, mode: Mode, damping_rate: float, *effects: object
+    rod: Rod, state: RodState, mode: Mode, damping_rate: float, *effects: Effect
 ) -> tuple[Scene, RodState]:
     held = clamp(state) if mode == "consistent" else fixed_end(state)
     damping = exponential_damping(damping_rate)
