@@ -17,7 +17,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxrod.actuation import ElementCouples
 from jaxrod.benchmark_pyelastica import DAMPING_RATE, ELEMENT_COUPLE, TIME_STEP
-from jaxrod.effects import clamp, exponential_damping, fixed_end
+from jaxrod.clamps import clamp, fixed_end
+from jaxrod.effects import exponential_damping
 from jaxrod.factories import straight_rod
 from jaxrod.rod import RodState
 from jaxrod.scene import Mode, Scene, make_scene

@@ -10,7 +10,8 @@ import jax
 import numpy as np
 
 from jaxrod.actuation import ElementCouples
-from jaxrod.effects import Effect, ExponentialDamping, FixedEnd, Gravity
+from jaxrod.clamps import FixedEnd
+from jaxrod.effects import Effect, ExponentialDamping, Gravity
 from jaxrod.rod import Rod, RodState
 from jaxrod.scene import Scene
 from jaxrod.tradeoff.measure import Measurement, Reference, tip_error

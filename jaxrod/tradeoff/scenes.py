@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.actuation import control_spline, spline_couples
-from jaxrod.effects import Effect, clamp, exponential_damping, fixed_end, gravity
+from jaxrod.clamps import clamp, fixed_end
+from jaxrod.effects import Effect, exponential_damping, gravity
 from jaxrod.factories import straight_rod
 from jaxrod.rod import Rod, RodState
 from jaxrod.scene import Mode, Scene, make_scene

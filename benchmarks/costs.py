@@ -1,0 +1,145 @@
+"""Regenerates docs/costs.md: what a step costs, and what each effect adds to it.
+
+    python benchmarks/costs.py
+
+Compiles one step of the arm (20 elements, float32) bare and with each effect alone,
+in every way of stepping, and times it on one core: one rod, and 256 at once.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+import jaxrod
+from jaxrod.cli.benchmark import machine_facts
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene
+from jaxrod.stepping import stepper
+
+ROOT = Path(__file__).resolve().parent.parent
+N_ELEMENTS = 20
+BATCH = 256
+TIME_STEP = 2e-4
+HEADER = """\
+# What a step costs
+
+Written by `python benchmarks/costs.py`; do not edit. One step of the arm with 20
+elements in float32. Flops and bytes are those of the compiled program of one step
+among many (`cost_analysis`); times are medians of seven windows on one core, alone
+and for each of 256 rods at once, with the settings of `jaxrod.configure_cpu`.
+{machine}.
+
+An effect that a scene does not list is not in its program: its cost there is zero
+(`tests/physics/test_compilation.py`).
+"""
+
+
+def scenes() -> dict[str, tuple[Scene, RodState]]:
+    """The scenes of the table: the bare rod first, of every kind."""
+    rod, state = jaxrod.straight_rod(
+        N_ELEMENTS,
+        length=1.0,
+        radius=0.05,
+        density=1000.0,
+        youngs_modulus=1e7,
+        direction=(1.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+    )
+    couples = jaxrod.ElementCouples(jnp.zeros((3, N_ELEMENTS)).at[0].set(1.0))
+    effects = {
+        "gravity": jaxrod.gravity((0.0, -9.81, 0.0)),
+        "clamp": jaxrod.clamp(state),
+        "fixed end": jaxrod.fixed_end(state),
+        "damping": jaxrod.exponential_damping(3.8),
+        "end load": jaxrod.end_load((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        "uniform load": jaxrod.uniform_load((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        "couples on elements": couples,
+    }
+    table = {"consistent, bare": (jaxrod.make_scene(rod), state)}
+    for name, effect in effects.items():
+        table[f"consistent, {name}"] = (jaxrod.make_scene(rod, effect), state)
+    arm = (effects["clamp"], effects["damping"], couples)
+    table["consistent, clamped, damped, actuated"] = jaxrod.make_scene(rod, *arm), state
+    held = (effects["fixed end"], effects["damping"], couples)
+    legacy = jaxrod.make_scene(rod, mode="pyelastica")
+    table["pyelastica, bare"] = legacy, state
+    table["pyelastica, clamped, damped, actuated"] = (
+        jaxrod.make_scene(rod, *held, mode="pyelastica"),
+        state,
+    )
+    table["planar, bare"] = jaxrod.make_scene(rod, plane="xy"), state
+    table["planar, clamped, damped, actuated"] = (
+        jaxrod.make_scene(rod, *arm, plane="xy"),
+        state,
+    )
+    table["compensated, bare"] = (
+        jaxrod.make_scene(rod),
+        jaxrod.compensated(state),
+    )
+    return table
+
+
+def compiled_cost(scene: Scene, state: RodState) -> tuple[float, float]:
+    """Flops and bytes of one step among many."""
+    integrator = stepper(scene, state, jnp.asarray(TIME_STEP))
+    carry = integrator.begin(state)
+    cost = jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()
+    return cost["flops"], cost["bytes accessed"]
+
+
+def time_of_a_step(scene: Scene, state: RodState, batch: int) -> float:
+    """Median time of a step of one rod among `batch` [s]; compiling not counted."""
+    run = jaxrod.advance
+    if batch > 1:
+        state = jax.tree.map(lambda a: jnp.broadcast_to(a, (batch, *a.shape)), state)
+        run = jax.jit(jax.vmap(run, in_axes=(None, 0, None, None)))
+    dt = jnp.asarray(TIME_STEP)
+
+    def timed(steps: int) -> float:
+        start = time.perf_counter()
+        jax.block_until_ready(run(scene, state, dt, jnp.asarray(steps)))
+        return time.perf_counter() - start
+
+    timed(1)
+    steps = max(10, int(1000 * 0.15 / timed(1000)))
+    return statistics.median(timed(steps) for _ in range(7)) / steps / batch
+
+
+def main() -> int:
+    """Measures and writes the page."""
+    jaxrod.configure_cpu(1)
+    facts = machine_facts(os.getloadavg()[0])
+    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
+    machine = f"Measured on: {facts['processor']}; {versions}"
+    lines = [
+        HEADER.format(machine=machine),
+        "| scene | flops | bytes | one rod [us] | of 256 [us] |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for name, (scene, state) in scenes().items():
+        flops, traffic = compiled_cost(scene, state)
+        alone, among = (1e6 * time_of_a_step(scene, state, b) for b in (1, BATCH))
+        lines.append(
+            f"| {name} | {flops:,.0f} | {traffic:,.0f} | {alone:.3f} | {among:.3f} |"
+        )
+        print(lines[-1], flush=True)
+    target = ROOT / "docs" / "costs.md"
+    with tempfile.NamedTemporaryFile(
+        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
+    ) as file:
+        file.write("\n".join(lines) + "\n")
+    os.chmod(file.name, 0o644)
+    os.replace(file.name, target)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
