@@ -14,32 +14,36 @@ class Kick:
 
     Attributes:
         gain: Change of the rate per unit of load.
-        decay: What is left of the initial rate; `None` without damping.
+        loss: What is lost of the initial rate; `None` without damping. Not what is
+            left: that is close to one, and its rounding would be a bias of the
+            damping rate.
     """
 
     gain: Array
-    decay: Array | None
+    loss: Array | None
 
     @staticmethod
     def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
         """Works out both factors for a step of size `dt` [s]."""
         duration = dt
-        decay = None
+        loss = None
         if damping is not None:
             exponent = damping * dt
-            decay = jnp.exp(-exponent)
             # (1 - exp(-x)) / x, by its series where the quotient loses digits.
             small = exponent < 1e-2
             series = 1 - exponent * (
                 1 / 2 - exponent * (1 / 6 - exponent * (1 / 24 - exponent / 120))
             )
             quotient = -jnp.expm1(-exponent) / jnp.where(small, 1, exponent)
-            duration = dt * jnp.where(small, series, quotient)
+            share = jnp.where(small, series, quotient)
+            duration = dt * share
+            loss = exponent * share
         gain = duration if inverse_inertia is None else inverse_inertia * duration
-        return Kick(gain, decay)
+        return Kick(gain, loss)
 
     def __call__(self, rate: Array, load: Array) -> Array:
         """Applies the kick to one component."""
-        if self.decay is not None:
-            rate = self.decay * rate
-        return rate + self.gain * load
+        change = self.gain * load
+        if self.loss is not None:
+            change = change - self.loss * rate
+        return rate + change

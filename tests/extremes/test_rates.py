@@ -54,7 +54,7 @@ def growth(scene, state, dt):
 def test_steps_from_a_tenth_of_the_limit_to_just_above_it(radius):
     rod, state = arm(5, radius=radius)
     scene = jaxrod.make_scene(rod)
-    limit = jaxrod.stable_dt(scene, 1.0, state=state).dt
+    limit = jaxrod.stable_dt(scene, 1.0).dt  # Within a per cent of the true one.
     for share in (0.1, 0.5, 0.8, 0.95):
         moved, flagged = growth(scene, state, share * limit)
         assert moved < 1e-6 and not flagged
@@ -89,6 +89,17 @@ def test_damping_from_none_to_fifty_per_step(exponent, dtype):
     np.testing.assert_allclose(velocities, speed, rtol=2e-3)
 
 
+@jax.jit
+def relaxing(scene, state, dt):
+    """Potential energy, recorded every 200 steps [J]."""
+
+    def block(s, _):
+        after = jaxrod.advance(scene, s, dt, jnp.asarray(200))
+        return after, jaxrod.potential_energy(scene, s)
+
+    return jax.lax.scan(block, state, length=100)[1]
+
+
 @pytest.mark.parametrize("exponent", [1.0, 50.0])
 def test_an_overdamped_rod_relaxes_and_does_not_ring(exponent):
     rod, state = arm(4)
@@ -99,7 +110,6 @@ def test_an_overdamped_rod_relaxes_and_does_not_ring(exponent):
     scene = jaxrod.make_scene(
         rod, jaxrod.clamp(state), jaxrod.exponential_damping(exponent / dt)
     )
-    states = jaxrod.rollout(scene, bent, dt, 20_000, 200)
-    energies = jax.vmap(lambda s: jaxrod.potential_energy(scene, s))(states)
+    energies = relaxing(scene, bent, dt)
     assert jnp.all(jnp.diff(energies) <= 1e-12 * energies[0])
     assert energies[-1] < 0.9 * energies[0]
