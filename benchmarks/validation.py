@@ -20,7 +20,11 @@ import jax
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("tests/physics", "tests/pyelastica/test_side_by_side.py")
+FOLDERS = (
+    "tests/physics",
+    "tests/extremes",
+    "tests/pyelastica/test_side_by_side.py",
+)
 HEADER = """\
 # Validation
 
