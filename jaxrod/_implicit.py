@@ -29,9 +29,10 @@ from jaxtyping import Array, Float
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
 from jaxrod._validation import Numbers, check_array, check_count
-from jaxrod.balance import Balance, Moves, balanced, displaced, unblocked
+from jaxrod.balance import Balance, balanced, blocks, displaced
 from jaxrod.elasticity import ElasticLaw, elastic_law
 from jaxrod.motion import Motion
+from jaxrod.newton import default_tolerance, newton
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
     directors,
@@ -41,12 +42,10 @@ from jaxrod.rotations import (
     rotation_exp,
     split_quaternion,
     to_material,
+    to_world,
 )
 from jaxrod.scene import Scene, damping_rates, hold, hold_rates
 from jaxrod.vectors import Vec3
-
-LARGEST_TURN = 1.0
-"""No iteration turns an element by more than this [rad]."""
 
 
 @pytree
@@ -105,20 +104,13 @@ def implicit(
     )
 
 
-def newton_tolerance(given: Array | None, dtype: jnp.dtype) -> Array:
-    """The given tolerance, or one whose square is near round-off."""
-    if given is not None:
-        return given
-    return jnp.asarray(3e-4 if jnp.finfo(dtype).bits <= 32 else 1e-7, dtype)
-
-
 @pytree
 class Base:
     """Where a stage starts from: a configuration with the rates inertia would keep."""
 
     motion: Motion
-    guess: tuple[Vec3, Vec3]
-    """Rates expected at the stage: velocities, and spins in the base frames."""
+    rates: tuple[Vec3, Vec3]
+    """Expected at the stage: velocities and angular velocities, world frame."""
 
 
 @pytree
@@ -185,10 +177,12 @@ class ImplicitStepper:
         return hold_rates(self.scene, hold(self.scene, after))
 
     def _rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
-        """Velocities, and angular velocities in the material frames."""
+        """Velocities and angular velocities, world frame."""
         transverse, polar = self.scene.rod.inertias
-        a, b, c = to_material(directors(motion.orientation), motion.spin)
-        return motion.velocity, (a / transverse, b / transverse, c / polar)
+        frame = directors(motion.orientation)
+        a, b, c = to_material(frame, motion.spin)
+        spin = to_world(frame, (a / transverse, b / transverse, c / polar))
+        return motion.velocity, spin
 
     def _second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
         """Where the second stage starts from, and the rates extrapolated to it."""
@@ -202,9 +196,18 @@ class ImplicitStepper:
         balance = Balance(
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )
-        guess = Moves(*(vectors.scale(self.duration, rate) for rate in base.guess))
-        moves = balanced(
-            balance, newton(*lax.stop_gradient((balance, guess, self.settings)))
+        guess = self.duration * blocks(*base.rates)
+        tolerance = self.settings.tolerance
+        if tolerance is None:
+            tolerance = jnp.asarray(default_tolerance(guess.dtype), guess.dtype)
+        found = newton(
+            *lax.stop_gradient((balance, guess, tolerance)),
+            self.settings.max_iterations,
+        )
+        # Failure is data: not finite, for health to find.
+        moves = jax.tree.map(
+            lambda a: jnp.where(found.converged, a, jnp.nan),
+            balanced(balance, found.moves),
         )
         reached = balance.motion(moves)
         return Increments(
@@ -235,36 +238,6 @@ def state_of(motion: Motion) -> RodState:
         angular_momenta=vectors.join(motion.spin),
         remainders=vectors.join_optional(motion.remainder),
     )
-
-
-def newton(balance: Balance, guess: Moves, settings: Implicit) -> Moves:
-    """Moves that balance, by Newton's method; NaN where it does not converge."""
-    length = jnp.min(balance.scene.rod.rest_lengths)
-    tolerance = newton_tolerance(settings.tolerance, length.dtype)
-
-    def unfinished(carry: tuple[Moves, Array, Array]) -> Array:
-        _, correction, iteration = carry
-        going = (correction > tolerance) & (correction < jnp.inf)
-        return (iteration < settings.max_iterations) & ((iteration == 0) | going)
-
-    def improve(carry: tuple[Moves, Array, Array]) -> tuple[Moves, Array, Array]:
-        moves, _, iteration = carry
-        step = balance.tangent(moves).solve(-balance.residual(moves))
-        displacement, turn = unblocked(step)
-        turned = largest(turn)
-        correction = jnp.maximum(largest(displacement) / length, turned)
-        share = jnp.minimum(1, LARGEST_TURN / jnp.maximum(turned, LARGEST_TURN))
-        return balance.followed(moves, share * step), correction, iteration + 1
-
-    start = (guess, jnp.zeros((), length.dtype), jnp.zeros((), jnp.int32))
-    moves, correction, _ = lax.while_loop(unfinished, improve, start)
-    converged = correction <= tolerance
-    return jax.tree.map(lambda a: jnp.where(converged, a, jnp.nan), moves)
-
-
-def largest(field: Vec3) -> Array:
-    """The largest absolute component."""
-    return jnp.max(jnp.stack([jnp.max(jnp.abs(component)) for component in field]))
 
 
 def _add(motion: Motion, added: Increments) -> Motion:

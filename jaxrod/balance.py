@@ -15,12 +15,13 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.block_tridiagonal import BlockTridiagonal
-from jaxrod.effect_tangents import differentiated, has_closed_form, turning_tangent
+from jaxrod.effect_tangents import coloured, has_closed_form, turning_tangent
 from jaxrod.effects import Effect
 from jaxrod.elasticity import ElasticLaw, internal_loads
 from jaxrod.motion import Motion
@@ -117,7 +118,8 @@ class Balance:
         motion = self.motion(moves)
         node_rate, element_rate = self._rates
         masses = self.pace * node_rate * self.scene.rod.node_masses
-        turning = scale(element_rate, self._momentum_tangent(moves, motion))
+        momentum = self._momentum_tangent(moves, motion)
+        turning = scale(element_rate, momentum)
         for effect in self.scene.effects:
             if has_closed_form(effect):
                 turn = turning_tangent(effect, self.scene.rod, motion)
@@ -130,7 +132,7 @@ class Balance:
         )
         others = tuple(e for e in self.scene.effects if not has_closed_form(e))
         if others:
-            rest = self._differentiated(others, moves)
+            rest = self._differentiated(others, motion, momentum)
             total = jax.tree.map(jnp.subtract, total, rest)
         return _restricted(total, self.free)
 
@@ -202,6 +204,8 @@ class Balance:
     def _loads(self, motion: Motion, forces: Vec3, couples: Vec3) -> Array:
         """Given loads and those of all effects, couples in the world frame."""
         loads = external_loads(self.scene, motion, forces, couples)
+        # Fusing further, XLA's CPU compiler takes minutes over the derivative.
+        loads = lax.optimization_barrier(loads)
         assert loads.forces is not None and loads.couples is not None
         return blocks(
             loads.forces, to_world(directors(motion.orientation), loads.couples)
@@ -216,16 +220,33 @@ class Balance:
         return subtract(changed, skew(motion.spin))
 
     def _differentiated(
-        self, effects: tuple[Effect, ...], moves: Moves
+        self, effects: tuple[Effect, ...], motion: Motion, momentum: Matrix
     ) -> BlockTridiagonal:
         """Derivative of the loads of effects, whatever they are."""
         others = replace(self, scene=replace(self.scene, effects=effects))
-        none = jax.tree.map(jnp.zeros_like, (self.base.position, self.base.spin))
+        none = jax.tree.map(jnp.zeros_like, (motion.position, motion.spin))
+        # Fused with what computes the motion, 18 times over, it compiles for minutes.
+        motion, momentum = lax.optimization_barrier((motion, momentum))
+        _, push = jax.linearize(lambda there: others._loads(there, *none), motion)
 
-        def loads(step: Array) -> Array:
-            return others._loads(others.motion(others.moved(moves, step)), *none)
+        def answer(step: Array) -> Array:
+            displacement, turn = unblocked(step)
+            half = vectors.scale(0.5, turn)
+            still = jnp.zeros_like(half[0])
+            turned = multiply_quaternions((still, *half), motion.orientation)
+            x, y, z = (vectors.dot(row, turn) for row in momentum)
+            change = jax.tree.map(jnp.zeros_like, motion)
+            return push(
+                replace(
+                    change,
+                    position=displacement,
+                    orientation=turned,
+                    velocity=vectors.scale(self.pace, displacement),
+                    spin=(x, y, z),
+                )
+            )
 
-        return differentiated(loads, jnp.zeros_like(self.free))
+        return lax.optimization_barrier(coloured(answer, self.free))
 
 
 def _coupling(moves: Moves) -> Array:

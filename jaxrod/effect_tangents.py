@@ -15,7 +15,9 @@ from jaxtyping import Array, Float
 from jaxrod import vectors
 from jaxrod.actuation import ElementCouples
 from jaxrod.block_tridiagonal import BlockTridiagonal
-from jaxrod.effects import Clamp, Effect, End, EndLoad, Gravity, UniformLoad
+from jaxrod.clamps import Clamp
+from jaxrod.effects import Effect, EndLoad, Gravity, UniformLoad
+from jaxrod.ends import End
 from jaxrod.motion import Motion
 from jaxrod.rod import Rod
 from jaxrod.rotations import (
@@ -76,19 +78,20 @@ def _wall_tangent(wall: Clamp, rod: Rod, motion: Motion) -> Matrix:
     return subtract(joint.stiffness, skew(joint.couple))
 
 
-def differentiated(
-    loads: Callable[[Float[Array, "n+1 6"]], Float[Array, "n+1 6"]], zero: Array
+def coloured(
+    push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
+    like: Float[Array, "n m"],
 ) -> BlockTridiagonal:
-    """Derivative of any loads on a rod at `zero`, by forward mode.
+    """The matrix of a linear function whose blocks see no further than neighbours.
 
-    Loads on a block may depend on the block and its neighbours, so every third block
-    can be moved at once: 18 directions, whatever the number of elements.
+    Then every third block can be moved at once: `3 m` directions, whatever the number
+    of blocks.
     """
-    _, push = jax.linearize(loads, zero)
-    colour = jnp.arange(zero.shape[0]) % 3
+    n, m = like.shape
+    colour = jnp.arange(n) % 3
     moved = colour[None, None, :, None] == jnp.arange(3)[:, None, None, None]
-    seeds = moved & jnp.eye(6, dtype=bool)[None, :, None, :]
-    answers = jax.vmap(jax.vmap(push))(seeds.astype(zero.dtype))
+    seeds = moved & jnp.eye(m, dtype=bool)[None, :, None, :]
+    answers = jax.vmap(jax.vmap(push))(seeds.astype(like.dtype))
     # Axes: colour moved, block loaded, component loaded, component moved.
     columns = jnp.moveaxis(answers, 1, 3)
 
