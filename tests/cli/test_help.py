@@ -7,7 +7,7 @@ import pytest
 
 from jaxrod import cli
 
-NAMES = ["train", "evaluate", "render", "benchmark"]
+NAMES = ["train", "evaluate", "render", "optimise", "tradeoff", "benchmark"]
 
 
 @pytest.mark.parametrize("name", NAMES)
