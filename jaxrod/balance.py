@@ -205,7 +205,9 @@ class Balance:
         """Given loads and those of all effects, couples in the world frame."""
         loads = external_loads(self.scene, motion, forces, couples)
         # Fusing further, XLA's CPU compiler takes minutes over the derivative.
-        loads = lax.optimization_barrier(loads)
+        # One by one: those that do not depend on what is differentiated are no part
+        # of reverse mode.
+        loads = jax.tree.map(lax.optimization_barrier, loads)
         assert loads.forces is not None and loads.couples is not None
         return blocks(
             loads.forces, to_world(directors(motion.orientation), loads.couples)
@@ -226,7 +228,7 @@ class Balance:
         others = replace(self, scene=replace(self.scene, effects=effects))
         none = jax.tree.map(jnp.zeros_like, (motion.position, motion.spin))
         # Fused with what computes the motion, 18 times over, it compiles for minutes.
-        motion, momentum = lax.optimization_barrier((motion, momentum))
+        motion, momentum = jax.tree.map(lax.optimization_barrier, (motion, momentum))
         _, push = jax.linearize(lambda there: others._loads(there, *none), motion)
 
         def answer(step: Array) -> Array:
@@ -246,7 +248,7 @@ class Balance:
                 )
             )
 
-        return lax.optimization_barrier(coloured(answer, self.free))
+        return jax.tree.map(lax.optimization_barrier, coloured(answer, self.free))
 
 
 def _coupling(moves: Moves) -> Array:

@@ -52,7 +52,7 @@ def newton(
     balance: Balance,
     guess: Float[Array, "n+1 6"],
     tolerance: Array,
-    max_iterations: int,
+    max_iterations: int | Array,
     *,
     static: bool = False,
 ) -> Search:

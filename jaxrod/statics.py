@@ -13,8 +13,8 @@ from jaxrod._implicit import motion_of, state_of
 from jaxrod._pytree import pytree
 from jaxrod._validation import check_array, check_count
 from jaxrod.balance import Balance, Moves, balanced, unblocked
-from jaxrod.clamps import Clamp
 from jaxrod.effect_tangents import has_closed_form
+from jaxrod.effects import Effect
 from jaxrod.elasticity import elastic_law
 from jaxrod.motion import Motion
 from jaxrod.newton import default_tolerance, largest, newton
@@ -85,26 +85,26 @@ def equilibrium(
             f"state must have {n} elements, as the scene's rod has, "
             f"got {state.orientations.shape[-1]}"
         )
-    check_count("max_iterations", max_iterations, 1)
+    max_iterations = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
         tolerance = default_tolerance(dtype)
     tolerance = check_array("tolerance", tolerance, [()], "", positive=True)
-    if _is_loose(scene, state):
+    if _is_loose(scene):
         raise ValueError(
             "scene must hold the rod for an equilibrium: a free rod has none under "
             "loads, and any number without. Add jaxrod.clamp(state) or "
             "jaxrod.fixed_end(state)"
         )
-    return _equilibrium(scene, state, jnp.asarray(tolerance, dtype), max_iterations)
+    bound = jnp.asarray(tolerance, dtype)
+    return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
 
 
-def _is_loose(scene: Scene, state: RodState) -> bool:
-    """Whether nothing in the scene could hold the rod, as far as can be told."""
-    if not all(has_closed_form(e) and not isinstance(e, Clamp) for e in scene.effects):
-        return False
-    with jax.ensure_compile_time_eval():
-        free = _at_rest(scene, motion_of(state)).free
-    return not isinstance(free, jax.core.Tracer) and bool(jnp.all(free[:, :3] == 1))
+def _is_loose(scene: Scene) -> bool:
+    """Whether nothing in the scene could hold the rod."""
+    return all(
+        type(effect).hold_rates is Effect.hold_rates and has_closed_form(effect)
+        for effect in scene.effects
+    )
 
 
 def _at_rest(scene: Scene, base: Motion) -> Balance:
@@ -113,9 +113,9 @@ def _at_rest(scene: Scene, base: Motion) -> Balance:
     return Balance(scene, elastic_law(scene.rod), base, still, None)
 
 
-@jax.jit(static_argnames="max_iterations")
+@jax.jit
 def _equilibrium(
-    scene: Scene, state: RodState, tolerance: Array, max_iterations: int
+    scene: Scene, state: RodState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
     start = motion_of(state)
     start = replace(
