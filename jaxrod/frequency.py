@@ -161,16 +161,16 @@ def linearised(
 
     _, change = jax.linearize(loads_after, jnp.zeros_like(root))
 
-    def hold(flat: Array) -> Array:
-        velocity, spin = take_apart(flat)
-        held = hold_rates(scene, replace(still, velocity=velocity, spin=spin))
-        return jnp.concatenate([*held.velocity, *held.spin])
+    # Constraints stop some freedoms altogether and leave the others.
+    velocity, spin = take_apart(jnp.ones_like(root))
+    held = hold_rates(scene, replace(still, velocity=velocity, spin=spin))
+    free = jnp.concatenate([*held.velocity, *held.spin]) / root
 
     def apply(motion: Array) -> Array:
         # Barriers: without, XLA's CPU compiler works for minutes on fusing the map
         # with what surrounds it.
-        motion = lax.optimization_barrier(hold(motion) / root)
-        return -hold(lax.optimization_barrier(change(motion)) / root)
+        motion = lax.optimization_barrier(free * lax.optimization_barrier(motion))
+        return -free * lax.optimization_barrier(change(motion))
 
     return apply
 
