@@ -197,6 +197,7 @@ def test_the_limiting_motion_is_named():
         assert "twist" in named
 
 
+@pytest.mark.slow
 def test_the_published_tracking_arms_limit_knows_of_its_explicit_drag():
     env = tracking("paper", n_elements=10)
     with jax.enable_x64(True):
@@ -253,15 +254,16 @@ def accelerations(scene, state, moves):
     return after.velocities / dt, spins / dt
 
 
-@pytest.mark.parametrize("stretch", [1.0, 0.5, 0.1])
+@pytest.mark.parametrize("stretch", [0.5, 0.1])
 def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
     rod, state = arm(2, radius=0.02)
     scene = jaxrod.make_scene(rod, mode="pyelastica")
     short = squeezed(state, stretch)
     moves, unravel = ravel_pytree(no_moves(state))
-    matrix = jax.jacfwd(
+    tangent = jax.jacfwd(
         lambda flat: ravel_pytree(accelerations(scene, short, unravel(flat)))[0]
-    )(moves)
+    )
+    matrix = jax.jit(tangent)(moves)
     exact = np.sqrt(np.max(np.abs(np.linalg.eigvals(-np.asarray(matrix)))))
     measured = float(jaxrod.highest_frequency(scene, short))
     assert measured == pytest.approx(exact, rel=2e-3)
