@@ -230,8 +230,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(record):
     draw = lambda size, n: tuple(jnp.asarray(size * random.normal(size=(3, n))))
     moves = Moves(draw(0.02, N + 1), draw(0.3, N))
 
-    # Two programs: compiling them as one takes minutes.
-    @jax.jit(compiler_options=HURRY)
+    # Operation by operation: as one program it would take minutes to compile.
     def derivative(balance, moves, direction):
         def residual(step):
             return balance.residual(balance.moved(moves, step))
