@@ -32,7 +32,7 @@ from jaxrod.tradeoff.setting import (
 
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
 """Numbers of elements that are tried, in this order."""
-STEPS_FOR_IMPLICIT = 40
+STEPS_FOR_IMPLICIT = 100
 """Explicit steps that an implicit one has to replace to be worth trying."""
 TRUSTED = 0.2
 """The reference's own error may be this share of the tolerance."""
