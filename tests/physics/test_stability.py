@@ -44,9 +44,8 @@ def drawn(seed, n, wall):
     return scene, bare, state, rates, held_freedoms(rod, wall)
 
 
-def highest(scene, state, free, factors=(1.0, 1.0)):
+def highest(scene, stiffness, free, factors=(1.0, 1.0)):
     """Highest frequency if masses and rotary inertias were larger by two factors."""
-    stiffness = np.asarray(unbalance(scene, state)[1])
     transverse, polar = scene.rod.inertias
     inertia = np.ravel([transverse, transverse, polar])
     masses = np.tile(scene.rod.node_masses, 3)
@@ -62,12 +61,13 @@ def true_limit(scene, state, free, rates=(0.0, 0.0)):
     exactly, is possible where stiffness balances inertia times
     (2 / h^2) g h coth(g h / 2).
     """
-    limit = 2 / highest(scene, state, free)
+    stiffness = np.asarray(unbalance(scene, state)[1])
+    limit = 2 / highest(scene, stiffness, free)
     if not np.any(rates):
         return limit
     for _ in range(30):
         half = np.maximum(np.asarray(rates) * limit / 2, 1e-9)
-        limit = 2 / highest(scene, state, free, half / np.tanh(half))
+        limit = 2 / highest(scene, stiffness, free, half / np.tanh(half))
     return limit
 
 
