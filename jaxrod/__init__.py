@@ -75,7 +75,7 @@ _NAMES = {
     "stability": ("StableStep", "stable_dt"),
     "statics": ("Equilibrium", "equilibrium"),
     "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
-    "tradeoff": ("Tuned", "tune"),
+    "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _SUBMODULES = ("envs", "rotations", "tradeoff", "training", "vectors", "viz")

@@ -66,7 +66,7 @@ from jaxrod.stepping import advance as advance
 from jaxrod.stepping import rollout as rollout
 from jaxrod.stepping import rollout_times as rollout_times
 from jaxrod.stepping import step as step
-from jaxrod.tradeoff import Tuned as Tuned
-from jaxrod.tradeoff import tune as tune
+from jaxrod.tradeoff.tuning import Tuned as Tuned
+from jaxrod.tradeoff.tuning import tune as tune
 
 __version__: str
