@@ -33,7 +33,7 @@ def moved(state, vector):
     return perturb(state, unflat(state, vector))
 
 
-@jax.jit(compiler_options={"xla_backend_optimization_level": 0})
+@jax.jit
 def unbalance(scene, state):
     """Loads on all freedoms, and minus their derivative: the tangent stiffness."""
 
