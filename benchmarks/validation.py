@@ -1,6 +1,8 @@
 """Regenerates docs/validation.md: what was measured, against what, and its bar.
 
-    python benchmarks/validation.py
+    python benchmarks/validation.py                   all tests, the slow ones included
+    python benchmarks/validation.py -m "not slow"     in some ten minutes
+    python benchmarks/validation.py --from run.xml    of a run with --junitxml=run.xml
 
 Runs the tests of the physics and of the comparison with PyElastica and tabulates the
 values they recorded, so that the table cannot say anything the tests do not assert.
@@ -8,6 +10,7 @@ values they recorded, so that the table cannot say anything the tests do not ass
 
 from __future__ import annotations
 
+import ast
 import os
 import platform
 import re
@@ -15,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import jax
 import pytest
@@ -28,7 +32,7 @@ FOLDERS = (
 HEADER = """\
 # Validation
 
-Written by `python benchmarks/validation.py`, which runs the tests that assert every
+Written by `python benchmarks/validation.py` from a run of the tests that assert every
 row; do not edit. {outcome}
 
 Unless a row says otherwise: float64, one CPU core. Errors are relative where they have
@@ -57,9 +61,13 @@ class Rows:
         section = Path(report.nodeid.split("::")[0]).stem
         for name, value in report.user_properties:
             if name == "validation":
-                feature, reference, measured, bar = value
-                row = (feature, reference, f"{measured:.3g}", bar)
-                self.rows.setdefault(section, []).append(row)
+                self.add(section, value)
+
+    def add(self, section: str, value: tuple[str, str, float, str]) -> None:
+        """Takes one row."""
+        feature, reference, measured, bar = value
+        row = (feature, reference, f"{measured:.3g}", bar)
+        self.rows.setdefault(section, []).append(row)
 
     def text(self) -> Iterator[str]:
         """The document, line by line."""
@@ -80,12 +88,37 @@ class Rows:
             yield from (f"| {' | '.join(row)} |" for row in rows)
             yield ""
 
+    def read(self, results: Path) -> None:
+        """Takes the rows of a finished run from its JUnit XML file."""
+        folders = tuple(f.removesuffix(".py").replace("/", ".") for f in FOLDERS)
+        for case in ElementTree.parse(results).iter("testcase"):
+            module = case.get("classname", "")
+            if not module.startswith(folders):
+                continue
+            if case.find("failure") is not None or case.find("error") is not None:
+                self.failed.append(f"{module}::{case.get('name')}")
+                continue
+            self.passed += case.find("skipped") is None
+            for found in case.iter("property"):
+                if found.get("name") == "validation":
+                    value = ast.literal_eval(found.get("value", ""))
+                    self.add(module.rpartition(".")[2], value)
 
-def main() -> int:
-    """Runs the tests and writes the document; returns pytest's exit code."""
-    os.chdir(ROOT)
+
+def main(arguments: list[str]) -> int:
+    """Runs the tests, or reads a run's, and writes the document.
+
+    Returns:
+        pytest's exit code, or 1 if a test of the given run had failed.
+    """
     rows = Rows()
-    code = pytest.main([*FOLDERS, "-q", "-p", "no:xdist"], plugins=[rows])
+    if arguments[:1] == ["--from"]:
+        rows.read(Path(arguments[1]))
+        code = int(bool(rows.failed))
+    else:
+        os.chdir(ROOT)
+        words = [*FOLDERS, "-q", "-p", "no:xdist", *arguments]
+        code = int(pytest.main(words, plugins=[rows]))
     target = ROOT / "docs" / "validation.md"
     target.parent.mkdir(exist_ok=True)
     with tempfile.NamedTemporaryFile(
@@ -94,8 +127,8 @@ def main() -> int:
         file.write("\n".join(rows.text()))
     os.chmod(file.name, 0o644)
     os.replace(file.name, target)
-    return int(code)
+    return code
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -17,6 +17,8 @@ def orders(scene, state, duration, coarsest):
     ends = [jaxrod.advance(scene, state, duration / n, n) for n in steps]
     result = {}
     for field in fields(state):
+        if getattr(state, field.name) is None:
+            continue
         values = [np.asarray(getattr(end, field.name)) for end in ends]
         gaps = [np.max(np.abs(b - a)) for a, b in pairwise(values)]
         result[field.name] = np.log2(gaps[-2] / gaps[-1])
