@@ -29,7 +29,8 @@ def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["iteration"] for row in rows] == ["0", "1"]
     assert set(rows[0]) >= {"loss", "tip_distance", "gradient_norm", "wall_s"}
-    saved = np.load(out / "trajectory.npz")
+    with np.load(out / "trajectory.npz") as file:
+        saved = dict(file)
     assert saved["knots"].shape == (3, 2, 6)
     assert len(saved["times"]) == len(saved["positions"])
     tip = saved["positions"][-1, :, -1]
