@@ -130,7 +130,7 @@ def machine_facts(load: float | None) -> dict[str, Any]:
     from jaxrod.backend import available_cores
 
     versions = {"python": platform.python_version()}
-    for package in ("jax", "jaxlib", "numpy", "pyelastica"):
+    for package in ("jax", "jaxlib", "numpy", "pyelastica", "mujoco"):
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""The whole trade of a problem: every setting of a grid, and PyElastica."""
+"""The whole trade of a problem: every setting of a grid, PyElastica and MuJoCo."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from jaxrod.tradeoff.measure import Measurement, Reference, measure
+from jaxrod.tradeoff.mujoco_cable import measure_mujoco
 from jaxrod.tradeoff.problem import Problem
 from jaxrod.tradeoff.pyelastica import measure_pyelastica
 from jaxrod.tradeoff.setting import Reduction, Setting
@@ -16,6 +17,7 @@ from jaxrod.tradeoff.setting import Reduction, Setting
 BATCHES = (1, 256, 4096)
 ELEMENTS = (5, 8, 10, 14, 20, 28, 40, 80)
 PYELASTICA_ELEMENTS = (10, 20, 40, 80, 160, 320)
+MUJOCO_ELEMENTS = (5, 10, 20, 40, 80)
 PYELASTICA_SAFETY = 0.5
 """PyElastica's frequencies rise when the rod is compressed: it needs the room."""
 COLUMNS = (
@@ -37,7 +39,7 @@ class Row:
     """One line of tradeoff.csv.
 
     Attributes:
-        simulator: "jaxrod" or "pyelastica".
+        simulator: "jaxrod", "pyelastica" or "mujoco".
         setting: How it was simulated.
         batch: Number of rods at once.
         error: Root mean square over time of the tip's distance from the reference, in
@@ -56,7 +58,7 @@ class Row:
         s = self.setting
         return (
             self.simulator,
-            s.mode,
+            "cable" if self.simulator == "mujoco" else s.mode,
             s.integrator,
             s.n_elements,
             s.dt,
@@ -94,10 +96,11 @@ def measure_grid(
     elements: Sequence[int] = ELEMENTS,
     batches: Sequence[int] = BATCHES,
     pyelastica_elements: Sequence[int] = PYELASTICA_ELEMENTS,
+    mujoco_elements: Sequence[int] = MUJOCO_ELEMENTS,
     seconds: float = 0.2,
     say: Callable[[str], None] = lambda line: None,
 ) -> list[Row]:
-    """Measures a problem's grid of settings, and PyElastica, in one run.
+    """Measures a problem's grid of settings, PyElastica and MuJoCo, in one run.
 
     Args:
         problem: The problem.
@@ -106,6 +109,8 @@ def measure_grid(
         batches: How many rods at once; implicit steps are timed for one.
         pyelastica_elements: Numbers of elements for PyElastica; left out, with a
             word, where it is not installed.
+        mujoco_elements: The same for MuJoCo's cable; left out, with a word, where the
+            problem has something the cable has not.
         seconds: How long to time each setting and batch [s].
         say: Called with a line of text after every measurement.
     """
@@ -141,6 +146,18 @@ def measure_grid(
             say("PyElastica is not installed")
             break
         add("pyelastica", one)
+    for n in mujoco_elements:
+        try:
+            one = measure_mujoco(problem, n, exact, batches=tuple(batches))
+        except ModuleNotFoundError as missing:
+            if missing.name != "mujoco":
+                raise
+            say("MuJoCo is not installed")
+            break
+        except ValueError as unfit:
+            say(f"MuJoCo is left out: {unfit}")
+            break
+        add("mujoco", one)
     return rows
 
 

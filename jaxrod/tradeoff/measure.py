@@ -6,7 +6,6 @@ import statistics
 import time
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -95,7 +94,7 @@ def tips_of(problem: Problem, prepared: Prepared) -> np.ndarray:
     """Tip at the end of every control period `(periods, 3)` [m]."""
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         args = _arguments(problem, prepared)
-        return np.asarray(_run(problem, *args), np.float64)
+        return np.asarray(_run(problem, False, *args), np.float64)
 
 
 def tip_error(tips: np.ndarray, exact: np.ndarray, length: float) -> float:
@@ -135,15 +134,12 @@ def cost(
     """Wall-clock time per simulated second and rod [1]; compiling not counted."""
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         scene, state, controls, dt, substeps = _arguments(problem, prepared)
-        if batch == 1:
-            run: Any = partial(_run, problem)
-        else:
-            run = partial(_run_many, problem)
-            state = jax.tree.map(partial(_repeated, batch), state)
         # A few periods are enough to time, and a batch's controls take room.
         periods = min(len(problem.controls), 20)
         controls = controls[:periods]
+        run = partial(_run, problem, batch > 1)
         if batch > 1:
+            state = jax.tree.map(partial(_repeated, batch), state)
             controls = jnp.swapaxes(_repeated(batch, controls), 0, 1)
 
         def once() -> float:
@@ -176,39 +172,21 @@ def _arguments(
     )
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jax.jit, static_argnums=(0, 1))
 def _run(
     problem: Problem,
+    batched: bool,
     scene: Scene,
     state: RodState,
-    controls: Float[Array, "periods controls"],
+    controls: Float[Array, "periods *batch controls"],
     dt: Array,
     substeps: Array,
-) -> Float[Array, "periods 3"]:
-    """The path of the tip."""
+) -> Float[Array, "periods *batch 3"]:
+    """The path of the tip; of many rods, each under its own controls, if `batched`."""
     act = problem.act(scene)
 
     def period(state: RodState, control: Array) -> tuple[RodState, Array]:
         state = advance(act(control), state, dt, substeps)
         return state, state.tip
 
-    return lax.scan(period, state, controls)[1]
-
-
-@partial(jax.jit, static_argnums=0)
-def _run_many(
-    problem: Problem,
-    scene: Scene,
-    states: RodState,
-    controls: Float[Array, "periods batch controls"],
-    dt: Array,
-    substeps: Array,
-) -> Float[Array, "periods batch 3"]:
-    """The paths of the tips of many rods, each under its own controls."""
-    act = problem.act(scene)
-
-    def one(state: RodState, control: Array) -> tuple[RodState, Array]:
-        state = advance(act(control), state, dt, substeps)
-        return state, state.tip
-
-    return lax.scan(jax.vmap(one), states, controls)[1]
+    return lax.scan(jax.vmap(period) if batched else period, state, controls)[1]

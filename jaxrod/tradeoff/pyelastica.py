@@ -124,12 +124,17 @@ def _simulator(
     return simulator, rod, elastica.PositionVerlet()
 
 
-def _straight_rod(elastica: Any, rod: Rod, state: RodState) -> Any:
-    """The same uniform, straight rod in PyElastica."""
+def uniform_radius(rod: Rod) -> float:
+    """Radius of a rod that is the same everywhere [m]; others raise `ValueError`."""
     leaves = (rod.rest_lengths, rod.radii, rod.linear_density)
     if any(np.ptp(np.asarray(leaf)) > 1e-12 * np.max(leaf) for leaf in leaves):
-        raise ValueError("PyElastica is compared on uniform rods only")
-    radius = float(rod.radii[0])
+        raise ValueError("simulators are compared on uniform rods only")
+    return float(rod.radii[0])
+
+
+def _straight_rod(elastica: Any, rod: Rod, state: RodState) -> Any:
+    """The same uniform, straight rod in PyElastica."""
+    radius = uniform_radius(rod)
     area = np.pi * radius**2
     nodes = np.asarray(state.positions, np.float64)
     length = float(np.sum(np.asarray(rod.rest_lengths)))

@@ -16,6 +16,7 @@ _QUIET = "#5a6676"
 _KINDS = (
     # simulator, mode, integrator: label, colour, marker
     (("pyelastica", "pyelastica", "explicit"), "PyElastica", "#b45309", "s"),
+    (("mujoco", "consistent", "explicit"), "MuJoCo's cable", "#7c3aed", "v"),
     (("jaxrod", "pyelastica", "explicit"), "PyElastica's law", "#d99a5b", "^"),
     (("jaxrod", "consistent", "implicit"), "implicit", "#15803d", "D"),
     (("jaxrod", "consistent", "explicit"), "explicit", "#2563c9", "o"),

@@ -14,10 +14,12 @@ def measured(monkeypatch):
     """Measurements as if from a run: jaxrod a hundred times faster, better at 20."""
     setting = tradeoff.Setting(8, 1e-3)
     theirs = tradeoff.Setting(40, 1e-4, "float64", "pyelastica")
+    cable = tradeoff.Setting(40, 1e-4, "float64")
 
     def measure_grid(problem, exact, *, batches, **_):
         rows = [grid.Row("jaxrod", setting, b, 0.008, 1e-3) for b in batches]
-        return rows + [grid.Row("pyelastica", theirs, b, 0.02, 0.1) for b in batches]
+        rows += [grid.Row("pyelastica", theirs, b, 0.02, 0.1) for b in batches]
+        return rows + [grid.Row("mujoco", cable, b, 0.01, 0.05) for b in batches]
 
     def tune(problem, *, tolerance, batch, say):
         say("looking")
@@ -46,14 +48,17 @@ def test_it_writes_table_picture_and_page(measured, run_json, tmp_path):
     assert found["scene"] == "swing" and found["tolerance"] == 0.01
     for one, batch in zip(found["tuned"], (1, 64), strict=True):
         assert one["batch"] == batch
-        assert one["times_pyelastica"] == pytest.approx(100)
         # PyElastica's best run is beside ours though it misses the tolerance.
-        assert one["met"] and not one["pyelastica_met"]
+        assert one["met"] and not one["pyelastica"]["met"]
+        assert one["pyelastica"]["ratio"] == pytest.approx(100)
+        assert one["mujoco"]["met"] and one["mujoco"]["ratio"] == pytest.approx(50)
     with (out / "tradeoff.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
-    assert tuple(table[0]) == grid.COLUMNS and len(table) == 4
+    assert tuple(table[0]) == grid.COLUMNS and len(table) == 6
+    assert {row["mode"] for row in table} == {"consistent", "pyelastica", "cable"}
     page = (out / "tradeoff.md").read_text()
     assert "| 64 | n = 8" in page and "> 100 x" in page
+    assert "| 64 | MuJoCo's cable | 40 |" in page and "| 50 x" in page
     assert (out / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -66,6 +71,10 @@ def test_it_writes_table_picture_and_page(measured, run_json, tmp_path):
         (
             ["swing", "--pyelastica-elements", "1"],
             "--pyelastica-elements must be at least 2 each",
+        ),
+        (
+            ["swing", "--mujoco-elements", "1"],
+            "--mujoco-elements must be at least 2 each",
         ),
     ],
 )

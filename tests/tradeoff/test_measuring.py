@@ -13,6 +13,8 @@ import jaxrod
 from jaxrod.tradeoff import Problem, Setting, measure, prepare, problem_of, reference
 from jaxrod.tradeoff import grid as grids
 from jaxrod.tradeoff.measure import tip_error, tips_of
+from jaxrod.tradeoff.mujoco_cable import measure_mujoco
+from jaxrod.tradeoff.pyelastica import measure_pyelastica
 from jaxrod.tradeoff.scenes import SCENES, rope, swing, tracking_arm
 
 
@@ -129,6 +131,7 @@ def test_the_table_has_every_column_and_pyelastica(swinging, monkeypatch):
         elements=(5,),
         batches=(1, 3),
         pyelastica_elements=(5,),
+        mujoco_elements=(),
         seconds=0.005,
     )
     table = list(csv.DictReader(io.StringIO(grids.as_csv(rows))))
@@ -157,8 +160,6 @@ def test_the_front_holds_what_none_beats():
 
 @pytest.mark.parametrize("name", SCENES)
 def test_named_problems_are_made_of_effects_pyelastica_has(name):
-    from jaxrod.tradeoff.pyelastica import measure_pyelastica
-
     problem = short(SCENES[name](), 2)
     tips = tips_of(
         problem, prepare(problem, Setting(6, None, "float64", "pyelastica", safety=0.5))
@@ -166,6 +167,37 @@ def test_named_problems_are_made_of_effects_pyelastica_has(name):
     exact = dataclasses.replace(_reference_of(problem), tips=tips)
     measured = measure_pyelastica(problem, 6, exact, safety=0.5)
     assert measured.error < 1e-9
+
+
+def test_mujocos_cable_comes_closer_with_more_elements(swinging):
+    problem, exact = swinging
+    found = [measure_mujoco(problem, n, exact) for n in (5, 10, 20)]
+    errors = [one.error for one in found]
+    # Its first element is welded to the wall, half an element too stiff: first order.
+    assert errors[0] > 1.5 * errors[1] > 2.25 * errors[2]
+    assert errors[2] < 0.05
+    assert found[2].setting.dt < found[0].setting.dt <= problem.period
+
+
+@pytest.mark.parametrize(
+    ("effect", "sentence"),
+    [
+        (jaxrod.end_load(force=(1.0, 0.0, 0.0)), "without EndLoad"),
+        (jaxrod.exponential_damping(1.0, 2.0), "under uniform damping"),
+    ],
+)
+def test_mujoco_is_left_out_where_its_cable_does_not_fit(swinging, effect, sentence):
+    problem, exact = swinging
+
+    def build(n_elements, mode):
+        scene, state = problem.build(n_elements, mode)
+        effects = (*scene.effects, effect)
+        return dataclasses.replace(scene, effects=effects), state
+
+    with pytest.raises(ValueError, match=sentence):
+        measure_mujoco(dataclasses.replace(problem, build=build), 5, exact)
+    with pytest.raises(ValueError, match="without controls"):
+        measure_mujoco(tracking_arm(), 5, exact)
 
 
 def _reference_of(problem: Problem):
