@@ -31,16 +31,14 @@ from jaxrod._pytree import pytree, static
 from jaxrod._validation import Numbers, check_array, check_count
 from jaxrod.balance import Balance, balanced, blocks, displaced
 from jaxrod.elasticity import ElasticLaw, elastic_law
-from jaxrod.motion import Motion
+from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.newton import default_tolerance, newton
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
     directors,
-    join_quaternion,
     multiply_quaternions,
     normalise,
     rotation_exp,
-    split_quaternion,
     to_material,
     to_world,
 )
@@ -216,28 +214,6 @@ class ImplicitStepper:
             velocity=vectors.subtract(reached.velocity, base.motion.velocity),
             spin=vectors.subtract(reached.spin, base.motion.spin),
         )
-
-
-def motion_of(state: RodState) -> Motion:
-    """A state taken apart into component arrays."""
-    return Motion(
-        position=vectors.split(state.positions),
-        orientation=split_quaternion(state.orientations),
-        velocity=vectors.split(state.velocities),
-        spin=vectors.split(state.angular_momenta),
-        remainder=vectors.split_optional(state.remainders),
-    )
-
-
-def state_of(motion: Motion) -> RodState:
-    """The state put together again."""
-    return RodState(
-        positions=vectors.join(motion.position),
-        orientations=join_quaternion(motion.orientation),
-        velocities=vectors.join(motion.velocity),
-        angular_momenta=vectors.join(motion.spin),
-        remainders=vectors.join_optional(motion.remainder),
-    )
 
 
 def _add(motion: Motion, added: Increments) -> Motion:

@@ -22,16 +22,14 @@ from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import ElasticLaw, elastic_law, internal_loads
 from jaxrod.kick import Kick
-from jaxrod.motion import Motion
+from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
     directors,
-    join_quaternion,
     multiply_quaternions,
     normalise,
     rotation_exp,
     sine_ratio_and_cosine,
-    split_quaternion,
     to_world,
 )
 from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
@@ -77,24 +75,11 @@ class ConsistentStepper(Verlet):
 
     def enter(self, state: RodState) -> Motion:
         """Takes a state apart and makes it respect the scene's constraints."""
-        motion = Motion(
-            position=vectors.split(state.positions),
-            orientation=split_quaternion(state.orientations),
-            velocity=vectors.split(state.velocities),
-            spin=vectors.split(state.angular_momenta),
-            remainder=vectors.split_optional(state.remainders),
-        )
-        return hold_rates(self.scene, hold(self.scene, motion))
+        return hold_rates(self.scene, hold(self.scene, motion_of(state)))
 
     def leave(self, motion: Motion) -> RodState:
         """Puts the state together again."""
-        return RodState(
-            positions=vectors.join(motion.position),
-            orientations=join_quaternion(motion.orientation),
-            velocities=vectors.join(motion.velocity),
-            angular_momenta=vectors.join(motion.spin),
-            remainders=vectors.join_optional(motion.remainder),
-        )
+        return state_of(motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
         """Moves nodes and turns elements freely for a time `dt` [s]."""

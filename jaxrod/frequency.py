@@ -23,10 +23,10 @@ from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod._validation import check_count
 from jaxrod.elasticity import elastic_law, internal_loads
-from jaxrod.motion import Loads, Motion
+from jaxrod.motion import Loads, Motion, motion_of
 from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import Rod, RodState
-from jaxrod.rotations import multiply_quaternions, rotation_exp, split_quaternion
+from jaxrod.rotations import multiply_quaternions, rotation_exp
 from jaxrod.scene import Scene, external_loads, hold_rates
 
 InertiaFactors = tuple[Array, Array]
@@ -128,13 +128,7 @@ def linearised(
     masses = inertia_factors[0] * rod.node_masses
     inertia = inertia_factors[1][None, :] * jnp.stack([transverse, transverse, polar])
     root = jnp.sqrt(jnp.concatenate([masses, masses, masses, jnp.ravel(inertia)]))
-    still = Motion(
-        position=vectors.split(state.positions),
-        orientation=split_quaternion(state.orientations),
-        velocity=vectors.split(jnp.zeros_like(state.velocities)),
-        spin=vectors.split(jnp.zeros_like(state.angular_momenta)),
-        remainder=vectors.split_optional(state.remainders),
-    )
+    still = motion_of(state).at_rest
 
     def take_apart(flat: Array) -> tuple[vectors.Vec3, vectors.Vec3]:
         nodes = flat[: 3 * n + 3].reshape(3, n + 1)

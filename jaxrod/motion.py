@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod._pytree import pytree
-from jaxrod.rotations import Quaternion
-from jaxrod.vectors import Vec3, add, inner_difference, safe_norm, scale, subtract
+from jaxrod.rod import RodState
+from jaxrod.rotations import Quaternion, join_quaternion, split_quaternion
+from jaxrod.vectors import (
+    Vec3,
+    add,
+    inner_difference,
+    join,
+    join_optional,
+    safe_norm,
+    scale,
+    split,
+    split_optional,
+    subtract,
+)
 
 
 @pytree
@@ -48,6 +62,12 @@ class Motion:
         """Current element lengths [m]."""
         return safe_norm(self.edges)
 
+    @property
+    def at_rest(self) -> Motion:
+        """The same configuration without its rates."""
+        still = jax.tree.map(jnp.zeros_like, (self.velocity, self.spin))
+        return replace(self, velocity=still[0], spin=still[1])
+
     def moved(self, dt: Array) -> Motion:
         """The nodes moved at their velocities for a time `dt` [s].
 
@@ -60,6 +80,28 @@ class Motion:
         position = add(self.position, step)
         remainder = subtract(subtract(position, self.position), step)
         return replace(self, position=position, remainder=remainder)
+
+
+def motion_of(state: RodState) -> Motion:
+    """A state taken apart; its spin is the angular momentum."""
+    return Motion(
+        position=split(state.positions),
+        orientation=split_quaternion(state.orientations),
+        velocity=split(state.velocities),
+        spin=split(state.angular_momenta),
+        remainder=split_optional(state.remainders),
+    )
+
+
+def state_of(motion: Motion) -> RodState:
+    """The state put together again, of a motion whose spin is angular momentum."""
+    return RodState(
+        positions=join(motion.position),
+        orientations=join_quaternion(motion.orientation),
+        velocities=join(motion.velocity),
+        angular_momenta=join(motion.spin),
+        remainders=join_optional(motion.remainder),
+    )
 
 
 @pytree

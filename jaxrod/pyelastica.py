@@ -25,15 +25,13 @@ from jaxtyping import Array
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import joint_rotations
-from jaxrod.motion import Loads, Motion
+from jaxrod.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rod import Rod, RodState, angular_velocities, with_angular_velocities
 from jaxrod.rotations import (
     directors,
-    join_quaternion,
     multiply_quaternions,
     normalise,
     rotation_exp,
-    split_quaternion,
     to_material,
     to_world,
 )
@@ -95,26 +93,14 @@ class PyElasticaStepper(Verlet):
 
     def enter(self, state: RodState) -> Motion:
         """Takes a state apart; angular momentum becomes angular velocity."""
-        motion = Motion(
-            position=vectors.split(state.positions),
-            orientation=split_quaternion(state.orientations),
-            velocity=vectors.split(state.velocities),
-            spin=vectors.split(angular_velocities(self.scene.rod, state)),
-            remainder=vectors.split_optional(state.remainders),
-        )
+        velocities = vectors.split(angular_velocities(self.scene.rod, state))
+        motion = replace(motion_of(state), spin=velocities)
         return hold_rates(self.scene, hold(self.scene, motion))
 
     def leave(self, motion: Motion) -> RodState:
         """Puts the state together; angular velocity becomes angular momentum."""
-        spin = vectors.join(motion.spin)
-        state = RodState(
-            positions=vectors.join(motion.position),
-            orientations=join_quaternion(motion.orientation),
-            velocities=vectors.join(motion.velocity),
-            angular_momenta=spin,
-            remainders=vectors.join_optional(motion.remainder),
-        )
-        return with_angular_velocities(self.scene.rod, state, spin)
+        state = state_of(motion)
+        return with_angular_velocities(self.scene.rod, state, state.angular_momenta)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
         """Moves nodes and turns elements at constant rates for `dt` [s]."""

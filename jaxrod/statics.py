@@ -9,14 +9,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from jaxrod._implicit import motion_of, state_of
 from jaxrod._pytree import pytree
 from jaxrod._validation import check_array, check_count
 from jaxrod.balance import Balance, Moves, balanced, unblocked
 from jaxrod.effect_tangents import has_closed_form
 from jaxrod.effects import Effect
 from jaxrod.elasticity import elastic_law
-from jaxrod.motion import Motion
+from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.newton import default_tolerance, largest, newton
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene, hold, hold_rates
@@ -117,12 +116,7 @@ def _at_rest(scene: Scene, base: Motion) -> Balance:
 def _equilibrium(
     scene: Scene, state: RodState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
-    start = motion_of(state)
-    start = replace(
-        start,
-        velocity=jax.tree.map(jnp.zeros_like, start.velocity),
-        spin=jax.tree.map(jnp.zeros_like, start.spin),
-    )
+    start = motion_of(state).at_rest
     start = hold_rates(scene, hold(scene, start))
     guess = jnp.zeros((len(start.position[0]), 6), tolerance.dtype)
     end = newton(

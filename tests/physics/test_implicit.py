@@ -11,12 +11,11 @@ import pytest
 
 import jaxrod
 from jaxrod import vectors
-from jaxrod._implicit import motion_of
 from jaxrod._pytree import pytree
 from jaxrod.balance import Balance, Moves
 from jaxrod.effects import Effect
 from jaxrod.elasticity import elastic_law
-from jaxrod.motion import Loads
+from jaxrod.motion import Loads, motion_of
 from jaxrod.scene import damping_rates
 from physics.rods import arm, deformed, difference, largest, random_rod
 
