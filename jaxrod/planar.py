@@ -8,7 +8,7 @@ $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell -
   \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D,$$
 
 and elements turn at $\dot\theta = P/J$ between kicks. Equal to the three-dimensional
-result to round-off, for an eighth of its arithmetic. Joint angles have no bound here.
+result to round-off, for a third of its arithmetic or less. Joint angles have no bound here.
 """
 
 from __future__ import annotations

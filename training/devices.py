@@ -53,7 +53,8 @@ def compile_updates(
     """
     specs = algorithm.partition(state)
     metric_specs = Metrics(
-        scalars=PartitionSpec(),  # type: ignore[arg-type]  # a tree prefix
+        # Each specification stands for all the arrays below it: not what types say.
+        scalars=PartitionSpec(),  # type: ignore[arg-type]
         episodes=PartitionSpec(None, None, DEVICE_AXIS),  # type: ignore[arg-type]
     )
 

@@ -107,34 +107,25 @@ def episode(index, key, mode, dtype, control_steps):
         )
         energy = jaxrod.total_energy(scene, after)
         sound = ~outcome.flagged
+        excess = (energy - work) / (jnp.abs(work) + 1)
+
+        def kept(extreme, before, now, count=sound):
+            return jnp.where(count, extreme(before, now), before)
+
         outcome = Outcome(
             flagged=outcome.flagged | report.flagged,
             flags=jnp.where(sound, flags, outcome.flags),
-            smallest_stretch=jnp.where(
-                sound,
-                jnp.fmin(outcome.smallest_stretch, report.smallest_stretch),
-                outcome.smallest_stretch,
+            smallest_stretch=kept(
+                jnp.fmin, outcome.smallest_stretch, report.smallest_stretch
             ),
-            largest_stretch=jnp.where(
-                sound,
-                jnp.fmax(outcome.largest_stretch, report.largest_stretch),
-                outcome.largest_stretch,
+            largest_stretch=kept(
+                jnp.fmax, outcome.largest_stretch, report.largest_stretch
             ),
-            largest_joint_angle=jnp.where(
-                sound,
-                jnp.fmax(outcome.largest_joint_angle, report.largest_joint_angle),
-                outcome.largest_joint_angle,
+            largest_joint_angle=kept(
+                jnp.fmax, outcome.largest_joint_angle, report.largest_joint_angle
             ),
-            largest_speed=jnp.where(
-                sound,
-                jnp.fmax(outcome.largest_speed, report.largest_speed),
-                outcome.largest_speed,
-            ),
-            excess=jnp.where(
-                sound & ~report.flagged,
-                jnp.fmax(outcome.excess, (energy - work) / (jnp.abs(work) + 1)),
-                outcome.excess,
-            ),
+            largest_speed=kept(jnp.fmax, outcome.largest_speed, report.largest_speed),
+            excess=kept(jnp.fmax, outcome.excess, excess, sound & ~report.flagged),
         )
         state = jaxrod.freeze(outcome.flagged, state, after)
         return (state, applied, wanted, work, outcome), None

@@ -91,9 +91,10 @@ def test_another_target_and_other_settings_do_not_compile_again(found):
 
 
 def test_the_gradient_agrees_with_finite_differences_after_one_second(found):
-    if found.knots.dtype != jnp.float64:
-        pytest.skip("finite differences need float64")
-    assert_gradient_is_right(found.problem, 1e-6)
+    if found.knots.dtype == jnp.float64:
+        assert_gradient_is_right(found.problem, 1e-6)
+    else:
+        assert_gradient_is_right(found.problem, 0.02, change=0.01)
 
 
 @pytest.mark.slow
@@ -105,19 +106,20 @@ def test_the_gradient_of_the_fine_arm_agrees_with_finite_differences():
     assert_gradient_is_right(found.problem, 1e-5)
 
 
-def assert_gradient_is_right(problem, tolerance):
+def assert_gradient_is_right(problem, tolerance, change=1e-5):
     """Compares directional derivatives, the arm in full motion."""
     keys = jax.random.split(jax.random.key(1), 4)
     shape = (11, 2, 6)
-    knots = 0.1 * jax.random.normal(keys[0], shape)
+    dtype = problem.arm.state.positions.dtype
+    knots = 0.1 * jax.random.normal(keys[0], shape, dtype)
     _, gradient = cost_and_gradient(problem, knots)
     loss = jax.jit(lambda k: trajectory_cost(problem, k).loss)
     for key in keys[1:]:
-        direction = jax.random.normal(key, shape)
-        h = 1e-5
-        change = (loss(knots + h * direction) - loss(knots - h * direction)) / (2 * h)
+        direction = jax.random.normal(key, shape, dtype)
+        further, back = (loss(knots + h * direction) for h in (change, -change))
         expected = float(jnp.sum(gradient * direction))
-        assert float(change) == pytest.approx(expected, rel=tolerance)
+        found = float(further - back) / (2 * change)
+        assert found == pytest.approx(expected, rel=tolerance)
 
 
 @pytest.mark.slow
