@@ -28,7 +28,14 @@ from jaxrod.training.normalisation import (
     normalise,
 )
 from jaxrod.training.policy import Policy
+from jaxrod.training.preparation import prepare, strong
 from jaxrod.training.rollout import collect
+from jaxrod.training.settings import (
+    check_finite,
+    check_fractions,
+    check_positive,
+    check_sizes,
+)
 
 Scalar = float | Float[Array, ""]
 
@@ -133,15 +140,7 @@ def start(
         total_updates: length of the schedules, in updates.
         optimiser: optax transformation, to make its state.
     """
-    if env_params is None:
-        # Factories look at their numbers, which a trace would hide from them.
-        with jax.ensure_compile_time_eval():
-            env_params = env.default_params()
-    # The type of the observations is the type all learning is done in.
-    dtype = jax.eval_shape(env.reset, key, env_params)[0].dtype
-    env_params = jax.tree.map(lambda leaf: _strong(leaf, dtype), env_params)
-    # One type for all numbers, whether they came as floats or as arrays.
-    config = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), config)
+    config, env_params, dtype = prepare(key, env, config, env_params)
     keys = jax.random.split(key, 5)
     dummy = jnp.zeros(env.observation_size, dtype)
     weights = {
@@ -158,7 +157,7 @@ def start(
         weights=weights,
         optimiser=optimiser.init(weights),
         moments=no_moments(env.observation_size, dtype),
-        environments=jax.tree.map(lambda leaf: _strong(leaf, dtype), environments),
+        environments=strong(environments, dtype),
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
         updates=jnp.zeros((), jnp.int32),
@@ -257,30 +256,10 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     """Raises ValueError if a size or number does not make sense."""
-    for name in ("num_envs", "rollout_steps"):
-        if getattr(config, name) < 1:
-            raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
-    if config.num_envs % num_devices:
-        raise ValueError(
-            f"num_envs must be a multiple of the number of devices, {num_devices}, "
-            f"got {config.num_envs}"
-        )
-    if any(size < 1 for size in config.hidden_sizes):
-        raise ValueError(
-            f"hidden_sizes must all be at least 1, got {config.hidden_sizes}"
-        )
-    for name in ("discount", "trace_decay"):
-        number = float(getattr(config, name))
-        if not 0 <= number <= 1:
-            raise ValueError(f"{name} must be between 0 and 1, got {number}")
-    for name in ("reward_scale", "observation_limit"):
-        number = float(getattr(config, name))
-        if not 0 < number < float("inf"):
-            raise ValueError(f"{name} must be positive and finite, got {number}")
-    if not abs(float(config.initial_log_std)) < float("inf"):
-        raise ValueError(
-            f"initial_log_std must be finite, got {config.initial_log_std}"
-        )
+    check_sizes(config, num_devices)
+    check_fractions(config, "discount", "trace_decay")
+    check_positive(config, "reward_scale", "observation_limit")
+    check_finite(config, "initial_log_std")
 
 
 def _noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
@@ -293,12 +272,3 @@ def _noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
         )
     )(state.action_keys)
     return jnp.swapaxes(noise, 0, 1)
-
-
-def _strong(leaf: Any, dtype: DTypeLike) -> Array:
-    """An array of definite type: a weak one would change type along the run."""
-    leaf = jnp.asarray(leaf)
-    if jax.typeof(leaf).weak_type:
-        floating = jnp.issubdtype(leaf.dtype, jnp.floating)
-        return jax.lax.convert_element_type(leaf, dtype if floating else leaf.dtype)
-    return leaf

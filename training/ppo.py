@@ -31,6 +31,11 @@ from jaxrod.training.on_policy import (
     start,
     value_network,
 )
+from jaxrod.training.settings import (
+    check_counts,
+    check_not_negative,
+    check_positive,
+)
 
 
 @pytree
@@ -84,22 +89,16 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
         ValueError: with the name and the value of what is wrong.
     """
     check_on_policy(config, num_devices)
-    for name in ("epochs", "minibatches"):
-        if getattr(config, name) < 1:
-            raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
+    check_counts(config, "epochs", "minibatches")
     if config.rollout_steps % config.minibatches:
         raise ValueError(
             f"minibatches must divide rollout_steps, {config.rollout_steps}, "
             f"got {config.minibatches}"
         )
-    for name in ("learning_rate", "final_learning_rate", "clip", "gradient_norm"):
-        number = float(getattr(config, name))
-        if not 0 < number < float("inf"):
-            raise ValueError(f"{name} must be positive and finite, got {number}")
-    for name in ("value_weight", "entropy_weight"):
-        number = float(getattr(config, name))
-        if not 0 <= number < float("inf"):
-            raise ValueError(f"{name} must be finite and not negative, got {number}")
+    check_positive(
+        config, "learning_rate", "final_learning_rate", "clip", "gradient_norm"
+    )
+    check_not_negative(config, "value_weight", "entropy_weight")
 
 
 def steps_per_update(config: PPOConfig) -> int:

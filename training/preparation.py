@@ -1,0 +1,49 @@
+"""Numbers of definite type: what a train state is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, DTypeLike, Key
+
+from jaxrod.envs import Environment
+
+
+def prepare(
+    key: Key[Array, ""], env: Environment, config: Any, env_params: Any
+) -> tuple[Any, Any, Any]:
+    """Gives settings and parameters the type that all learning is done in.
+
+    Args:
+        key: any random key; nothing is drawn from it.
+        env: the environment.
+        config: settings of a learner, their numbers floats or arrays.
+        env_params: parameters of the environment, None for its own.
+
+    Returns:
+        `(config, env_params, dtype)`: dtype is that of the observations.
+    """
+    if env_params is None:
+        # Factories look at their numbers, which a trace would hide from them.
+        with jax.ensure_compile_time_eval():
+            env_params = env.default_params()
+    dtype = jax.eval_shape(env.reset, key, env_params)[0].dtype
+    env_params = strong(env_params, dtype)
+    # One type for all numbers, whether they came as floats or as arrays.
+    config = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), config)
+    return config, env_params, dtype
+
+
+def strong(tree: Any, dtype: DTypeLike) -> Any:
+    """Leaves of definite type: a weak one would change type along the run."""
+
+    def one(leaf: Any) -> Array:
+        leaf = jnp.asarray(leaf)
+        if jax.typeof(leaf).weak_type:
+            floating = jnp.issubdtype(leaf.dtype, jnp.floating)
+            return jax.lax.convert_element_type(leaf, dtype if floating else leaf.dtype)
+        return leaf
+
+    return jax.tree.map(one, tree)
