@@ -8,12 +8,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod._pytree import pytree
-from jaxrod.rod import RodState
-from jaxrod.rotations import Quaternion, join_quaternion, split_quaternion
+from jaxrod._pytree import pytree, static
+from jaxrod.rod import Rod, RodState
+from jaxrod.rotations import (
+    Quaternion,
+    directors,
+    join_quaternion,
+    split_quaternion,
+    to_world,
+)
 from jaxrod.vectors import (
     Vec3,
     add,
+    dot,
     inner_difference,
     join,
     join_optional,
@@ -48,6 +55,8 @@ class Motion:
     """
     remainder: Vec3 | None = None
     """What rounding has added to the positions [m], where that is kept count of."""
+    spin_is_velocity: bool = static(default=False)
+    """Whether `spin` is angular velocity, as in PyElastica mode, or momentum."""
 
     @property
     def edges(self) -> Vec3:
@@ -61,6 +70,15 @@ class Motion:
     def lengths(self) -> Array:
         """Current element lengths [m]."""
         return safe_norm(self.edges)
+
+    def angular_velocities(self, rod: Rod) -> Vec3:
+        """Of the elements, world frame [rad/s]."""
+        frame = directors(self.orientation)
+        if self.spin_is_velocity:
+            return to_world(frame, self.spin)
+        transverse, polar = rod.inertias
+        axial = (1 / polar - 1 / transverse) * dot(frame[2], self.spin)
+        return add(scale(1 / transverse, self.spin), scale(axial, frame[2]))
 
     @property
     def at_rest(self) -> Motion:

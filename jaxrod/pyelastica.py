@@ -94,7 +94,7 @@ class PyElasticaStepper(Verlet):
     def enter(self, state: RodState) -> Motion:
         """Takes a state apart; angular momentum becomes angular velocity."""
         velocities = vectors.split(angular_velocities(self.scene.rod, state))
-        motion = replace(motion_of(state), spin=velocities)
+        motion = replace(motion_of(state), spin=velocities, spin_is_velocity=True)
         return hold_rates(self.scene, hold(self.scene, motion))
 
     def leave(self, motion: Motion) -> RodState:
