@@ -18,6 +18,7 @@ from jaxrod.training.policy import Policy, load_policy, save_policy
 from jaxrod.training.ppo import PPO, PPOConfig
 from jaxrod.training.run import Result
 from jaxrod.training.run_folder import RunFolder
+from jaxrod.training.sac import SAC, SACConfig
 from jaxrod.training.seeds import train_seeds
 from jaxrod.training.trajectory_optimisation import (
     UnreachableTargetWarning,
@@ -27,6 +28,7 @@ from jaxrod.training.trajectory_result import TrajectoryHistory, TrajectoryResul
 
 __all__ = [
     "PPO",
+    "SAC",
     "ActuatedArm",
     "Algorithm",
     "Evaluation",
@@ -35,6 +37,7 @@ __all__ = [
     "Policy",
     "Result",
     "RunFolder",
+    "SACConfig",
     "TrajectoryHistory",
     "TrajectoryResult",
     "UnreachableTargetWarning",

@@ -64,7 +64,10 @@ class Algorithm:
     policy: Callable[[Any], Policy]
 
 
-_ALGORITHMS = {"ppo": "jaxrod.training.ppo:PPO"}
+_ALGORITHMS = {
+    "ppo": "jaxrod.training.ppo:PPO",
+    "sac": "jaxrod.training.sac:SAC",
+}
 
 
 def algorithm_names() -> tuple[str, ...]:

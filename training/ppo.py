@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.on_policy import (
     Experience,
     OnPolicyState,
@@ -159,7 +160,7 @@ def update(
         batch = dataclasses.replace(batch, advantage=advantage)
         objective = functools.partial(_loss, env=state.env, config=config)
         gradient, report = jax.grad(objective, has_aux=True)(weights, batch)
-        gradient = _mean_over_devices(gradient, axis_name)
+        gradient = mean_over_devices(gradient, axis_name)
         report["gradient_norm"] = optax.tree.norm(gradient)
         direction, moments = optimiser.update(gradient, moments)
         weights = jax.tree.map(lambda w, d: w - learning_rate * d, weights, direction)
@@ -191,7 +192,7 @@ def update(
         shuffle_key=shuffle_key,
         updates=state.updates + 1,
     )
-    return state, Metrics(_mean_over_devices(scalars, axis_name), episodes)
+    return state, Metrics(mean_over_devices(scalars, axis_name), episodes)
 
 
 def _loss(
@@ -243,14 +244,10 @@ def _standardise(
     """Shifts and scales the advantages of every minibatch to mean 0, variance 1."""
 
     def mean(x: Array) -> Array:
-        return _mean_over_devices(jnp.mean(x, axis=(1, 2), keepdims=True), axis_name)
+        return mean_over_devices(jnp.mean(x, axis=(1, 2), keepdims=True), axis_name)
 
     centred = advantage - mean(advantage)
     return centred / (jnp.sqrt(mean(centred**2)) + 1e-8)
-
-
-def _mean_over_devices(tree: Any, axis_name: str | None) -> Any:
-    return tree if axis_name is None else jax.lax.pmean(tree, axis_name)
 
 
 PPO = Algorithm(

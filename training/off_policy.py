@@ -1,0 +1,172 @@
+"""What SAC, TD3 and DDPG share: everything but the gradient steps.
+
+An update acts for `rollout_steps` control steps in every environment, remembers them,
+and then makes `gradient_steps` gradient steps, each on a batch drawn from all that is
+remembered. Its update-to-data ratio is
+`gradient_steps / (num_envs * rollout_steps)` gradient steps per control step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Int, Key
+
+from jaxrod._pytree import pytree, static
+from jaxrod.envs import Environment, VectorEnvironment, VectorState
+from jaxrod.training.actor_critic import ACTIVATION, Learner
+from jaxrod.training.algorithm import DEVICE_AXIS
+from jaxrod.training.networks import layers
+from jaxrod.training.normalisation import RunningMoments, no_moments
+from jaxrod.training.policy import Policy
+from jaxrod.training.preparation import prepare, strong
+from jaxrod.training.replay import Replay, empty_replay
+from jaxrod.training.settings import (
+    check_counts,
+    check_fractions,
+    check_not_negative,
+    check_positive,
+    check_sizes,
+)
+
+OffPolicyConfig = Any
+"""A configuration with at least the sizes `num_envs`, `rollout_steps`,
+`gradient_steps`, `batch_size`, `buffer_size`, `hidden_sizes` and `spread_phases`
+(static) and the numbers `learning_starts`, `discount`, `target_rate`, `reward_scale`
+and `observation_limit` (traced); see `jaxrod.training.SACConfig` for what they
+mean."""
+
+
+@pytree
+class OffPolicyState:
+    """Everything an off-policy run is: save it, and it continues bit by bit.
+
+    Attributes:
+        env: the environment.
+        config: numbers and sizes of the learner.
+        env_params: parameters of the environment.
+        learner: weights and optimisers.
+        moments: of all observations acted on.
+        environments: the batch.
+        replay: what is remembered.
+        action_keys: one key for every environment, for the noise of its actions.
+        replay_keys: one key for every environment, for what is recalled of it.
+        updates: updates done.
+    """
+
+    env: Environment = static()
+    config: Any
+    env_params: Any
+    learner: Learner
+    moments: RunningMoments
+    environments: VectorState
+    replay: Replay
+    action_keys: Key[Array, " num_envs"]
+    replay_keys: Key[Array, " num_envs"]
+    updates: Int[Array, ""]
+
+
+def start(
+    key: Key[Array, ""],
+    env: Environment,
+    config: OffPolicyConfig,
+    env_params: Any,
+    make_learner: Callable[[Key[Array, ""], OffPolicyConfig, Any], Learner],
+) -> OffPolicyState:
+    """The train state before the first update.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: an `OffPolicyConfig`.
+        env_params: parameters of the environment, None for its own.
+        make_learner: `(key, config, dtype) -> Learner`.
+    """
+    config, env_params, dtype = prepare(key, env, config, env_params)
+    keys = jax.random.split(key, 4)
+    environments = VectorEnvironment(env).reset(
+        keys[1], config.num_envs, env_params, spread_phases=config.spread_phases
+    )
+    return OffPolicyState(
+        env=env,
+        config=config,
+        env_params=env_params,
+        learner=make_learner(keys[0], config, dtype),
+        moments=no_moments(env.observation_size, dtype),
+        environments=strong(environments, dtype),
+        replay=empty_replay(
+            _slots(config),
+            config.num_envs,
+            env.observation_size,
+            env.action_size,
+            dtype,
+        ),
+        action_keys=jax.random.split(keys[2], config.num_envs),
+        replay_keys=jax.random.split(keys[3], config.num_envs),
+        updates=jnp.zeros((), jnp.int32),
+    )
+
+
+def partition(state: OffPolicyState) -> OffPolicyState:
+    """Environments and what is remembered of them are spread over the devices."""
+    repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)
+    memory = PartitionSpec(None, DEVICE_AXIS)
+    specs: dict[str, Any] = {
+        field.name: repeated
+        for field in dataclasses.fields(state)
+        if field.name != "env"
+    }
+    specs |= {
+        "environments": spread,
+        "replay": Replay(memory, repeated),  # type: ignore[arg-type]  # a tree prefix
+        "action_keys": spread,
+        "replay_keys": spread,
+    }
+    return dataclasses.replace(state, **specs)
+
+
+def deterministic_policy(state: OffPolicyState) -> Policy:
+    """The tanh of the policy network's first outputs, one for each action."""
+    *hidden, (kernel, bias) = layers(state.learner.weights["policy"])
+    size = state.env.action_size
+    return Policy(
+        moments=state.moments,
+        limit=state.config.observation_limit,
+        layers=(*hidden, (kernel[:, :size], bias[:size])),
+        activation=ACTIVATION,
+        output="tanh",
+    )
+
+
+def steps_per_update(config: OffPolicyConfig) -> int:
+    """Control steps of one update: num_envs * rollout_steps."""
+    return config.num_envs * config.rollout_steps
+
+
+def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
+    """Raises ValueError if a size or number does not make sense."""
+    check_sizes(config, num_devices)
+    check_counts(config, "gradient_steps", "batch_size")
+    if config.batch_size % config.num_envs:
+        raise ValueError(
+            f"batch_size must be a multiple of num_envs, {config.num_envs}, "
+            f"got {config.batch_size}"
+        )
+    if config.buffer_size < steps_per_update(config):
+        raise ValueError(
+            "buffer_size must be at least the control steps of one update, "
+            f"{steps_per_update(config)}, got {config.buffer_size}"
+        )
+    check_fractions(config, "discount", "target_rate")
+    check_positive(config, "reward_scale", "observation_limit")
+    check_not_negative(config, "learning_starts")
+
+
+def _slots(config: OffPolicyConfig) -> int:
+    """Length of the ring: whole rollouts, at most `buffer_size` transitions."""
+    return config.buffer_size // steps_per_update(config) * config.rollout_steps
