@@ -12,6 +12,7 @@ from jaxrod.training.algorithm import (
     algorithm_names,
     find_algorithm,
 )
+from jaxrod.training.ddpg import DDPG, DDPGConfig
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.loop import train
 from jaxrod.training.policy import Policy, load_policy, save_policy
@@ -20,6 +21,7 @@ from jaxrod.training.run import Result
 from jaxrod.training.run_folder import RunFolder
 from jaxrod.training.sac import SAC, SACConfig
 from jaxrod.training.seeds import train_seeds
+from jaxrod.training.td3 import TD3, TD3Config
 from jaxrod.training.trajectory_optimisation import (
     UnreachableTargetWarning,
     optimise_trajectory,
@@ -27,10 +29,13 @@ from jaxrod.training.trajectory_optimisation import (
 from jaxrod.training.trajectory_result import TrajectoryHistory, TrajectoryResult
 
 __all__ = [
+    "DDPG",
     "PPO",
     "SAC",
+    "TD3",
     "ActuatedArm",
     "Algorithm",
+    "DDPGConfig",
     "Evaluation",
     "Metrics",
     "PPOConfig",
@@ -38,6 +43,7 @@ __all__ = [
     "Result",
     "RunFolder",
     "SACConfig",
+    "TD3Config",
     "TrajectoryHistory",
     "TrajectoryResult",
     "UnreachableTargetWarning",

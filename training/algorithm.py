@@ -65,8 +65,10 @@ class Algorithm:
 
 
 _ALGORITHMS = {
+    "ddpg": "jaxrod.training.ddpg:DDPG",
     "ppo": "jaxrod.training.ppo:PPO",
     "sac": "jaxrod.training.sac:SAC",
+    "td3": "jaxrod.training.td3:TD3",
 }
 
 

@@ -1,0 +1,253 @@
+"""Twin delayed deep deterministic policy gradients.
+
+A deterministic policy climbs the first of its critics. Three things keep it from
+climbing their errors: the smaller of two critics is believed, the actions that judge
+what follows are blurred, and the policy waits until the critics have moved.
+
+Source: Fujimoto et al., "Addressing function approximation error in actor-critic
+methods", 2018.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod._pytree import pytree, static
+from jaxrod.envs import Environment
+from jaxrod.training.actor_critic import (
+    Learner,
+    Scalar,
+    critic_loss,
+    critic_values,
+    descend,
+    follow,
+    initial_critics,
+    optimiser,
+    policy_network,
+)
+from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.off_policy import (
+    OffPolicyState,
+    check_off_policy,
+    deterministic_policy,
+    partition,
+    start,
+    steps_per_update,
+)
+from jaxrod.training.off_policy_update import Batch, act_and_remember, learn
+from jaxrod.training.settings import (
+    check_counts,
+    check_not_negative,
+    check_positive,
+)
+
+
+@pytree
+class TD3Config:
+    """Settings of TD3. Numbers are traced: change them, and nothing recompiles.
+
+    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` control
+    steps; by default one for every 16.
+
+    Attributes:
+        num_envs: environments acting side by side.
+        rollout_steps: control steps of each environment in one update.
+        gradient_steps: gradient steps of one update, those of the critics.
+        policy_delay: critic steps for one of the policy and the targets; divides
+            `gradient_steps`.
+        critics: number of critics; the smallest value is believed.
+        batch_size: transitions of one gradient step, a multiple of `num_envs`.
+        buffer_size: transitions remembered, at most.
+        hidden_sizes: widths of the hidden layers of all networks.
+        spread_phases: start the first episodes in mid-course, see
+            `jaxrod.envs.VectorEnvironment`.
+        learning_starts: control steps acted at random before anything is learned.
+        policy_learning_rate: step size of Adam for the policy.
+        critic_learning_rate: step size of Adam for the critics.
+        discount: gamma.
+        target_rate: the targets go this part of the way to what they follow each
+            time the policy moves.
+        exploration_noise: standard deviation of what is added to actions.
+        target_noise: standard deviation of the blur of the actions that follow.
+        target_noise_limit: that blur is clipped to +- this.
+        reward_scale: rewards are multiplied by this before they are learned.
+        observation_limit: normalised observations are clipped to +- this.
+    """
+
+    num_envs: int = static(default=128)
+    rollout_steps: int = static(default=8)
+    gradient_steps: int = static(default=64)
+    policy_delay: int = static(default=2)
+    critics: int = static(default=2)
+    batch_size: int = static(default=256)
+    buffer_size: int = static(default=1_000_000)
+    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
+    spread_phases: bool = static(default=True)
+    learning_starts: Scalar = 50_000.0
+    policy_learning_rate: Scalar = 3e-4
+    critic_learning_rate: Scalar = 3e-4
+    discount: Scalar = 0.99
+    target_rate: Scalar = 0.005
+    exploration_noise: Scalar = 0.1
+    target_noise: Scalar = 0.2
+    target_noise_limit: Scalar = 0.5
+    reward_scale: Scalar = 1.0
+    observation_limit: Scalar = 10.0
+
+
+def validate(config: TD3Config, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_off_policy(config, num_devices)
+    check_counts(config, "policy_delay", "critics")
+    if config.gradient_steps % config.policy_delay:
+        raise ValueError(
+            f"policy_delay must divide gradient_steps, {config.gradient_steps}, "
+            f"got {config.policy_delay}"
+        )
+    check_positive(config, "policy_learning_rate", "critic_learning_rate")
+    check_not_negative(
+        config, "exploration_noise", "target_noise", "target_noise_limit"
+    )
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: TD3Config,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OffPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: of no consequence: nothing follows a schedule.
+    """
+
+    def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
+        keys = jax.random.split(key)
+        dummy = jnp.zeros(env.observation_size, dtype)
+        sizes = config.hidden_sizes
+        network = policy_network(sizes, env.action_size, dtype)
+        weights: dict[str, Any] = {
+            "policy": network.init(keys[0], dummy)["params"],
+            "critics": initial_critics(keys[1], env, sizes, config.critics, dtype),
+        }
+        memory = {name: optimiser().init(part) for name, part in weights.items()}
+        targets = {f"target_{name}": part for name, part in weights.items()}
+        return Learner(weights | targets, memory)
+
+    return start(key, env, config, env_params, learner)
+
+
+def blurred(
+    action: Float[Array, "*batch action"],
+    noise: Float[Array, "*batch action"],
+    spread: Scalar,
+    limit: Scalar,
+) -> Float[Array, "*batch action"]:
+    """Actions in [-1, 1] with clipped noise on them: similar ones are worth the same.
+
+    Args:
+        action: in [-1, 1].
+        noise: standard normal.
+        spread: standard deviation of the noise before clipping.
+        limit: the noise is clipped to +- this.
+    """
+    return jnp.clip(action + jnp.clip(spread * noise, -limit, limit), -1, 1)
+
+
+def update(
+    state: OffPolicyState, axis_name: str | None = None
+) -> tuple[OffPolicyState, Metrics]:
+    """One update: act, remember, and make the gradient steps.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    config: TD3Config = state.config
+    sizes = config.hidden_sizes
+    dtype = state.environments.observation.dtype
+    network = policy_network(sizes, state.env.action_size, dtype)
+
+    def act(weights: Any, observation: Array) -> Array:
+        return jnp.tanh(network.apply({"params": weights}, observation))
+
+    def explore(observation: Array, noise: Array) -> Array:
+        action = act(state.learner.weights["policy"], observation)
+        return action + config.exploration_noise * noise
+
+    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.following
+        action = blurred(
+            act(weights["target_policy"], observation),
+            batch.noise[0],
+            config.target_noise,
+            config.target_noise_limit,
+        )
+        values = critic_values(sizes, weights["target_critics"], observation, action)
+        return jnp.min(values, axis=0)
+
+    def policy_loss(policy: Any, critics: tuple[Any, ...], batch: Batch) -> Array:
+        observation = batch.transition.observation
+        action = act(policy, observation)
+        return -jnp.mean(critic_values(sizes, critics[:1], observation, action))
+
+    def gradient_step(
+        learner: Learner, batches: list[Batch]
+    ) -> tuple[Learner, dict[str, Array]]:
+        for batch in batches:
+            gradient, report = jax.grad(critic_loss, has_aux=True)(
+                learner.weights["critics"],
+                sizes,
+                batch.transition,
+                following_value(learner.weights, batch),
+                config.discount,
+            )
+            learner = descend(
+                learner, "critics", gradient, config.critic_learning_rate, axis_name
+            )
+        gradient = jax.grad(policy_loss)(
+            learner.weights["policy"], learner.weights["critics"], batches[-1]
+        )
+        learner = descend(
+            learner, "policy", gradient, config.policy_learning_rate, axis_name
+        )
+        for name in ("policy", "critics"):
+            learner = follow(learner, f"target_{name}", name, config.target_rate)
+        return learner, report
+
+    state, episodes = act_and_remember(state, explore, axis_name)
+    state, scalars = learn(
+        state,
+        gradient_step,
+        batches_per_step=config.policy_delay,
+        noises=1,
+        axis_name=axis_name,
+    )
+    return state, Metrics(scalars, episodes)
+
+
+TD3 = Algorithm(
+    name="td3",
+    config_type=TD3Config,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=deterministic_policy,
+)
+"""TD3 for the shared loop."""
