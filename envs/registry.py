@@ -8,6 +8,7 @@ from typing import Any
 from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
+    "reaching": "jaxrod.envs.reaching:reaching",
     "tracking": "jaxrod.envs.tracking:tracking",
     "trivial": "jaxrod.envs.trivial:Trivial",
 }
