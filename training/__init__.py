@@ -27,12 +27,14 @@ from jaxrod.training.trajectory_optimisation import (
     optimise_trajectory,
 )
 from jaxrod.training.trajectory_result import TrajectoryHistory, TrajectoryResult
+from jaxrod.training.trpo import TRPO, TRPOConfig
 
 __all__ = [
     "DDPG",
     "PPO",
     "SAC",
     "TD3",
+    "TRPO",
     "ActuatedArm",
     "Algorithm",
     "DDPGConfig",
@@ -44,6 +46,7 @@ __all__ = [
     "RunFolder",
     "SACConfig",
     "TD3Config",
+    "TRPOConfig",
     "TrajectoryHistory",
     "TrajectoryResult",
     "UnreachableTargetWarning",

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxrod.training.device_mean import mean_over_devices
+
 
 def generalised_advantages(
     reward: Float[Array, "steps *batch"],
@@ -53,3 +55,21 @@ def generalised_advantages(
 
     start = jnp.zeros_like(last_value)
     return jax.lax.scan(backwards, start, (delta, decay), reverse=True, unroll=8)[1]
+
+
+def standardised(
+    advantage: Float[Array, "*shape"], axes: tuple[int, ...], axis_name: str | None
+) -> Float[Array, "*shape"]:
+    """Shifts and scales advantages to mean 0 and variance 1.
+
+    Args:
+        advantage: of any shape.
+        axes: axes that are taken together.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+
+    def mean(x: Array) -> Array:
+        return mean_over_devices(jnp.mean(x, axis=axes, keepdims=True), axis_name)
+
+    centred = advantage - mean(advantage)
+    return centred / (jnp.sqrt(mean(centred**2)) + 1e-8)

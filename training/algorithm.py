@@ -69,6 +69,7 @@ _ALGORITHMS = {
     "ppo": "jaxrod.training.ppo:PPO",
     "sac": "jaxrod.training.sac:SAC",
     "td3": "jaxrod.training.td3:TD3",
+    "trpo": "jaxrod.training.trpo:TRPO",
 }
 
 

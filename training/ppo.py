@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment
+from jaxrod.training.advantages import standardised
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.on_policy import (
@@ -169,7 +170,7 @@ def update(
     def epoch(carry: Any, key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
         rows = jax.random.permutation(key, config.rollout_steps)
         rows = rows.reshape(config.minibatches, -1)
-        advantage = _standardise(experience.advantage[rows], axis_name)
+        advantage = standardised(experience.advantage[rows], (1, 2), axis_name)
         return jax.lax.scan(minibatch_step, carry, (rows, advantage))
 
     shuffle_key, epochs_key = jax.random.split(state.shuffle_key)
@@ -236,18 +237,6 @@ def _optimiser(gradient_norm: Scalar) -> optax.GradientTransformation:
         optax.clip_by_global_norm(gradient_norm),
         optax.scale_by_adam(eps=1e-5),
     )
-
-
-def _standardise(
-    advantage: Float[Array, "minibatches rows num_envs"], axis_name: str | None
-) -> Float[Array, "minibatches rows num_envs"]:
-    """Shifts and scales the advantages of every minibatch to mean 0, variance 1."""
-
-    def mean(x: Array) -> Array:
-        return mean_over_devices(jnp.mean(x, axis=(1, 2), keepdims=True), axis_name)
-
-    centred = advantage - mean(advantage)
-    return centred / (jnp.sqrt(mean(centred**2)) + 1e-8)
 
 
 PPO = Algorithm(
