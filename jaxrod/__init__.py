@@ -26,6 +26,7 @@ from jaxrod._jax_version import require_sound_jax
 __version__ = "0.1.0"
 
 _NAMES = {
+    "_contact": ("Contact", "contact"),
     "_health": ("Health", "HealthLimits", "freeze", "health"),
     "_implicit": ("Implicit", "implicit"),
     "actuation": (
@@ -37,6 +38,21 @@ _NAMES = {
         "spline_couples",
     ),
     "backend": ("configure_cpu",),
+    "bodies": (
+        "Body",
+        "Box",
+        "Capsule",
+        "Cylinder",
+        "Plane",
+        "SignedDistance",
+        "Sphere",
+        "box",
+        "capsule",
+        "cylinder",
+        "plane",
+        "signed_distance",
+        "sphere",
+    ),
     "clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
     "effects": (
         "Effect",

@@ -20,6 +20,7 @@ from jaxrod.rotations import (
     directors,
     to_material,
 )
+from jaxrod.vectors import Vec3
 
 
 @pytree
@@ -75,6 +76,13 @@ class Effect:
     def energy(self, rod: Rod, state: RodState) -> Array | float:
         """Potential energy of the effect [J], zero where there is none."""
         return 0.0
+
+    def directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
+        """Unit vectors along which forces may act that `loads` does not have yet.
+
+        For checking that they are in the plane of a planar scene.
+        """
+        return None
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Effect:
         """The same influence on the rod with another number of elements.

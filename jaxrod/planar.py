@@ -8,7 +8,8 @@ $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell -
   \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D,$$
 
 and elements turn at $\dot\theta = P/J$ between kicks. Equal to the three-dimensional
-result to round-off, for a third of its arithmetic or less. Joint angles have no bound here.
+result to round-off, for a third of its arithmetic or less. Joint angles have no bound
+here.
 """
 
 from __future__ import annotations
@@ -322,6 +323,7 @@ def check_planar(scene: Scene, state: RodState) -> None:
         "shear stiffness": off(oblique * (shear[0] - shear[1]), np.max(shear)),
         "forces of effects": force,
         "couples of effects": couple,
+        "the surfaces of bodies": _largest_tilt(scene, in_space, out),
     }
     for what, size in problems.items():
         if not size <= tolerance:
@@ -355,6 +357,12 @@ def _largest_outside(
         forces[1] / max(forces[0], least_couple / length),
         couples[1] / max(couples[0], least_couple),
     )
+
+
+def _largest_tilt(scene: Scene, motion: Motion, out: int) -> float:
+    """The out-of-plane component of forces that are still to come, of unit vectors."""
+    listed = [effect.directions(scene.rod, motion) for effect in scene.effects]
+    return max([_size(np.asarray(d[out])) for d in listed if d is not None], default=0)
 
 
 def _size(*components: np.ndarray) -> float:

@@ -1,0 +1,369 @@
+r"""Fixed bodies, each known by its signed distance: what a rod can touch.
+
+A body gives, at any point, the distance to its surface (negative inside) and the
+outward unit normal there, which is the distance's gradient. Its numbers are traced:
+`vmap` over a body is a random obstacle, `grad` with respect to it moves an obstacle.
+
+Values and gradients are finite everywhere. Where the nearest point of a surface is not
+unique (the centre of a sphere, the axis of a cylinder) distances are rounded off within
+a millionth of the radius, $\sqrt{x^2 + \delta^2}$ in place of $|x|$, and the normal
+passes through zero; between the faces of a box it jumps.
+
+Factories make one body. `jax.vmap` of a factory makes many of a kind at once, as
+`jaxrod.contact` takes them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxrod import vectors
+from jaxrod._pytree import pytree, static
+from jaxrod._validation import Numbers, check_array, is_traced
+from jaxrod.rotations import (
+    directors,
+    normalise,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.vectors import Vec3
+
+_ROUNDED = 1e-6
+"""Within this share of a body's size distances are rounded off [1]."""
+
+
+class Body(ABC):
+    """Base of all bodies."""
+
+    @abstractmethod
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Signed distance [m], negative inside, and outward normal at each point."""
+
+    @property
+    def count(self) -> int | None:
+        """How many bodies this is, if its numbers have a leading axis."""
+        return None
+
+
+@pytree
+class Sphere(Body):
+    """A ball."""
+
+    centre: Float[Array, "3"]
+    """[m]"""
+    radius: Float[Array, ""]
+    """[m]"""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Distance from the centre, less the radius."""
+        return _round(_from_point(self.centre, points), self.radius)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.radius.shape)
+
+
+@pytree
+class Capsule(Body):
+    """A cylinder with a half sphere at each end."""
+
+    start: Float[Array, "3"]
+    """Centre of the half sphere at one end [m]."""
+    end: Float[Array, "3"]
+    """Centre of the half sphere at the other end [m]."""
+    radius: Float[Array, ""]
+    """[m]"""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Distance from the line between the centres, less the radius."""
+        axis = vectors.split(self.end - self.start)
+        relative = _from_point(self.start, points)
+        share = vectors.dot(relative, axis) / vectors.dot(axis, axis)
+        nearest = vectors.scale(jnp.clip(share, 0, 1), axis)
+        return _round(vectors.subtract(relative, nearest), self.radius)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.radius.shape)
+
+
+@pytree
+class Cylinder(Body):
+    """A cylinder with flat ends."""
+
+    start: Float[Array, "3"]
+    """Centre of one end [m]."""
+    end: Float[Array, "3"]
+    """Centre of the other end [m]."""
+    radius: Float[Array, ""]
+    """[m]"""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """From the distances to the mantle and to the nearer end."""
+        axis, length = _unit(self.end - self.start)
+        relative = _from_point(0.5 * (self.start + self.end), points)
+        along = vectors.dot(relative, axis)
+        across = vectors.subtract(relative, vectors.scale(along, axis))
+        beside, outwards = _round(across, self.radius)
+        end_face = jnp.abs(along) - 0.5 * length
+        size = jnp.minimum(self.radius, 0.5 * length)
+        distance, (mantle, end) = _corner((beside, end_face), size)
+        normal = vectors.add(
+            vectors.scale(mantle, outwards), vectors.scale(end * _sign(along), axis)
+        )
+        return distance, normal
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.radius.shape)
+
+
+@pytree
+class Plane(Body):
+    """Everything below a plane."""
+
+    point: Float[Array, "3"]
+    """Any point of the plane [m]."""
+    normal: Float[Array, "3"]
+    """Out of the body; of any length."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Height above the plane."""
+        normal, _ = _unit(self.normal)
+        distance = vectors.dot(_from_point(self.point, points), normal)
+        x, y, z = (jnp.broadcast_to(c, distance.shape) for c in normal)
+        return distance, (x, y, z)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.normal.shape[:-1])
+
+
+@pytree
+class Box(Body):
+    """A block with right angles."""
+
+    centre: Float[Array, "3"]
+    """[m]"""
+    half_lengths: Float[Array, "3"]
+    """From the centre to the faces, along the box's own axes [m]."""
+    orientation: Float[Array, "4"]
+    """Of the box's axes (w, x, y, z)."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """From the distances to the nearest of each pair of faces."""
+        frame = directors(normalise(split_quaternion(self.orientation)))
+        x, y, z = to_material(frame, _from_point(self.centre, points))
+        a, b, c = self.half_lengths[0], self.half_lengths[1], self.half_lengths[2]
+        faces = (jnp.abs(x) - a, jnp.abs(y) - b, jnp.abs(z) - c)
+        distance, shares = _corner(faces, jnp.min(self.half_lengths))
+        own = (shares[0] * _sign(x), shares[1] * _sign(y), shares[2] * _sign(z))
+        return distance, to_world(frame, own)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.centre.shape[:-1])
+
+
+@pytree
+class SignedDistance(Body):
+    """Any body, by a function that gives its signed distance."""
+
+    parameters: Any
+    """Traced numbers of the body: any pytree of arrays."""
+    function: Callable[[Any, Any], Any] = static()
+    """Signed distance [m] at one point `(3,)` [m], given the parameters."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """The function and its gradient at each point."""
+        at_each = jax.vmap(jax.value_and_grad(self.function), in_axes=(0, None))
+        distances, normals = at_each(jnp.stack(points, axis=-1), self.parameters)
+        return distances, (normals[:, 0], normals[:, 1], normals[:, 2])
+
+
+def _count(leading: tuple[int, ...]) -> int | None:
+    """The number of bodies from the leading axes of their numbers."""
+    if len(leading) > 1:
+        raise ValueError(f"bodies must have at most one leading axis, got {leading}")
+    return leading[0] if leading else None
+
+
+def _from_point(origin: Float[Array, "3"], points: Vec3) -> Vec3:
+    return vectors.subtract(points, vectors.split(origin))
+
+
+def _unit(vector: Float[Array, "3"]) -> tuple[Vec3, Array]:
+    """A vector's direction and length."""
+    components = vectors.split(vector)
+    length = jnp.sqrt(vectors.dot(components, components))
+    return vectors.scale(1 / length, components), length
+
+
+def _round(relative: Vec3, radius: Array) -> tuple[Array, Vec3]:
+    """Distance and normal of what is round about the origin of `relative`."""
+    rounded = (_ROUNDED * radius) * (_ROUNDED * radius)
+    length = jnp.sqrt(vectors.dot(relative, relative) + rounded)
+    return length - radius, vectors.scale(1 / length, relative)
+
+
+def _sign(a: Array) -> Array:
+    """One or minus one, never zero."""
+    return jnp.where(a < 0, -1, 1).astype(a.dtype)
+
+
+def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, ...]]:
+    """Distance to faces that meet at right angles, and each one's share in the normal.
+
+    Beyond several faces the nearest point is on the edge between them; inside, the
+    nearest face is all there is.
+
+    Args:
+        faces: Distance to each, negative on its inner side [m].
+        size: Of the body [m].
+    """
+    beyond = [jnp.maximum(face, 0) for face in faces]
+    squared = sum(b * b for b in beyond)
+    is_beyond = squared > (_ROUNDED * size) * (_ROUNDED * size)
+    length = jnp.sqrt(jnp.where(is_beyond, squared, 1))
+    nearest = faces[0]
+    for face in faces[1:]:
+        nearest = jnp.maximum(nearest, face)
+    shares, taken = [], jnp.zeros_like(is_beyond)
+    for face, b in zip(faces, beyond, strict=True):
+        is_nearest = (face == nearest) & ~taken
+        taken = taken | is_nearest
+        shares.append(jnp.where(is_beyond, b / length, is_nearest.astype(b.dtype)))
+    return jnp.where(is_beyond, length, nearest), tuple(shares)
+
+
+# Factories: what users call. They check their arguments and say what is wrong.
+
+
+def sphere(centre: Numbers, radius: Numbers) -> Sphere:
+    """A fixed sphere.
+
+    Args:
+        centre: `(3,)` [m].
+        radius: [m].
+    """
+    return Sphere(_place("centre", centre), _positive("radius", radius))
+
+
+def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
+    """A fixed cylinder with round ends.
+
+    Args:
+        start: Centre of the half sphere at one end `(3,)` [m].
+        end: Centre of the half sphere at the other end `(3,)` [m].
+        radius: [m].
+    """
+    ends = _ends(start, end)
+    return Capsule(*ends, _positive("radius", radius))
+
+
+def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
+    """A fixed cylinder with flat ends.
+
+    Args:
+        start: Centre of one end `(3,)` [m].
+        end: Centre of the other end `(3,)` [m].
+        radius: [m].
+    """
+    ends = _ends(start, end)
+    return Cylinder(*ends, _positive("radius", radius))
+
+
+def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -> Plane:
+    """A fixed half space, such as the ground.
+
+    Args:
+        point: Any point of its surface `(3,)` [m].
+        normal: Out of it `(3,)`; its length does not matter.
+
+    Raises:
+        ValueError: If the normal has no length.
+    """
+    direction = _place("normal", normal, "")
+    if not is_traced(direction) and not jnp.any(direction != 0):
+        raise ValueError("normal must have a length, got 0")
+    return Plane(_place("point", point), direction)
+
+
+def box(
+    centre: Numbers,
+    half_lengths: Numbers,
+    orientation: Numbers = (1.0, 0.0, 0.0, 0.0),
+) -> Box:
+    """A fixed block.
+
+    Args:
+        centre: `(3,)` [m].
+        half_lengths: From the centre to the faces, along the box's axes `(3,)` [m].
+        orientation: Of the box's axes, a quaternion (w, x, y, z).
+
+    Raises:
+        ValueError: If the quaternion has no length.
+    """
+    lengths = check_array("half_lengths", half_lengths, [(3,)], "m", positive=True)
+    turn = check_array("orientation", orientation, [(4,)], "")
+    if not is_traced(turn) and not turn.any():
+        raise ValueError("orientation must have a length, got 0")
+    dtype = jnp.result_type(float)
+    return Box(
+        _place("centre", centre), jnp.asarray(lengths, dtype), jnp.asarray(turn, dtype)
+    )
+
+
+def signed_distance(
+    function: Callable[[Any, Any], ArrayLike], parameters: Any = ()
+) -> SignedDistance:
+    """A fixed body of any shape.
+
+    Args:
+        function: Pure; from one point `(3,)` [m] and `parameters` to the signed
+            distance [m], negative inside. It is differentiated for the normal: its
+            gradient has to be finite everywhere and of length one near the surface.
+            A program is compiled for each function, so use the same one again.
+        parameters: Traced numbers of the body: any pytree of numbers.
+
+    Raises:
+        ValueError: If the function does not give one number at a point.
+    """
+    dtype = jnp.result_type(float)
+    numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), parameters)
+    point = jax.ShapeDtypeStruct((3,), dtype)
+    got = jax.eval_shape(function, point, numbers)
+    if getattr(got, "shape", None) != ():
+        raise ValueError(
+            f"function must give one distance [m] at a point of shape (3,), got {got}"
+        )
+    return SignedDistance(numbers, function)
+
+
+def _place(name: str, value: Numbers, unit: str = "m") -> Array:
+    checked = check_array(name, value, [(3,)], unit)
+    return jnp.asarray(checked, jnp.result_type(float))
+
+
+def _positive(name: str, value: Numbers) -> Array:
+    checked = check_array(name, value, [()], "m", positive=True)
+    return jnp.asarray(checked, jnp.result_type(float))
+
+
+def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
+    ends = _place("start", start), _place("end", end)
+    if not is_traced(ends) and not jnp.any(ends[0] != ends[1]):
+        raise ValueError(f"start and end must differ, got {ends[0]} m for both")
+    return ends

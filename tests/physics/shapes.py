@@ -1,0 +1,64 @@
+"""One body of every kind, and how to move it as a whole."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+from jaxrod import vectors
+from jaxrod.rotations import (
+    directors,
+    multiply_quaternions,
+    rotation_exp,
+    split_quaternion,
+    to_world,
+)
+
+
+def egg(point, parameters):
+    """A sphere by its signed distance, smooth at its centre too."""
+    centre, radius = parameters
+    return jnp.sqrt(jnp.sum((point - centre) ** 2) + (1e-3 * radius) ** 2) - radius
+
+
+# With volumes around the origin and 0.2 m in size.
+BODIES = {
+    "sphere": lambda: jaxrod.sphere((0.1, -0.02, 0.05), 0.2),
+    "capsule": lambda: jaxrod.capsule((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
+    "cylinder": lambda: jaxrod.cylinder((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
+    "plane": lambda: jaxrod.plane((0.0, 0.1, 0.0), (0.3, 2.0, -0.5)),
+    "box": lambda: jaxrod.box(
+        (0.05, 0.0, -0.05), (0.1, 0.2, 0.3), (0.9, 0.1, -0.3, 0.2)
+    ),
+    "signed distance": lambda: jaxrod.signed_distance(
+        egg, (np.array([0.0, 0.1, 0.0]), 0.2)
+    ),
+}
+
+
+def turned(body, rotation, shift):
+    """The body moved as a rigid whole."""
+    turn = tuple(c[None] for c in rotation_exp(vectors.split(rotation)))
+
+    def place(point):
+        return rotated(rotation, point[:, None])[:, 0] + shift
+
+    if isinstance(body, jaxrod.Sphere):
+        return jaxrod.Sphere(place(body.centre), body.radius)
+    if isinstance(body, jaxrod.Plane):
+        return jaxrod.Plane(place(body.point), place(body.normal) - shift)
+    if isinstance(body, jaxrod.Box):
+        own = split_quaternion(body.orientation[:, None])
+        both = jnp.stack(multiply_quaternions(turn, own))[:, 0]
+        return jaxrod.Box(place(body.centre), body.half_lengths, both)
+    if isinstance(body, jaxrod.SignedDistance):
+        centre, radius = body.parameters
+        return jaxrod.signed_distance(egg, (place(centre), radius))
+    return type(body)(place(body.start), place(body.end), body.radius)
+
+
+def rotated(rotation, points):
+    quaternion = rotation_exp(tuple(component[None] for component in rotation))
+    frame = directors(quaternion)
+    return vectors.join(to_world(frame, vectors.split(points)))

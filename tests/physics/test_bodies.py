@@ -1,0 +1,155 @@
+"""Bodies: their distances and normals, right and finite everywhere."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod import vectors
+from physics.rods import difference
+from physics.shapes import BODIES, rotated, turned
+
+
+@pytest.fixture(params=BODIES)
+def body(request):
+    return BODIES[request.param]()
+
+
+def nowhere_special(count=200):
+    """Random points in and around the bodies."""
+    points = np.random.default_rng(0).normal(scale=0.25, size=(3, count))
+    return jnp.asarray(points)
+
+
+def special(body):
+    """Points where something about a body is not unique: centres, axes, corners."""
+    zero = jnp.zeros(3)
+    starts = [getattr(body, name, zero) for name in ("centre", "start", "end", "point")]
+    middle = 0.5 * (getattr(body, "start", zero) + getattr(body, "end", zero))
+    corner = getattr(body, "half_lengths", zero)
+    at_corner = getattr(body, "centre", zero) + corner
+    on_face = getattr(body, "centre", zero) + corner * jnp.asarray([1.0, 0.0, 0.0])
+    return jnp.stack([*starts, middle, at_corner, on_face, zero], axis=1)
+
+
+@jax.jit
+def surface(body, points):
+    distance, normal = body.surface(vectors.split(points))
+    return distance, vectors.join(normal)
+
+
+@jax.jit
+def slope(body, points):
+    """The gradient of the distance by differentiating it."""
+
+    def distance(point):
+        return body.surface(vectors.split(point[:, None]))[0][0]
+
+    return jax.vmap(jax.grad(distance), in_axes=1, out_axes=1)(points)
+
+
+def test_normals_are_the_gradients_of_distances_and_unit_vectors(body):
+    points = nowhere_special()
+    _, normals = surface(body, points)
+    assert difference(normals, slope(body, points)) < 1e-12
+    if not isinstance(body, jaxrod.SignedDistance):
+        lengths = jnp.sqrt(jnp.sum(normals**2, axis=0))
+        assert difference(lengths, jnp.ones_like(lengths)) < 1e-9
+
+
+def test_a_step_along_the_normal_by_the_distance_ends_on_the_surface(body):
+    points = nowhere_special()
+    distances, normals = surface(body, points)
+    # From outside; inside a corner's bisector the nearest face may be another.
+    outside = distances > 0
+    ends, _ = surface(body, points - distances[None] * normals)
+    assert difference(jnp.where(outside, ends, 0), jnp.zeros_like(ends)) < 1e-6
+    assert jnp.sum(outside) > 20
+
+
+def nearest(body, samples):
+    """Distances from far more samples of the surface than needed, by brute force."""
+    points = nowhere_special(20)
+    gaps = points[:, :, None] - samples[:, None, :]
+    exact = jnp.min(jnp.sqrt(jnp.sum(gaps**2, axis=0)), axis=1)
+    return difference(jnp.abs(surface(body, points)[0]), exact)
+
+
+def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
+    grid = np.linspace(-1, 1, 101)
+    first, second = (jnp.asarray(a.ravel()) for a in np.meshgrid(grid, grid))
+    body = jaxrod.box((0.1, 0.0, -0.05), (0.1, 0.2, 0.3))
+    sides = [
+        jnp.stack(
+            jnp.roll(jnp.stack([sign * jnp.ones_like(first), first, second]), k, 0)
+        )
+        for k in range(3)
+        for sign in (-1, 1)
+    ]
+    samples = jnp.concatenate(sides, axis=1) * body.half_lengths[:, None]
+    assert nearest(body, samples + body.centre[:, None]) < 2e-3
+
+    body = jaxrod.cylinder((0.0, 0.0, -0.3), (0.0, 0.0, 0.3), 0.15)
+    angle, share = jnp.pi * first, 0.5 * (1 + second)
+    around = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    mantle = jnp.concatenate([0.15 * around, 0.3 * second[None]])
+    lids = [
+        jnp.concatenate([0.15 * share[None] * around, jnp.full_like(first, z)[None]])
+        for z in (-0.3, 0.3)
+    ]
+    assert nearest(body, jnp.concatenate([mantle, *lids], axis=1)) < 2e-3
+
+
+def test_everything_is_finite_everywhere(body, dtype):
+    """Values, and their gradients with respect to places and numbers."""
+    body = jax.tree.map(lambda leaf: leaf.astype(dtype), body)
+    points = jnp.concatenate([special(body), nowhere_special(5)], axis=1).astype(dtype)
+
+    def total(body, points):
+        distance, normal = body.surface(vectors.split(points))
+        return sum(jnp.sum(w * c) for w, c in enumerate((*normal, distance)))
+
+    both = jax.jit(jax.value_and_grad(total, argnums=(0, 1)))(body, points)
+    for leaf in jax.tree.leaves(both):
+        assert jnp.all(jnp.isfinite(leaf))
+
+
+def test_a_body_that_is_moved_is_the_same_body_elsewhere(body):
+    rotation, shift = jnp.asarray([0.3, -1.2, 0.7]), jnp.asarray([1.0, -2.0, 0.5])
+    points = nowhere_special()
+    there = rotated(rotation, points) + shift[:, None]
+    distance, normal = surface(body, points)
+    found, pointing = surface(turned(body, rotation, shift), there)
+    assert difference(found, distance) < 1e-14
+    assert difference(pointing, rotated(rotation, normal)) < 1e-12
+
+
+def test_many_of_a_kind_are_each_of_them():
+    centres = nowhere_special(3).T
+    radii = jnp.asarray([0.1, 0.2, 0.3])
+    many = jax.vmap(jaxrod.sphere)(centres, radii)
+    assert many.count == 3 and jaxrod.sphere(centres[0], 0.1).count is None
+    points = nowhere_special(5)
+    together, _ = jax.vmap(lambda one: surface(one, points))(many)
+    for k in range(3):
+        alone, _ = surface(jaxrod.sphere(centres[k], radii[k]), points)
+        assert difference(together[k], alone) < 1e-15
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: jaxrod.sphere((0, 0), 1), r"centre must have shape \(3,\)"),
+        (lambda: jaxrod.sphere((0, 0, 0), -1), "radius must be positive, got -1 m"),
+        (lambda: jaxrod.capsule((0, 0, 1), (0, 0, 1), 1), "start and end must differ"),
+        (lambda: jaxrod.cylinder((0, 0, 1), (0, 0, 1), 1), "start and end must differ"),
+        (lambda: jaxrod.plane(normal=(0, 0, 0)), "normal must have a length"),
+        (lambda: jaxrod.box((0, 0, 0), (1, 0, 1)), "half_lengths must be positive"),
+        (lambda: jaxrod.box((0, 0, 0), (1, 1, 1), (0, 0, 0, 0)), "orientation must"),
+        (lambda: jaxrod.signed_distance(lambda x, _: x), "function must give one"),
+    ],
+)
+def test_bad_numbers_are_refused_in_words(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
