@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         nargs="*",
         metavar="N",
-        help="PyElastica's numbers of elements (default: 10 20 40 80 160 320)",
+        help="PyElastica's numbers of elements (default: 10 20 40 80 160)",
     )
     parser.add_argument(
         "--mujoco-elements",

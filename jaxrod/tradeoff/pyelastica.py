@@ -171,21 +171,26 @@ def _add(
             acc_gravity=np.asarray(effect.acceleration, np.float64),
         )
     elif isinstance(effect, ExponentialDamping):
-        simulator.dampen(system).using(
-            elastica.AnalyticalLinearDamper, time_step=dt, **_damping(rod, effect)
-        )
+        rates = float(effect.translational_rate), float(effect.rotational_rate)
+        simulator.dampen(system).using(_damper(elastica, *rates, dt))
     else:
         raise ValueError(f"PyElastica is compared without {type(effect).__name__}")
 
 
-def _damping(rod: Rod, effect: ExponentialDamping) -> dict[str, float]:
-    """PyElastica's name for the damping, of which it has two kinds."""
-    rate, spin_rate = float(effect.translational_rate), float(effect.rotational_rate)
-    if np.isclose(spin_rate, rate):
-        return {"uniform_damping_constant": rate}
-    viscous = rate * float(rod.linear_density[0] / rod.rotary_inertia[0, 0])
-    if np.isclose(spin_rate, viscous):
-        return {"damping_constant": rate}
-    raise ValueError(
-        f"PyElastica has no damping with the rates {rate:g} and {spin_rate:g} 1/s"
-    )
+def _damper(elastica: Any, rate: float, spin_rate: float, dt: float) -> Any:
+    """PyElastica's exponential damping, with rates of one's own.
+
+    PyElastica's own dampers know one rate, or the two of a viscosity, of which the
+    second then depends on the stretch: another physical problem than the one compared.
+    """
+    decay, spin_decay = np.exp(-rate * dt), np.exp(-spin_rate * dt)
+
+    class Damper(elastica.DamperBase):
+        """Multiplies rates after every kick, as PyElastica's dampers do."""
+
+        def dampen_rates(self, system: Any, time: Any) -> None:
+            """Slows the system for one step."""
+            system.velocity_collection *= decay
+            system.omega_collection *= spin_decay
+
+    return Damper
