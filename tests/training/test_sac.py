@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import signal
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,17 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial, TrivialParams
-from jaxrod.training import SACConfig, evaluate, sac, train, train_seeds
+from jaxrod.training import (
+    RunFolder,
+    SACConfig,
+    evaluate,
+    sac,
+    train,
+    train_seeds,
+)
+from jaxrod.training.actor_critic import critic_loss, critic_values, initial_critics
+from jaxrod.training.checkpoint import Checkpoints
+from jaxrod.training.replay import Transition
 from jaxrod.training.squashed_gaussian import squash
 
 SMALL = SACConfig(
@@ -23,6 +35,26 @@ SMALL = SACConfig(
     hidden_sizes=(8,),
     learning_starts=32.0,
 )
+UPDATE = jax.jit(lambda state: sac.update(state))
+"""One program for all small runs of this file."""
+
+TWO_DEVICES = """
+import sys
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import SACConfig, train
+config = SACConfig(
+    num_envs=4, rollout_steps=4, gradient_steps=4, batch_size=8, buffer_size=64,
+    hidden_sizes=(8,), learning_starts=32.0,
+)
+result = train(Trivial(), "sac", steps=16 * 8, config=config, chunk_steps=1,
+               out=sys.argv[1], progress=False)
+shards = result.state.replay.transitions.reward.addressable_shards
+assert [shard.data.shape for shard in shards] == [(16, 2), (16, 2)]
+"""
+
 QUICK = SACConfig(
     num_envs=32,
     rollout_steps=8,
@@ -38,10 +70,18 @@ QUICK = SACConfig(
 )
 
 
+def assert_equal(left, right):
+    """Every number of two states is the same, keys included."""
+    for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(a, b)
+
+
 @pytest.fixture(scope="module")
 def learned():
     with jax.enable_x64(False):
-        yield train(
+        return train(
             Trivial(), "sac", steps=30_000, config=QUICK, progress=False, chunk_steps=1
         )
 
@@ -93,29 +133,58 @@ def test_density_stays_finite_where_tanh_is_flat():
     assert float(slope[0, 0]) == pytest.approx(2.0, rel=1e-6)
 
 
-class Truncating(Trivial):
-    """Pays 1 in every step, whatever is done."""
+@pytest.fixture(scope="module")
+def six_updates():
+    """States of a small run, from before its first update to after its sixth."""
+    reports = []
+    with jax.enable_x64(True):
+        states = [sac.init(jax.random.key(3), Trivial(), SMALL)]
+        for _ in range(6):
+            state, metrics = UPDATE(states[-1])
+            states.append(state)
+            reports.append(metrics.scalars)
+    return states, reports
 
-    def step(self, key, state, action, params):
-        observation, state, _, terminated, truncated, info = super().step(
-            key, state, 0 * action, params
-        )
-        return observation, state, jnp.ones(()), terminated, truncated, info
 
-
-@pytest.mark.default_precision
-def test_time_limit_does_not_lower_the_value():
-    # 1 / (1 - 0.9) = 10; with the time limit as an end it would be below 5 on average.
-    config = dataclasses.replace(
-        QUICK, initial_temperature=1e-6, learning_starts=0.0, target_rate=0.05
+def test_what_follows_is_remembered_as_it_was_before_any_restart(six_updates):
+    memory = six_updates[0][-1].replay.transitions
+    # 24 steps of episodes of 20: every environment has been restarted.
+    restarted = memory.observation[1:] != memory.following[:-1]
+    assert np.all(np.any(restarted[:23], axis=0))
+    moved = memory.observation + 0.2 * memory.action
+    np.testing.assert_allclose(memory.following[:24], moved[:24], atol=1e-12)
+    np.testing.assert_allclose(
+        memory.reward[:24], 1 - moved[:24, :, 0] ** 2, atol=1e-12
     )
-    env = Truncating(episode_length=5)
-    _, metrics = train_seeds(env, "sac", steps=256 * 40, seeds=(0,), config=config)
-    assert float(metrics["value"][0, -1]) == pytest.approx(10, abs=0.3)
 
 
+def test_only_the_end_of_a_task_is_worth_nothing():
+    critics = initial_critics(jax.random.key(0), Trivial(), (8,), 2, jnp.float64)
+    ends = jnp.array([False, True])
+    ones = jnp.ones((2, 1))
+    batch = Transition(ones, ones, jnp.array([3.0, 3.0]), ones, ends)
+    value = critic_values((8,), critics, ones, ones)
+    loss, _ = critic_loss(critics, (8,), batch, jnp.array([10.0, 10.0]), 0.9)
+    # Targets: 3 + 0.9 * 10 where the episode goes on, 3 where it ended.
+    errors = (value - jnp.array([[12.0, 3.0]])) ** 2
+    assert float(loss) == pytest.approx(float(0.5 * jnp.sum(jnp.mean(errors, 1))))
+
+
+def test_a_restored_run_continues_bit_by_bit_with_its_memory(tmp_path, six_updates):
+    states, _ = six_updates
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(3, states[3], {})
+    state, _ = checkpoints.restore(states[0])
+    checkpoints.close()
+    for _ in range(3):
+        state, _ = UPDATE(state)
+    assert int(state.replay.written) == 24
+    assert_equal(state, states[6])
+
+
+@pytest.mark.slow
 @pytest.mark.default_precision
-def test_interrupted_run_resumes_bit_by_bit_with_its_memory(tmp_path):
+def test_an_interrupted_run_resumes_bit_by_bit(tmp_path):
     settings = {
         "steps": 16 * 12,
         "config": SMALL,
@@ -133,69 +202,70 @@ def test_interrupted_run_resumes_bit_by_bit_with_its_memory(tmp_path):
     resumed = train(Trivial(), "sac", out=tmp_path / "part", resume=True, **settings)
     assert len(resumed.progress) == 5
     assert int(resumed.state.replay.written) == 48
-    for a, b in zip(
-        jax.tree.leaves(whole.state), jax.tree.leaves(resumed.state), strict=True
-    ):
-        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
-            a, b = jax.random.key_data(a), jax.random.key_data(b)
-        np.testing.assert_array_equal(a, b)
+    assert_equal(whole.state, resumed.state)
     assert whole.summary["evaluation_score"] == resumed.summary["evaluation_score"]
 
 
-def test_vectorised_seeds_equal_separate_runs():
-    env, updates = Trivial(), 6
-    states, metrics = train_seeds(
-        env, "sac", steps=16 * updates, seeds=(3, 4), config=SMALL
+@pytest.mark.slow
+@pytest.mark.default_precision
+def test_two_devices_train_the_same_as_one(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", TWO_DEVICES, str(tmp_path)]
     )
-    update = jax.jit(sac.update)
-    for i, seed in enumerate((3, 4)):
-        state = sac.init(jax.random.key(seed), env, SMALL)
-        for j in range(updates):
-            state, alone = update(state)
-            for name, value in alone.scalars.items():
-                np.testing.assert_allclose(
-                    metrics[name][i, j], value, rtol=1e-6, atol=1e-12
-                )
-        for a, b in zip(
-            jax.tree.leaves(states.learner), jax.tree.leaves(state.learner), strict=True
-        ):
-            np.testing.assert_allclose(a[i], b, rtol=1e-6, atol=1e-9)
+    one = train(
+        Trivial(), "sac", steps=16 * 8, config=SMALL, chunk_steps=1, progress=False
+    )
+    assert process.wait(timeout=240) == 0
+    rows = RunFolder(tmp_path).progress.read()
+    for row, other in zip(one.progress, rows, strict=True):
+        for name in ("critic_error", "value", "entropy", "temperature"):
+            np.testing.assert_allclose(float(other[name]), row[name], rtol=1e-3)
 
 
-def test_changed_numbers_recompile_nothing_and_float64_stays_float64():
-    env = Trivial()
-    # Functions of this test alone: equal ones share a cache.
-    init = jax.jit(lambda key, *rest: sac.init(key, env, *rest))
-    update = jax.jit(lambda state: sac.update(state))
+def test_vectorised_seeds_equal_separate_runs(six_updates):
+    states, metrics = train_seeds(
+        Trivial(), "sac", steps=16 * 6, seeds=(8, 3), config=SMALL
+    )
+    alone, reports = six_updates
+    for j, report in enumerate(reports):
+        for name, value in report.items():
+            np.testing.assert_allclose(
+                metrics[name][1, j], value, rtol=1e-6, atol=1e-12
+            )
+    for a, b in zip(
+        jax.tree.leaves(states.learner), jax.tree.leaves(alone[-1].learner), strict=True
+    ):
+        np.testing.assert_allclose(a[1], b, rtol=1e-6, atol=1e-9)
+
+
+def test_changed_numbers_recompile_nothing_and_float64_stays_float64(six_updates):
     numbers = {
         field.name: 0.5 * field.default
         for field in dataclasses.fields(SACConfig)
         if isinstance(field.default, float)
     }
-    state = update(init(jax.random.key(0), SMALL, TrivialParams(), 1000))[0]
-    update(state)
     other = dataclasses.replace(SMALL, **numbers)
-    update(init(jax.random.key(1), other, TrivialParams(0.3, 1.5), 2000))
-    assert init._cache_size() == 1
-    assert update._cache_size() == 1
+    before = UPDATE._cache_size()
+    UPDATE(sac.init(jax.random.key(1), Trivial(), other, TrivialParams(0.3, 1.5)))
+    assert UPDATE._cache_size() == before
     floating = {
         leaf.dtype
-        for leaf in jax.tree.leaves(state)
+        for leaf in jax.tree.leaves(six_updates[0][-1])
         if jnp.issubdtype(leaf.dtype, jnp.floating)
     }
     assert floating == {jnp.dtype("float64")}
 
 
-def test_policy_is_tanh_of_the_mean():
-    state = sac.init(jax.random.key(0), Trivial(), SMALL)
-    weights = jax.tree.map(lambda w: w + 0.3, state.learner.weights["policy"])
-    learner = dataclasses.replace(
-        state.learner, weights=state.learner.weights | {"policy": weights}
-    )
-    policy = sac.SAC.policy(dataclasses.replace(state, learner=learner))
+def test_policy_is_tanh_of_the_mean(six_updates):
+    state = six_updates[0][-1]
+    weights = state.learner.weights["policy"]
+    policy = sac.SAC.policy(state)
     observation = jnp.linspace(-3, 3, 20)[:, None]
+    seen = (observation - state.moments.mean[None]) / jnp.sqrt(state.moments.variance)[
+        None
+    ]
     hidden = jnp.maximum(
-        observation @ weights["hidden_0"]["kernel"] + weights["hidden_0"]["bias"][None],
+        seen @ weights["hidden_0"]["kernel"] + weights["hidden_0"]["bias"][None],
         0,
     )
     output = hidden @ weights["output"]["kernel"] + weights["output"]["bias"][None]
