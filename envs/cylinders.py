@@ -51,7 +51,7 @@ def cylinders(
 
     Args:
         starts: Middle of one end of each, `(m, 3)` [m].
-        directions: Unit vectors from there to the other end, `(m, 3)`.
+        directions: From there to the other end, of any length, `(m, 3)`.
         normals: Unit vectors `(m, 3)`.
         length: Of all [m].
         radius: Of all [m].
@@ -59,13 +59,15 @@ def cylinders(
     count = len(np.asarray(starts))
     kind = jnp.result_type(float)
 
-    def column(name: str, value: Numbers) -> Array:
+    def column(name: str, value: Numbers, *, unit_length: bool = False) -> Array:
         checked = check_array(name, value, [(count, 3)], "m")
+        if unit_length:
+            checked = checked / np.linalg.norm(checked, axis=1, keepdims=True)
         return jnp.asarray(checked.T, kind)
 
     return Cylinders(
         starts=column("starts", starts),
-        directions=column("directions", directions),
+        directions=column("directions", directions, unit_length=True),
         normals=column("normals", normals),
         lengths=jnp.full(count, length, kind),
         radii=jnp.full(count, radius, kind),

@@ -9,8 +9,10 @@ from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
     "reaching": "jaxrod.envs.reaching:reaching",
+    "structured": "jaxrod.envs.structured_obstacles:structured_obstacles",
     "tracking": "jaxrod.envs.tracking:tracking",
     "trivial": "jaxrod.envs.trivial:Trivial",
+    "unstructured": "jaxrod.envs.unstructured_nest:unstructured_nest",
 }
 
 

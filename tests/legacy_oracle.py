@@ -67,8 +67,7 @@ class LegacyArm:
     def _contract(self, commanded):
         far_ends = np.cumsum(self._lengths())
         for axis, (now, wanted) in enumerate(zip(self.applied, commanded, strict=True)):
-            # What is left of a difference after it was made up is rounding.
-            if np.allclose(now, wanted, rtol=0, atol=1e-14):
+            if np.array_equal(now, wanted):
                 continue
             missing = wanted - now
             now += np.sign(missing) * np.minimum(self.rate, np.abs(missing))

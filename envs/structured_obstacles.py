@@ -1,0 +1,116 @@
+"""Case 3 of the benchmark: a planar arm through a maze of eight parallel cylinders.
+
+The cylinders are 0.1 m in radius, parallel to y, and leave gaps of 0.12 m between them
+and before the target; the arm, 0.1 m thick, bends in the plane y = 0.5 m only. See
+`jaxrod.envs.obstacle_task` for what this task has in common with Case 4.
+
+Variants:
+
+- `"paper"`: the published environment to the detail, so that scores compare. Contact
+  follows the published law, broad phase included (`jaxrod.envs.legacy_contact`): an
+  obstacle is ignored until the arm's bounding box, padded by 7 cm, reaches its axis. A
+  number that is not finite costs 100 and ends the episode.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod._validation import Numbers, check_count
+from jaxrod.envs.arm_task import check_sizes, check_variant
+from jaxrod.envs.cylinders import Cylinders, cylinders
+from jaxrod.envs.obstacle_task import (
+    CONTROL_STEPS,
+    ELEMENTS,
+    PLACED,
+    SUBSTEPS,
+    ObstacleTask,
+)
+
+Variant = Literal["paper"]
+VARIANTS: tuple[Variant, ...] = ("paper",)
+
+AXES = (
+    (-0.6, 0.12),
+    (-0.2, 0.12),
+    (-0.4, 0.37),
+    (-0.4, 0.00),
+    (-0.4, -0.20),
+    (-0.4, -0.40),
+    (-0.4, 0.57),
+    (-0.4, 0.77),
+)
+"""x and z of the cylinders' axes [m]."""
+RADIUS = 0.1
+CYLINDER_LENGTH = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class StructuredObstacles(ObstacleTask):
+    """The task; see the module. Make one with `structured_obstacles`."""
+
+    controls: int | None = None
+    """Equidistant control points; `None` for the two that the paper placed by hand."""
+
+    n_directions = 1
+    n_obstacles = len(AXES)
+    target_position = (-0.8, 0.5, 0.15)
+
+    @property
+    def name(self) -> str:
+        """Name of the task, as in the registry."""
+        return "structured"
+
+    @property
+    def n_controls(self) -> int:
+        """Control points."""
+        return len(PLACED) if self.controls is None else self.controls
+
+    def control_points(self) -> int | Numbers:
+        """Their number, or their arc lengths [m]."""
+        return PLACED if self.controls is None else self.controls
+
+    def obstacles(self) -> Cylinders:
+        """The maze. The published normals are parallel to the axes by mistake."""
+        x, z = np.array(AXES).T
+        along = np.tile([0.0, 1.0, 0.0], (len(AXES), 1))
+        starts = np.stack([x, np.zeros_like(x), z], 1)
+        return cylinders(starts, along, along, length=CYLINDER_LENGTH, radius=RADIUS)
+
+    def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
+        """The cylinders' own."""
+        return obstacles.starts
+
+
+def structured_obstacles(
+    variant: Variant = "paper",
+    *,
+    controls: int | None = None,
+    n_elements: int = ELEMENTS,
+    substeps: int = SUBSTEPS,
+    episode_length: int = CONTROL_STEPS,
+) -> StructuredObstacles:
+    """Makes the task.
+
+    Args:
+        variant: "paper".
+        controls: Number of equidistant control points; the paper's supplement has 2,
+            4, 6 and 8. By default the two of its main text, at 0.4 and 0.9 m.
+        n_elements: Elements of the arm, a multiple of 10.
+        substeps: Simulation steps per control step of 1.4 ms.
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    check_sizes(n_elements, substeps, episode_length)
+    if controls is not None:
+        check_count("controls", controls, 2)
+    return StructuredObstacles(
+        variant, n_elements, substeps, episode_length, controls=controls
+    )

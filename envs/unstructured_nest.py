@@ -1,0 +1,100 @@
+"""Case 4 of the benchmark: an arm through a nest of twelve cylinders leaning any way.
+
+The cylinders are 3 cm in radius; the arm moves in space. See
+`jaxrod.envs.obstacle_task` for what this task has in common with Case 3. The nest is
+the published one, or drawn from a seed as the released generator draws it; it is the
+same in all episodes.
+
+Variants:
+
+- `"paper"`: the published environment to the detail, so that scores compare. Contact
+  follows the published law (`jaxrod.envs.legacy_contact`). What is observed of the
+  obstacles starts at the arm's base instead of at each obstacle, as published: where
+  they are is not observed. A number that is not finite costs 100 and ends the episode.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod._validation import Numbers, check_count
+from jaxrod.envs.arm_task import check_sizes, check_variant
+from jaxrod.envs.cylinders import Cylinders
+from jaxrod.envs.nest import COUNT, TARGET_HEIGHT, published_nest, random_nest
+from jaxrod.envs.obstacle_task import (
+    BASE,
+    CONTROL_STEPS,
+    ELEMENTS,
+    PLACED,
+    SUBSTEPS,
+    ObstacleTask,
+)
+
+Variant = Literal["paper"]
+VARIANTS: tuple[Variant, ...] = ("paper",)
+
+
+@dataclasses.dataclass(frozen=True)
+class UnstructuredNest(ObstacleTask):
+    """The task; see the module. Make one with `unstructured_nest`."""
+
+    nest: int | None = None
+    """Seed of the nest; `None` for the published one."""
+
+    n_directions = 2
+    n_obstacles = COUNT
+    target_position = (-0.8, 0.5, TARGET_HEIGHT)
+
+    @property
+    def name(self) -> str:
+        """Name of the task, as in the registry."""
+        return "unstructured"
+
+    @property
+    def n_controls(self) -> int:
+        """Control points per direction."""
+        return len(PLACED)
+
+    def control_points(self) -> Numbers:
+        """Their arc lengths [m]."""
+        return PLACED
+
+    def obstacles(self) -> Cylinders:
+        """The nest."""
+        return published_nest() if self.nest is None else random_nest(self.nest)
+
+    def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
+        """The arm's base for all of them, as published."""
+        base = jnp.asarray(BASE, obstacles.starts.dtype)
+        return jnp.broadcast_to(base[:, None], obstacles.starts.shape)
+
+
+def unstructured_nest(
+    variant: Variant = "paper",
+    *,
+    nest: int | None = None,
+    n_elements: int = ELEMENTS,
+    substeps: int = SUBSTEPS,
+    episode_length: int = CONTROL_STEPS,
+) -> UnstructuredNest:
+    """Makes the task.
+
+    Args:
+        variant: "paper".
+        nest: Seed of a random nest; by default the published nest.
+        n_elements: Elements of the arm, a multiple of 10.
+        substeps: Simulation steps per control step of 1.4 ms.
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    check_sizes(n_elements, substeps, episode_length)
+    if nest is not None:
+        check_count("nest", nest, 0)
+    return UnstructuredNest(variant, n_elements, substeps, episode_length, nest=nest)
