@@ -31,4 +31,29 @@ def pytree(cls: type[T]) -> type[T]:
     from placeholders while it traces; factories validate instead.
     """
     frozen: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
-    return jax.tree_util.register_dataclass(frozen)
+    names: tuple[list[str], list[str]] = [], []
+    for field in dataclasses.fields(frozen):
+        names[bool(field.metadata.get("static"))].append(field.name)
+    traced, fixed = map(tuple, names)
+    keys = [jax.tree_util.GetAttrKey(name) for name in traced]
+
+    def flatten(tree: Any) -> tuple[list[Any], tuple[Any, ...]]:
+        return (
+            [getattr(tree, name) for name in traced],
+            tuple([getattr(tree, name) for name in fixed]),
+        )
+
+    def flatten_with_keys(tree: Any) -> tuple[Any, tuple[Any, ...]]:
+        children, structure = flatten(tree)
+        return list(zip(keys, children, strict=True)), structure
+
+    def unflatten(structure: Any, children: Any) -> Any:
+        return frozen(**dict(zip(traced + fixed, (*children, *structure), strict=True)))
+
+    # Not `jax.tree_util.register_dataclass`: to JAX, at least up to 0.12, structures
+    # of two classes with equally many fields are equal if registered by it, and a
+    # jitted function may run the program it compiled for the other class.
+    jax.tree_util.register_pytree_with_keys(
+        frozen, flatten_with_keys, unflatten, flatten
+    )
+    return frozen

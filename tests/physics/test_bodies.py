@@ -153,3 +153,13 @@ def test_many_of_a_kind_are_each_of_them():
 def test_bad_numbers_are_refused_in_words(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_structures_of_different_classes_with_the_same_numbers_differ():
+    """Or a program compiled for one body might be run for another."""
+    capsule = jaxrod.capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)
+    cylinder = jaxrod.cylinder((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)
+    assert jax.tree.structure(capsule) != jax.tree.structure(cylinder)
+    assert jax.tree.structure(capsule) == jax.tree.structure(
+        jax.tree.map(jnp.square, capsule)
+    )
