@@ -87,6 +87,11 @@ def _is_single(a: Array) -> bool:
     return jnp.finfo(a.dtype).bits <= 32
 
 
+def arctangent_ratio(u: Array) -> Array:
+    r"""$\arctan(\sqrt u)/\sqrt u$ of the squared tangent u of up to an eighth of pi."""
+    return _polynomial(u, _ATAN_SINGLE if _is_single(u) else _ATAN_DOUBLE)
+
+
 def split_quaternion(stacked: Float[Array, "4 n"]) -> Quaternion:
     """Takes a component-first array of quaternions apart."""
     return stacked[0], stacked[1], stacked[2], stacked[3]
@@ -170,10 +175,8 @@ def rotation_log_and_coupling(q: Quaternion) -> tuple[Vec3, Array]:
     quarter_cosine = jnp.sqrt(0.5 * (1 + w))
     k = quarter_cosine / ((1 + w) * (1 + quarter_cosine))
     u = dot(v, v) * k * k
-    single = _is_single(w)
-    arctan = _polynomial(u, _ATAN_SINGLE if single else _ATAN_DOUBLE)
-    coupling = _polynomial(u, _COUPLING_SINGLE if single else _COUPLING_DOUBLE)
-    return scale(8 * k * arctan, v), coupling
+    coupling = _polynomial(u, _COUPLING_SINGLE if _is_single(w) else _COUPLING_DOUBLE)
+    return scale(8 * k * arctangent_ratio(u), v), coupling
 
 
 def directors(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:

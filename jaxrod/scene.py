@@ -50,6 +50,8 @@ class Scene:
     """The plane in which everything happens: a cheaper program, the same result."""
     implicit: Implicit | None = None
     """Settings of the implicit integrator; `None` for explicit steps."""
+    twist: bool = static(default=True)
+    """Whether elements turn about their axes; without, an element is a direction."""
 
 
 def make_scene(
@@ -58,6 +60,7 @@ def make_scene(
     mode: Mode = "consistent",
     plane: Plane | None = None,
     implicit: Implicit | None = None,
+    twist: bool = True,
 ) -> Scene:
     """Composes a scene from a rod and its effects.
 
@@ -72,10 +75,14 @@ def make_scene(
             state is the same as in space. Consistent mode only.
         implicit: `jaxrod.implicit(...)` to step implicitly: any step size is stable.
             Consistent mode, in space, only.
+        twist: `False` to leave twist out of a naturally straight rod with sections
+            alike in all directions, under loads that do not twist it: half the
+            arithmetic, for what the polar inertia changes. Explicit steps in
+            consistent mode, in space, only.
 
     Raises:
-        ValueError: If the mode or the plane is unknown, or the choices exclude each
-            other.
+        ValueError: If the mode or the plane is unknown, the choices exclude each
+            other, or `twist` is `False` where the rod or an effect has to do with it.
         TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
     """
     if mode not in MODES:
@@ -92,6 +99,13 @@ def make_scene(
             )
         if plane is not None:
             raise ValueError(f"implicit steps are in space only, got plane={plane!r}")
+    if not twist and (
+        mode != "consistent" or plane is not None or implicit is not None
+    ):
+        raise ValueError(
+            "twist=False needs mode='consistent', no plane and explicit steps, got "
+            f"mode={mode!r}, plane={plane!r}, implicit={implicit!r}"
+        )
     if not isinstance(rod, Rod):
         raise TypeError(
             f"rod must be a jaxrod.Rod, got {type(rod).__name__} "
@@ -109,7 +123,13 @@ def make_scene(
         return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
     listed = jax.tree.map(cast, tuple(effects))
-    return Scene(rod, listed, mode, plane, jax.tree.map(cast, implicit))
+    scene = Scene(rod, listed, mode, plane, jax.tree.map(cast, implicit), bool(twist))
+    if not twist:
+        # Imported when asked for: it builds on scenes.
+        from jaxrod.untwisted_scenes import check_untwisted
+
+        check_untwisted(scene)
+    return scene
 
 
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:

@@ -19,6 +19,8 @@ from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stability import compression, stable_dt
+from jaxrod.untwisted import UntwistedStepper
+from jaxrod.untwisted_scenes import check_untwisted
 
 Carry = TypeVar("Carry")
 
@@ -61,6 +63,8 @@ def stepper(scene: Scene, state: RodState, dt: Array) -> Stepper:
         return PlanarStepper.create(scene, state, dt)
     if scene.mode == "pyelastica":
         return PyElasticaStepper.create(scene, dt)
+    if not scene.twist:
+        return UntwistedStepper.create(scene, state, dt)
     return ConsistentStepper.create(scene, dt)
 
 
@@ -207,6 +211,8 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
         )
     if scene.plane is not None and not is_traced(scene, state):
         check_planar(scene, state)
+    if not scene.twist:
+        check_untwisted(scene)
     return jnp.asarray(check_array("dt", dt, [()], "s", positive=True), dtype)
 
 

@@ -1,0 +1,256 @@
+r"""Scenes without twist: an element is a direction, not a frame.
+
+In a naturally straight rod with sections alike in all directions, under loads that do
+not twist it, twist is a fast motion of no consequence: nothing drives it but the small
+polar inertia. Left out, an element is a unit vector $d$ with an angular momentum $P$
+perpendicular to it. With edge $\Delta x$, rest length $\hat\ell$ and $\theta$ the angle
+between neighbours,
+
+$$W = \tfrac12 \sum \hat\ell\,
+    [S_1 |\Delta x/\hat\ell - a d|^2 + S_3 (a - 1)^2]
+    + \tfrac12 \sum B_1\, \theta^2/\hat D, \qquad a = d\cdot\Delta x/\hat\ell,$$
+
+which is the consistent law at its minimum over all twists. Between kicks elements turn
+along great circles, at $\dot d = P/J_1 \times d$; couples are world vectors.
+Symplectic, second order, conserving momentum and angular momentum like
+`jaxrod.consistent`, whose limit for a vanishing polar inertia it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array
+
+from jaxrod import vectors
+from jaxrod._pytree import pytree, static
+from jaxrod.clamps import Clamp
+from jaxrod.directions import angle_over_sine, frame_along, transported, turned_to
+from jaxrod.ends import End, at_end
+from jaxrod.kick import Kick
+from jaxrod.motion import Motion, motion_of, state_of
+from jaxrod.rod import RodState
+from jaxrod.rotations import (
+    directors,
+    sine_ratio_and_cosine,
+    split_quaternion,
+)
+from jaxrod.scene import Scene, damping_rates, hold, hold_rates
+from jaxrod.untwisted_scenes import check_structure, held_end
+from jaxrod.vectors import Vec3
+from jaxrod.verlet import Verlet
+
+
+@pytree
+class UntwistedMotion:
+    """A rod without twist, as the inside of a step sees it."""
+
+    position: Vec3
+    """Node positions, world frame [m]."""
+    direction: Vec3
+    """Unit vectors d3 of the elements, world frame."""
+    velocity: Vec3
+    """Node velocities, world frame [m/s]."""
+    spin: Vec3
+    """Angular momentum of the elements, perpendicular to d3 [kg m^2/s]."""
+    remainder: Vec3 | None = None
+    """What rounding has added to the positions [m], where that is kept count of."""
+
+    @property
+    def in_space(self) -> Motion:
+        """The motion as effects see it. What they do not look at costs nothing."""
+        return Motion(
+            position=self.position,
+            orientation=frame_along(self.direction),
+            velocity=self.velocity,
+            spin=self.spin,
+            remainder=self.remainder,
+        )
+
+
+@pytree
+class UntwistedStepper(Verlet):
+    """Constants of the step without twist, for one scene and one step size."""
+
+    scene: Scene
+    dt: Array
+    """Step size [s]."""
+    start: RodState
+    """The state at the start of the call."""
+    inverse_lengths: Array
+    """[1/m]"""
+    stiffness: tuple[Array, Array]
+    """Shear and axial stiffness [N]."""
+    rest_stretch: Array
+    """Length at rest over rest length [1]."""
+    joint: Array
+    """Bending stiffness over joint length, of wall joints too [N m]."""
+    inverse_inertia: Array
+    """[1/(kg m^2)]"""
+    velocity_kick: Kick
+    spin_kick: Kick
+    walls: tuple[Vec3 | None, Vec3 | None]
+    """Directions that walls give the rod at its start and its finish."""
+    root: End = static(default="start")
+    """The end whose frame the others follow."""
+
+    @staticmethod
+    def create(scene: Scene, state: RodState, dt: Array) -> UntwistedStepper:
+        """Works out the constants once, outside the loop."""
+        check_structure(scene)
+        rod = scene.rod
+        shear, _, axial = vectors.split(rod.shear_stretch_stiffness)
+        transverse, _ = rod.inertias
+        rates = damping_rates(scene) or (None, None)
+        held = held_end(scene)
+        joint = rod.joint_stiffness[0] / rod.joint_lengths
+        walls: list[Vec3 | None] = [None, None]
+        if isinstance(held, Clamp):
+            index, part = (0, 0) if held.end == "start" else (-1, 1)
+            walls[part] = directors(split_quaternion(held.orientation))[2]
+            wall = rod.bend_twist_stiffness[0, index] / (0.5 * rod.rest_lengths[index])
+            joints = [joint, joint]
+            joints[part] = wall[None]
+            joint = jnp.concatenate(joints)
+        return UntwistedStepper(
+            scene=scene,
+            dt=dt,
+            start=state,
+            inverse_lengths=1 / rod.rest_lengths,
+            stiffness=(shear, axial),
+            rest_stretch=1 + rod.rest_strains[2],
+            joint=joint,
+            inverse_inertia=1 / transverse,
+            velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
+            spin_kick=Kick.create(None, rates[1], dt),
+            walls=(walls[0], walls[1]),
+            root="start" if held is None else held.end,
+        )
+
+    def enter(self, state: RodState) -> UntwistedMotion:
+        """Takes directions and what turns them from a state."""
+        motion = hold_rates(self.scene, hold(self.scene, motion_of(state)))
+        direction = directors(motion.orientation)[2]
+        return UntwistedMotion(
+            position=motion.position,
+            direction=direction,
+            velocity=motion.velocity,
+            spin=_across(motion.spin, direction),
+            remainder=motion.remainder,
+        )
+
+    def leave(self, motion: UntwistedMotion) -> RodState:
+        """Puts the state together again, with frames that are not twisted."""
+        direction = motion.direction
+        held = held_end(self.scene)
+        if isinstance(held, Clamp):
+            root = split_quaternion(held.orientation)
+        else:
+            root = at_end(split_quaternion(self.start.orientations), self.root)
+        index = 0 if self.root == "start" else -1
+        x, y, z = direction
+        root = turned_to(root, (x[index], y[index], z[index]))
+        orientation = transported(root, direction, self.root)
+        spin = _across(motion.spin, direction)
+        return state_of(replace(motion.in_space, orientation=orientation, spin=spin))
+
+    def drift(self, motion: UntwistedMotion, dt: Array) -> UntwistedMotion:
+        """Moves nodes and turns elements freely for a time `dt` [s]."""
+        d = motion.direction
+        turn = vectors.scale(dt * self.inverse_inertia, motion.spin)
+        sine_ratio, cosine = sine_ratio_and_cosine(vectors.dot(turn, turn))
+        turned = vectors.add(
+            vectors.scale(cosine, d), vectors.scale(sine_ratio, vectors.cross(turn, d))
+        )
+        # One step of Newton's method towards unit length.
+        length = 1.5 - 0.5 * vectors.dot(turned, turned)
+        nodes = motion.in_space.moved(dt)
+        return self.hold(
+            replace(
+                motion,
+                position=nodes.position,
+                direction=vectors.scale(length, turned),
+                remainder=nodes.remainder,
+            )
+        )
+
+    def kick(self, motion: UntwistedMotion) -> UntwistedMotion:
+        """Changes velocities and angular momenta by all loads over one step."""
+        d = motion.direction
+        edges = motion.in_space.edges
+        shear, axial = self.stiffness
+        along = vectors.dot(d, edges) * self.inverse_lengths
+        # Shear stiffness times the whole edge, and along the element what differs.
+        excess = axial * (along - self.rest_stretch) - shear * along
+        whole = vectors.scale(shear * self.inverse_lengths, edges)
+        forces = vectors.difference(vectors.add(whole, vectors.scale(excess, d)))
+        couples = vectors.add(
+            vectors.scale(excess, vectors.cross(edges, d)), self.bending_couples(d)
+        )
+        forces, couples = self.add_loads(motion, forces, couples)
+        kicked = replace(
+            motion,
+            velocity=vectors.apply(self.velocity_kick, motion.velocity, forces),
+            spin=vectors.apply(self.spin_kick, motion.spin, couples),
+        )
+        held = hold_rates(self.scene, kicked.in_space)
+        return replace(kicked, velocity=held.velocity, spin=held.spin)
+
+    def bending_couples(self, direction: Vec3) -> Vec3:
+        """Couples of the joints on the elements, world frame [N m]."""
+        start, finish = (int(wall is not None) for wall in self.walls)
+
+        def ends(c: Array, k: int) -> tuple[Array, Array]:
+            """A component of the directions before and after every joint."""
+            for wall, where in zip(self.walls, ((1, 0, 0), (0, 1, 0)), strict=True):
+                if wall is not None:
+                    c = lax.pad(c, wall[k], [where])
+            return c[:-1], c[1:]
+
+        x, y, z = (ends(c, k) for k, c in enumerate(direction))
+        before, after = (x[0], y[0], z[0]), (x[1], y[1], z[1])
+        factor = self.joint * angle_over_sine(before, after)
+        moment = vectors.scale(factor, vectors.cross(before, after))
+
+        def on_elements(m: Array) -> Array:
+            following = vectors.pad(m, -start, 1 - finish)
+            return following - vectors.pad(m, 1 - start, -finish)
+
+        return on_elements(moment[0]), on_elements(moment[1]), on_elements(moment[2])
+
+    def add_loads(
+        self, motion: UntwistedMotion, forces: Vec3, couples: Vec3
+    ) -> tuple[Vec3, Vec3]:
+        """Adds the loads of all effects, but for what would twist the rod."""
+        in_space = motion.in_space
+        for effect in self.scene.effects:
+            if isinstance(effect, Clamp):
+                continue
+            loads = effect.loads(self.scene.rod, in_space)
+            if loads.forces is not None:
+                forces = vectors.add(forces, loads.forces)
+            if loads.couples is not None:
+                d1, d2, _ = directors(in_space.orientation)
+                first, second, _ = loads.couples
+                couples = vectors.add(couples, vectors.scale(first, d1))
+                couples = vectors.add(couples, vectors.scale(second, d2))
+        return forces, couples
+
+    def hold(self, motion: UntwistedMotion) -> UntwistedMotion:
+        """Applies all constraints on configuration."""
+        free = motion.in_space
+        held = hold(self.scene, free)
+        if held is free:
+            return motion
+        direction = motion.direction
+        if held.orientation is not free.orientation:
+            direction = directors(held.orientation)[2]
+        return replace(motion, position=held.position, direction=direction)
+
+
+def _across(vector: Vec3, direction: Vec3) -> Vec3:
+    """The part of a vector perpendicular to a direction."""
+    along = vectors.dot(vector, direction)
+    return vectors.subtract(vector, vectors.scale(along, direction))
