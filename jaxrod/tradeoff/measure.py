@@ -22,6 +22,8 @@ from jaxrod.tradeoff.setting import Prepared, Setting, prepare
 REFERENCE_ELEMENTS = 160
 REFERENCE_REFINEMENT = 8
 WINDOWS = 5
+TIMED_PERIODS = 1280
+"""Control periods of all rods together that are timed at once, if there are many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +136,8 @@ def cost(
     """Wall-clock time per simulated second and rod [1]; compiling not counted."""
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         scene, state, controls, dt, substeps = _arguments(problem, prepared)
-        # A few periods are enough to time, and a batch's controls take room.
-        periods = min(len(problem.controls), 20)
+        # A few periods are enough to time, the fewer the more rods.
+        periods = min(len(problem.controls), max(2, min(20, TIMED_PERIODS // batch)))
         controls = controls[:periods]
         run = partial(_run, problem, batch > 1)
         if batch > 1:
