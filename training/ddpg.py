@@ -21,9 +21,7 @@ class DDPGConfig(TD3Config):
 
     policy_delay: int = static(default=1)
     critics: int = static(default=1)
-    learning_starts: Scalar = 10_000.0
-    policy_learning_rate: Scalar = 1e-4
-    critic_learning_rate: Scalar = 1e-3
+    policy_learning_rate: Scalar = 3e-4
     target_noise: Scalar = 0.0
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrod._pytree import pytree
 from jaxrod.envs import EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.training.actor_critic import Learner
+from jaxrod.training.algorithm import Metrics
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.normalisation import batch_moments, merge_moments, normalise
 from jaxrod.training.off_policy import (
@@ -40,7 +41,7 @@ def act_and_remember(
     state: OffPolicyState,
     act: Callable[[Array, Array], Array],
     axis_name: str | None = None,
-) -> tuple[OffPolicyState, EpisodeRecord]:
+) -> tuple[OffPolicyState, Metrics]:
     """Acts with the newest policy; before `learning_starts` uniformly at random.
 
     Args:
@@ -49,8 +50,8 @@ def act_and_remember(
         axis_name: mapped axis over which the environments are spread, if any.
 
     Returns:
-        The state with environments, memory and moments moved on, and the episodes
-        that ended.
+        The state with environments, memory and moments moved on, the mean reward
+        of a control step (not scaled), and the episodes that ended.
     """
     config: OffPolicyConfig = state.config
     environment = VectorEnvironment(state.env)
@@ -90,27 +91,32 @@ def act_and_remember(
         replay=remember(state.replay, steps),
         moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
     )
-    return state, episodes
+    reward = {"reward_mean": mean_over_devices(jnp.mean(steps.reward), axis_name)}
+    return state, Metrics(reward, episodes)
 
 
 def learn(
     state: OffPolicyState,
     gradient_step: Callable[[Learner, list[Batch]], tuple[Learner, dict[str, Array]]],
+    acted: Metrics,
+    *,
     batches_per_step: int,
     noises: int,
     axis_name: str | None = None,
-) -> tuple[OffPolicyState, dict[str, Array]]:
+) -> tuple[OffPolicyState, Metrics]:
     """Makes the gradient steps of one update; none before `learning_starts`.
 
     Args:
         state: the train state, its memory up to date.
         gradient_step: `(learner, batches) -> (learner, report)`.
+        acted: what acting brought.
         batches_per_step: batches of one call; divides `gradient_steps`.
         noises: arrays of noise, of the shape of the actions, that a batch brings.
         axis_name: mapped axis over which the environments are spread, if any.
 
     Returns:
-        The state, and the means of what the calls report (zeros before learning).
+        The state, and what acting brought with the means of what the calls report
+        (zeros before learning).
     """
     config: OffPolicyConfig = state.config
     per_env = config.batch_size // config.num_envs
@@ -152,7 +158,8 @@ def learn(
     learner, total = jax.lax.fori_loop(0, count, body, (state.learner, nothing))
     report = jax.tree.map(lambda leaf: leaf / rounds, total)
     state = dataclasses.replace(state, learner=learner, updates=state.updates + 1)
-    return state, mean_over_devices(report, axis_name)
+    scalars = acted.scalars | mean_over_devices(report, axis_name)
+    return state, Metrics(scalars, acted.episodes)
 
 
 def _may_learn(state: OffPolicyState) -> Array:

@@ -76,14 +76,14 @@ class SACConfig:
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     spread_phases: bool = static(default=True)
     learning_starts: Scalar = 10_000.0
-    policy_learning_rate: Scalar = 3e-4
-    critic_learning_rate: Scalar = 3e-4
-    temperature_learning_rate: Scalar = 3e-4
+    policy_learning_rate: Scalar = 1e-3
+    critic_learning_rate: Scalar = 1e-3
+    temperature_learning_rate: Scalar = 3e-3
     discount: Scalar = 0.99
     target_rate: Scalar = 0.005
-    initial_temperature: Scalar = 1.0
+    initial_temperature: Scalar = 0.02
     entropy_per_action: Scalar = -1.0
-    reward_scale: Scalar = 1.0
+    reward_scale: Scalar = 0.1
     observation_limit: Scalar = 10.0
 
 
@@ -207,13 +207,17 @@ def update(
         return learner, report
 
     policy = state.learner.weights["policy"]
-    state, episodes = act_and_remember(
+    state, acted = act_and_remember(
         state, lambda observation, noise: act(policy, observation, noise)[0], axis_name
     )
-    state, scalars = learn(
-        state, gradient_step, batches_per_step=1, noises=2, axis_name=axis_name
+    return learn(
+        state,
+        gradient_step,
+        acted,
+        batches_per_step=1,
+        noises=2,
+        axis_name=axis_name,
     )
-    return state, Metrics(scalars, episodes)
 
 
 SAC = Algorithm(

@@ -87,15 +87,15 @@ class TD3Config:
     buffer_size: int = static(default=1_000_000)
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     spread_phases: bool = static(default=True)
-    learning_starts: Scalar = 50_000.0
-    policy_learning_rate: Scalar = 3e-4
-    critic_learning_rate: Scalar = 3e-4
+    learning_starts: Scalar = 10_000.0
+    policy_learning_rate: Scalar = 1e-3
+    critic_learning_rate: Scalar = 1e-3
     discount: Scalar = 0.99
     target_rate: Scalar = 0.005
     exploration_noise: Scalar = 0.1
     target_noise: Scalar = 0.2
     target_noise_limit: Scalar = 0.5
-    reward_scale: Scalar = 1.0
+    reward_scale: Scalar = 0.1
     observation_limit: Scalar = 10.0
 
 
@@ -229,15 +229,15 @@ def update(
             learner = follow(learner, f"target_{name}", name, config.target_rate)
         return learner, report
 
-    state, episodes = act_and_remember(state, explore, axis_name)
-    state, scalars = learn(
+    state, acted = act_and_remember(state, explore, axis_name)
+    return learn(
         state,
         gradient_step,
+        acted,
         batches_per_step=config.policy_delay,
         noises=1,
         axis_name=axis_name,
     )
-    return state, Metrics(scalars, episodes)
 
 
 TD3 = Algorithm(

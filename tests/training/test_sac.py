@@ -65,7 +65,8 @@ QUICK = SACConfig(
     learning_starts=1000.0,
     policy_learning_rate=3e-3,
     critic_learning_rate=3e-3,
-    temperature_learning_rate=3e-3,
+    initial_temperature=1.0,
+    reward_scale=1.0,
     discount=0.9,
 )
 

@@ -23,6 +23,7 @@ SIZES = {
     "learning_starts": 1000.0,
     "policy_learning_rate": 1e-3,
     "critic_learning_rate": 3e-3,
+    "reward_scale": 1.0,
     "discount": 0.9,
 }
 
