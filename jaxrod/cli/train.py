@@ -31,6 +31,7 @@ examples:
   jaxrod train tracking --resume --out runs/clean          go on after a stop
   jaxrod train trivial --steps 200k --num-envs 32 --set rollout_steps=64
   jaxrod train tracking --set learning_rate=3e-4 --set hidden_sizes=128,128
+  jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm with their defaults.
@@ -42,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument("case", metavar="CASE", help="tracking or trivial")
     parser.add_argument("--variant", help="paper or clean (default: paper)")
-    parser.add_argument("--algorithm", help="the learner (default: ppo)")
+    parser.add_argument(
+        "--algorithm", help="ppo, trpo, sac, td3 or ddpg (default: ppo)"
+    )
     parser.add_argument(
         "--steps",
         type=_settings.count,
