@@ -163,8 +163,9 @@ def learn(
 
 
 def _may_learn(state: OffPolicyState) -> Array:
-    done = state.updates * steps_per_update(state.config)
-    return done >= state.config.learning_starts
+    # Updates are compared, not control steps: these outgrow their integers.
+    config: OffPolicyConfig = state.config
+    return state.updates >= config.learning_starts / steps_per_update(config)
 
 
 def _keys_of_update(
