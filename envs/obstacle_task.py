@@ -12,30 +12,42 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Rod, RodState, control_spline
+from jaxrod import Rod, RodState, contact, control_spline
 from jaxrod._pytree import pytree
 from jaxrod._validation import Numbers
+from jaxrod.bodies import Body
 from jaxrod.envs.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
     Arm,
     Bonus,
+    check_sizes,
+    check_variant,
     distance_reward,
     observed_points,
     shown_distance,
     speed_and_direction,
 )
+from jaxrod.envs.clean_arm import clean_arm
 from jaxrod.envs.cylinders import OBSERVED_POINTS, Cylinders, points_along
 from jaxrod.envs.legacy_arm import LENGTH
 from jaxrod.envs.published_arm import published_arm
+from jaxrod.scene import Plane
 
-ELEMENTS = 50
-SUBSTEPS = 14
+Variant = Literal["paper", "clean"]
+VARIANTS: tuple[Variant, ...] = ("paper", "clean")
+
+PUBLISHED_ELEMENTS = 50
+SIZES: dict[Variant, tuple[int, int]] = {
+    "paper": (PUBLISHED_ELEMENTS, 14),
+    "clean": (40, 9),
+}
+"""Elements and simulation steps per control step, unless asked for otherwise."""
 CONTROL_STEPS = 3571
 BASE = (0.0, 0.5, 0.0)
 AXIS = "z"
@@ -43,6 +55,10 @@ LARGEST_RATE = 100.0
 """The fastest a control value may change [1/s]."""
 PLACED = (0.4, 0.9)
 """Where the paper puts its two control points, in lengths of the arm."""
+STIFFNESS = 1e7
+"""Of contact in "clean": at 30 m/s an overlap of 3 cm stops the arm [N/m^2]."""
+DAMPING = 3e3
+"""Of contact in "clean": a sixth of critical [kg/(m s)]."""
 
 
 @pytree
@@ -96,7 +112,7 @@ class ObstacleState:
 class ObstacleTask:
     """Base of the two tasks; see the module."""
 
-    variant: str
+    variant: Variant
     n_elements: int
     substeps: int
     episode_length: int
@@ -107,6 +123,8 @@ class ObstacleTask:
     """Number of cylinders."""
     target_position: ClassVar[tuple[float, float, float]]
     """Where the target is [m]."""
+    plane: ClassVar[Plane | None]
+    """The plane of motion, where there is one."""
 
     @property
     @abstractmethod
@@ -125,6 +143,10 @@ class ObstacleTask:
     @abstractmethod
     def obstacles(self) -> Cylinders:
         """What is in the way."""
+
+    @abstractmethod
+    def bodies(self, obstacles: Cylinders) -> Body:
+        """What the library's contact takes for them ("clean")."""
 
     @abstractmethod
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
@@ -150,14 +172,30 @@ class ObstacleTask:
         obstacles = self.obstacles()
         spline = control_spline(self.control_points(), LENGTH)
         dt = CONTROL_PERIOD / self.substeps
-        arm = published_arm(
-            self.n_elements,
-            BASE,
-            AXIS,
-            spline,
-            largest_change=LARGEST_RATE * dt,
-            obstacles=obstacles,
-        )
+        arm: Arm
+        if self.variant == "paper":
+            arm = published_arm(
+                self.n_elements,
+                BASE,
+                AXIS,
+                spline,
+                largest_change=LARGEST_RATE * dt,
+                obstacles=obstacles,
+            )
+        else:
+            touch = contact(
+                self.bodies(obstacles), stiffness=STIFFNESS, damping=DAMPING
+            )
+            arm = clean_arm(
+                self.n_elements,
+                BASE,
+                AXIS,
+                spline,
+                published_elements=PUBLISHED_ELEMENTS,
+                largest_rate=LARGEST_RATE,
+                obstacles=(touch,),
+                plane=self.plane,
+            )
 
         def numbers(value: float | tuple[float, float, float]) -> Array:
             return jnp.asarray(value, arm.rod.radii.dtype)
@@ -236,3 +274,19 @@ class ObstacleTask:
                 params.shown,
             ]
         )
+
+
+def checked_sizes(
+    variant: str, n_elements: int | None, substeps: int | None, episode_length: int
+) -> tuple[int, int]:
+    """Elements and substeps, those of the variant by default.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    usual = SIZES["paper" if variant == "paper" else "clean"]
+    elements = usual[0] if n_elements is None else n_elements
+    steps = usual[1] if substeps is None else substeps
+    check_sizes(elements, steps, episode_length)
+    return elements, steps

@@ -10,29 +10,28 @@ Variants:
   follows the published law, broad phase included (`jaxrod.envs.legacy_contact`): an
   obstacle is ignored until the arm's bounding box, padded by 7 cm, reaches its axis. A
   number that is not finite costs 100 and ends the episode.
+- `"clean"`: the same task with the library's own physics, in the plane only, see
+  `jaxrod.envs.clean_arm`; contact is where arm and cylinders overlap. When a numerical
+  health flag rises the arm is frozen and the episode truncated.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod._validation import Numbers, check_count
-from jaxrod.envs.arm_task import check_sizes, check_variant
+from jaxrod.bodies import Body, Sphere
 from jaxrod.envs.cylinders import Cylinders, cylinders
 from jaxrod.envs.obstacle_task import (
     CONTROL_STEPS,
-    ELEMENTS,
     PLACED,
-    SUBSTEPS,
     ObstacleTask,
+    Variant,
+    checked_sizes,
 )
-
-Variant = Literal["paper"]
-VARIANTS: tuple[Variant, ...] = ("paper",)
 
 AXES = (
     (-0.6, 0.12),
@@ -59,6 +58,7 @@ class StructuredObstacles(ObstacleTask):
     n_directions = 1
     n_obstacles = len(AXES)
     target_position = (-0.8, 0.5, 0.15)
+    plane = "zx"
 
     @property
     def name(self) -> str:
@@ -81,6 +81,10 @@ class StructuredObstacles(ObstacleTask):
         starts = np.stack([x, np.zeros_like(x), z], 1)
         return cylinders(starts, along, along, length=CYLINDER_LENGTH, radius=RADIUS)
 
+    def bodies(self, obstacles: Cylinders) -> Body:
+        """Spheres in the plane of motion, where the maze is a set of circles."""
+        return Sphere(obstacles.centres.T, obstacles.radii)
+
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
         """The cylinders' own."""
         return obstacles.starts
@@ -90,27 +94,28 @@ def structured_obstacles(
     variant: Variant = "paper",
     *,
     controls: int | None = None,
-    n_elements: int = ELEMENTS,
-    substeps: int = SUBSTEPS,
+    n_elements: int | None = None,
+    substeps: int | None = None,
     episode_length: int = CONTROL_STEPS,
 ) -> StructuredObstacles:
     """Makes the task.
 
     Args:
-        variant: "paper".
+        variant: "paper" or "clean".
         controls: Number of equidistant control points; the paper's supplement has 2,
             4, 6 and 8. By default the two of its main text, at 0.4 and 0.9 m.
-        n_elements: Elements of the arm, a multiple of 10.
-        substeps: Simulation steps per control step of 1.4 ms.
+        n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
+            and 40 in "clean".
+        substeps: Simulation steps per control step of 1.4 ms; by default 14 in
+            "paper" and 9 in "clean".
         episode_length: Control steps per episode.
 
     Raises:
         ValueError: If an argument does not fit.
     """
-    check_variant(variant, VARIANTS)
-    check_sizes(n_elements, substeps, episode_length)
+    elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
     if controls is not None:
         check_count("controls", controls, 2)
     return StructuredObstacles(
-        variant, n_elements, substeps, episode_length, controls=controls
+        variant, elements, steps, episode_length, controls=controls
     )

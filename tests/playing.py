@@ -47,9 +47,9 @@ def total_reward(env, actions, params):
     return jnp.sum(jax.lax.scan(body, env.reset(KEY, params)[1], actions)[1])
 
 
-def check_gradient(env, actions, rtol):
+def check_gradient(env, actions, rtol, params=None):
     """The return's slope along a random direction is that of finite differences."""
-    params = env.default_params()
+    params = env.default_params() if params is None else params
     direction = jnp.asarray(np.random.default_rng(3).normal(size=actions.shape))
     total = jax.jit(lambda actions: total_reward(env, actions, params))
     slope = jnp.sum(jax.jit(jax.grad(total))(actions) * direction)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from jaxrod._pytree import pytree
 from jaxrod.envs import Environment
-from jaxrod.viz import Replay, Sphere
+from jaxrod.viz import Cylinder, Replay, Sphere
 
 FRAMES_PER_SECOND = 60.0
 
@@ -77,6 +77,7 @@ def record(
         np.asarray(params.rod.radii),
         np.arange(count) * stride * period,
         spheres=[Sphere(frames.target, float(params.target.radius))],
+        cylinders=_obstacles(env),
         readouts={
             "reward": frames.reward,
             "return": np.cumsum(frames.reward, dtype=float) * stride,
@@ -93,6 +94,22 @@ def drawable(env: Environment) -> bool:
         return False
     params = jax.eval_shape(env.default_params)
     return hasattr(params, "rod") and hasattr(params, "target")
+
+
+def _obstacles(env: Environment) -> list[Cylinder]:
+    """What is in the arm's way, where there is something."""
+    if not hasattr(env, "obstacles"):
+        return []
+    obstacles = env.obstacles()
+    return [
+        Cylinder(start, end, float(radius))
+        for start, end, radius in zip(
+            np.asarray(obstacles.starts).T,
+            np.asarray(obstacles.ends).T,
+            obstacles.radii,
+            strict=True,
+        )
+    ]
 
 
 @partial(jax.jit, static_argnames=("env", "count", "stride"))

@@ -14,7 +14,12 @@ if TYPE_CHECKING:
     from jaxrod.training import Policy
     from jaxrod.viz import PaperResult
 
-PAPER_CASES = {"tracking": "Case1"}
+PAPER_CASES = {
+    "tracking": "Case1",
+    "reaching": "Case2",
+    "structured": "Case3",
+    "unstructured": "Case4",
+}
 """What the paper calls a case."""
 
 

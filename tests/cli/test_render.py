@@ -109,6 +109,15 @@ def test_what_has_no_arm_is_not_drawable():
         _recording.record(make("trivial"), idle)
 
 
+def test_obstacles_are_drawn_where_the_task_has_some():
+    assert _recording._obstacles(make("tracking")) == []
+    first, *others = _recording._obstacles(make("structured"))
+    assert len(others) == 7
+    np.testing.assert_allclose(first.start, [-0.6, 0.0, 0.12], rtol=1e-6)
+    np.testing.assert_allclose(first.end, [-0.6, 1.0, 0.12], rtol=1e-6)
+    assert first.radius == pytest.approx(0.1)
+
+
 @pytest.fixture
 def tracking_run(tmp_path):
     """A run of the tracking task as it looks while it trains: a policy, a table."""
