@@ -158,7 +158,9 @@ def linearised(
     # Constraints stop some freedoms altogether and leave the others.
     velocity, spin = take_apart(jnp.ones_like(root))
     held = hold_rates(scene, replace(still, velocity=velocity, spin=spin))
-    free = jnp.concatenate([*held.velocity, *held.spin]) / root
+    about_axis = held.spin[2] if scene.twist else jnp.zeros_like(held.spin[2])
+    turning = (held.spin[0], held.spin[1], about_axis)
+    free = jnp.concatenate([*held.velocity, *turning]) / root
 
     def apply(motion: Array) -> Array:
         # Barriers: without, XLA's CPU compiler works for minutes on fusing the map
