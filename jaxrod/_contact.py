@@ -25,6 +25,7 @@ exists. Its couple $-r n\times F_t$ on the section makes rods roll.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -117,11 +118,18 @@ class Contact(Effect):
         return jax.vmap(lambda body: body.surface(motion.position)[1])(self.body)
 
     def _summed(self, of_body: Callable[[Any], Any]) -> Any:
-        """What a function gives for each body, added up."""
+        """What a function gives for each body, added up.
+
+        Body by body in the program, not along an axis of the arrays: that takes two
+        thirds of the time on CPUs.
+        """
         if self.n_bodies is None:
             return of_body(self.body)
-        each = jax.vmap(of_body)(self.body)
-        return jax.tree.map(lambda parts: jnp.sum(parts, axis=0), each)
+        total = None
+        for k in range(self.n_bodies):
+            part = of_body(jax.tree.map(operator.itemgetter(k), self.body))
+            total = part if total is None else jax.tree.map(jnp.add, total, part)
+        return total
 
     def _energy_at(self, rod: Rod, position: Vec3, points: Points) -> Array:
         """Energy of the springs at some contact points [J]."""
@@ -237,7 +245,8 @@ def contact(
     Args:
         bodies: A body from `jaxrod.sphere`, `capsule`, `cylinder`, `plane`, `box` or
             `signed_distance`; several of the same kind as a sequence, or as one whose
-            numbers have a leading axis (from `jax.vmap` of a factory).
+            numbers have a leading axis (from `jax.vmap` of a factory). Each adds to
+            the program, a nest of a dozen more than the rod itself.
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length of rod and normal speed [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].

@@ -382,28 +382,28 @@ def test_gradients_through_contact_are_those_of_finite_differences(record):
     dt = 0.8 * jaxrod.stable_dt(scene).dt
 
     @jax.jit
+    @jax.value_and_grad
     def landing(numbers):
         scene, state = numbers
         after = jaxrod.advance(scene, state, dt, 50)
         return jnp.sum(after.tip * jnp.asarray([1.0, 2.0, 3.0]))
 
-    slopes = jax.jit(jax.grad(landing))((scene, state))
-    by_stiffness = slopes[0].effects[1].stiffness * scene.effects[1].stiffness
-    assert abs(by_stiffness) > 1e-5
+    start = jax.tree.map(np.asarray, (scene, state))
+    slopes = jax.tree.map(np.asarray, landing(start)[1])
+    assert abs(slopes[0].effects[1].stiffness * start[0].effects[1].stiffness) > 1e-5
     random = np.random.default_rng(0)
     worst = 0.0
     for _ in range(3):
         towards = jax.tree.map(
-            lambda leaf: jnp.asarray(random.normal(size=leaf.shape)) * leaf,
-            (scene, state),
+            lambda leaf: random.normal(size=leaf.shape) * leaf, start
         )
 
         def at(share, towards=towards):
-            numbers = jax.tree.map(lambda a, b: a + share * b, (scene, state), towards)
-            return float(landing(numbers))
+            numbers = jax.tree.map(lambda a, b: a + share * b, start, towards)
+            return float(landing(numbers)[0])
 
         found = (at(1e-6) - at(-1e-6)) / 2e-6
-        products = jax.tree.map(lambda a, b: float(jnp.sum(a * b)), slopes, towards)
+        products = jax.tree.map(lambda a, b: np.sum(a * b), slopes, towards)
         worst = max(worst, abs(sum(jax.tree.leaves(products)) / found - 1))
     record(
         "Gradient of 50 steps through contact with friction, by every number",
@@ -457,7 +457,7 @@ def test_a_batch_of_bodies_is_a_loop_and_several_bodies_are_their_sum():
 
 def thrown_in_a_plane(plane):
     """An arm along x thrown onto a sloping floor, in space or in a plane."""
-    rod, state = arm(4, direction=(1.0, 0.0, 0.0), normal=(0.0, 1.0, 0.0))
+    rod, state = arm(3, direction=(1.0, 0.0, 0.0), normal=(0.0, 1.0, 0.0))
     scene = jaxrod.make_scene(
         rod,
         jaxrod.gravity((0.0, -G, 0.0)),
@@ -476,8 +476,8 @@ def thrown_in_a_plane(plane):
 def test_in_a_plane_contact_is_what_it_is_in_space():
     scene, state = thrown_in_a_plane(None)
     dt = jaxrod.stable_dt(scene).dt
-    free = jaxrod.advance(scene, state, dt, 200)
-    flat = jaxrod.advance(*thrown_in_a_plane("xy"), dt, 200)
+    free, _, _ = rolled(scene, state, dt, 200)
+    flat, _, _ = rolled(*thrown_in_a_plane("xy"), dt, 200)
     assert jnp.max(jnp.abs(free.velocities - state.velocities)) > 0.5
     assert difference(flat.positions, free.positions) < 1e-11
     assert difference(flat.velocities, free.velocities) < 1e-9
@@ -577,6 +577,7 @@ def growth(scene, state, dt):
     return step(flat)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("damping", "drag"), [(0.5, 0.0), (0.0, 0.1), (0.2, 0.05)])
 def test_the_stable_step_knows_of_damping_and_friction(damping, drag, record):
     """Rates of damping and drag as shares of the highest frequency of the rod."""
