@@ -82,6 +82,13 @@ def scenes() -> dict[str, tuple[Scene, RodState]]:
         jaxrod.make_scene(rod, *arm, plane="xy"),
         state,
     )
+    table["without twist, bare"] = jaxrod.make_scene(rod, twist=False), state
+    moving = (effects["clamp"], effects["damping"], effects["gravity"])
+    for name, twist in {"consistent": True, "without twist": False}.items():
+        table[f"{name}, clamped, damped, with gravity"] = (
+            jaxrod.make_scene(rod, *moving, twist=twist),
+            state,
+        )
     table["compensated, bare"] = (
         jaxrod.make_scene(rod),
         jaxrod.compensated(state),

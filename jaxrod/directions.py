@@ -103,7 +103,9 @@ def _products(q: Quaternion) -> Quaternion:
         w, x, y, z = (c[:-reach] for c in q)
         earlier = (
             lax.pad(w, jnp.ones((), w.dtype), [(reach, 0, 0)]),
-            *(pad(c, reach, 0) for c in (x, y, z)),
+            pad(x, reach, 0),
+            pad(y, reach, 0),
+            pad(z, reach, 0),
         )
         # Barriers: fused, every doubling would compute those before it again.
         q = lax.optimization_barrier(multiply_quaternions(q, earlier))

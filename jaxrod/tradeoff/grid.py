@@ -13,7 +13,7 @@ from jaxrod.tradeoff.measure import Measurement, Reference, measure
 from jaxrod.tradeoff.mujoco_cable import measure_mujoco
 from jaxrod.tradeoff.problem import Problem
 from jaxrod.tradeoff.pyelastica import measure_pyelastica
-from jaxrod.tradeoff.setting import Reduction, Setting
+from jaxrod.tradeoff.setting import Reduction, Setting, may_be_untwisted
 
 BATCHES = (1, 256, 4096)
 ELEMENTS = (5, 8, 10, 14, 20, 28, 40, 80)
@@ -80,6 +80,8 @@ def settings_of(
     kinds: list[tuple[Reduction, ...]] = [(), ("inertia",), ("compensated",)]
     if problem.plane is not None:
         kinds += [("planar",), ("planar", "inertia")]
+    if may_be_untwisted(problem):
+        kinds += [("untwisted",)]
     for n in elements:
         for kind in kinds:
             yield Setting(n, reductions=kind)

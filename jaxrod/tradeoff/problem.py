@@ -83,7 +83,7 @@ def problem_of(
         )
     with jax.enable_x64(True):
         scene, state = jax.tree.map(_double, (scene, state))
-        plain = dataclasses.replace(scene, plane=None, implicit=None)
+        plain = dataclasses.replace(scene, plane=None, implicit=None, twist=True)
 
     def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
         if mode != "consistent":

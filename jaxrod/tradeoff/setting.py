@@ -17,9 +17,10 @@ from jaxrod.rod import RodState, compensated
 from jaxrod.scene import Mode, Scene
 from jaxrod.stability import stable_dt
 from jaxrod.tradeoff.problem import Problem
+from jaxrod.untwisted_scenes import check_untwisted
 
 Integrator = Literal["explicit", "implicit"]
-Reduction = Literal["planar", "inertia", "compensated"]
+Reduction = Literal["planar", "untwisted", "inertia", "compensated"]
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,9 @@ class Setting:
         dtype: "float32" or "float64".
         mode: "consistent" or "pyelastica".
         integrator: "explicit" or "implicit".
-        reductions: "planar" (motion in a plane), "inertia" (enlarged transverse
-            inertia), "compensated" (compensated positions).
+        reductions: "planar" (motion in a plane), "untwisted" (without twist),
+            "inertia" (enlarged transverse inertia), "compensated" (compensated
+            positions).
         safety: Fraction of the stability limit, where `dt` is `None`.
     """
 
@@ -80,10 +82,14 @@ def prepare(problem: Problem, setting: Setting) -> Prepared:
 
     Raises:
         ValueError: If the setting does not fit the problem: "planar" where there is
-            no plane, or implicit steps without a step size.
+            no plane, "untwisted" where something twists, or implicit steps without a
+            step size.
     """
     with jax.enable_x64(True):
         scene, state = problem.build(setting.n_elements, setting.mode)
+        if "untwisted" in setting.reductions:
+            scene = dataclasses.replace(scene, twist=False)
+            check_untwisted(scene)
         if "inertia" in setting.reductions:
             scene = scale_inertia(scene).scene
         limit = float(stable_dt(scene, 1.0).dt)
@@ -109,3 +115,15 @@ def prepare(problem: Problem, setting: Setting) -> Prepared:
             state = compensated(state)
     chosen = dataclasses.replace(setting, dt=problem.period / substeps)
     return Prepared(chosen, scene, state, substeps)
+
+
+def may_be_untwisted(problem: Problem) -> bool:
+    """Whether nothing twists the rod of a problem, controls included."""
+    with jax.enable_x64(True):
+        scene, _ = problem.build(4, "consistent")
+        acted = problem.act(scene)(jnp.asarray(problem.controls[0]))
+        try:
+            check_untwisted(dataclasses.replace(acted, twist=False))
+        except ValueError:
+            return False
+    return True

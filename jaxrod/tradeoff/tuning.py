@@ -27,6 +27,7 @@ from jaxrod.tradeoff.setting import (
     Prepared,
     Reduction,
     Setting,
+    may_be_untwisted,
     prepare,
 )
 
@@ -293,6 +294,8 @@ def _kinds(problem: Problem, n_elements: int) -> list[tuple[Reduction, ...]]:
         kinds.append(("inertia",))
     if problem.plane is not None:
         kinds += [("planar", *kind) for kind in kinds]
+    elif may_be_untwisted(problem):
+        kinds += [("untwisted", *kind) for kind in kinds]
     return kinds
 
 

@@ -47,7 +47,9 @@ def test_the_reference_knows_how_wrong_it_is(swinging):
     assert 0.5 < tip_error(exact.tips, finer, exact.length) / exact.error < 2.0
 
 
-@pytest.mark.parametrize("reductions", [("planar",), ("compensated",), ("inertia",)])
+@pytest.mark.parametrize(
+    "reductions", [("planar",), ("untwisted",), ("compensated",), ("inertia",)]
+)
 def test_reductions_are_what_they_say(swinging, reductions):
     problem, exact = swinging
     plain = measure(problem, Setting(8), exact, seconds=0.01)
@@ -112,10 +114,16 @@ def test_the_grid_has_every_way_of_simulating(swinging):
     assert {s.integrator for s in settings} == {"explicit", "implicit"}
     assert {s.mode for s in settings} == {"consistent", "pyelastica"}
     assert {s.dtype for s in settings} == {"float32", "float64"}
-    assert {(), ("planar",), ("inertia",), ("compensated",), ("planar", "inertia")} == {
-        s.reductions for s in settings
+    assert {s.reductions for s in settings} == {
+        (),
+        ("planar",),
+        ("untwisted",),
+        ("inertia",),
+        ("compensated",),
+        ("planar", "inertia"),
     }
-    assert not any("planar" in s.reductions for s in grids.settings_of(tracking_arm()))
+    driven = {s.reductions for s in grids.settings_of(tracking_arm())}
+    assert driven == {(), ("inertia",), ("compensated",)}
 
 
 def test_the_table_has_every_column_and_pyelastica(swinging, monkeypatch):

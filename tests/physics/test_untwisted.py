@@ -1,0 +1,459 @@
+"""A rod without twist moves as one with twist, but for its polar inertia, for less."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod._pytree import pytree
+from jaxrod.directions import angle_over_sine, frame_along, smallest_rotation
+from jaxrod.effects import Effect
+from jaxrod.motion import Loads
+from jaxrod.resampling import resampled
+from jaxrod.rotations import directors
+from jaxrod.scene import (
+    angular_momentum,
+    momentum,
+    potential_energy,
+    total_energy,
+)
+from jaxrod.stepping import stepper
+from physics.rods import arm, perturb
+
+GRAVITY = (0.0, 2.0, -9.81)
+
+
+def swinging(n=8, dtype=jnp.float64, end="start", sideways=0.0):
+    """A tapered arm clamped at one end, loaded, and pushed sideways; scene, state."""
+    rod, state = arm(n, dtype, radius=(0.05, 0.03), direction=(1.0, 0.0, 0.0))
+    s = jnp.linspace(0, 1, n + 1, dtype=dtype)
+    s = s if end == "start" else 1 - s
+    velocities = jnp.zeros((3, n + 1), dtype).at[1].set(sideways * s**2)
+    effects = (
+        jaxrod.clamp(state, end),
+        jaxrod.gravity((0.0, 0.0, -9.81)),
+        jaxrod.exponential_damping(0.5, 3.0),
+        jaxrod.end_load((0.0, 0.0, 4.0), end="finish" if end == "start" else "start"),
+        jaxrod.uniform_load((1.0, 0.0, 2.0)),
+    )
+    scene = jaxrod.make_scene(rod, *effects, twist=False)
+    return scene, replace(state, velocities=velocities)
+
+
+def with_twist(scene):
+    return replace(scene, twist=True)
+
+
+def free(n=6, dtype=jnp.float64):
+    """A free rod, bent and tumbling; every motion of its elements is there."""
+    rod, state = arm(n, dtype)
+    random = np.random.default_rng(3)
+    moves = (0.01 * random.normal(size=(3, n + 1)), 0.2 * random.normal(size=(3, n)))
+    state = perturb(state, tuple(jnp.asarray(m, dtype) for m in moves))
+    velocities = jnp.asarray(random.normal(size=(3, n + 1)), dtype)
+    momenta = jnp.asarray(1e-2 * random.normal(size=(3, n)), dtype)
+    state = replace(state, velocities=velocities, angular_momenta=momenta)
+    scene = jaxrod.make_scene(rod, twist=False)
+    # The state without the twist that a scene without twist does not see.
+    integrator = stepper(scene, state, jnp.asarray(1e-4, dtype))
+    return scene, integrator.leave(integrator.enter(state))
+
+
+def largest_gap(one, other):
+    """Over all leaves of two states, each in units of the largest entry."""
+    return max(
+        float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b)))
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    )
+
+
+@pytest.mark.parametrize("end", ["start", "finish"])
+def test_in_a_plane_it_is_the_scene_with_twist_and_the_planar_one(end, record):
+    scene, state = swinging(end=end)
+    flat = replace(with_twist(scene), plane="zx")
+    bare, full, flat = (
+        jaxrod.rollout(each, state, 2e-4, 1500, 100)
+        for each in (scene, with_twist(scene), flat)
+    )
+    assert float(jnp.max(jnp.abs(full.positions - state.positions[None]))) > 0.1
+    what = f"Without twist, motion in a plane, clamped at the {end}, 1500 steps: "
+    record(
+        what + "all of the state, of its largest",
+        "the planar scene",
+        largest_gap(bare, flat),
+        at_most=1e-11,
+    )
+    without_spins = [replace(s, angular_momenta=s.positions) for s in (bare, full)]
+    record(
+        what + "positions, orientations, velocities, of their largest",
+        "the scene with twist",
+        largest_gap(*without_spins),
+        at_most=1e-11,
+    )
+    # Angular momenta are small; their round-off with twist is that against planar.
+    assert largest_gap(bare, full) < 2 * max(largest_gap(full, flat), 1e-11)
+
+
+def test_out_of_a_plane_it_differs_by_the_polar_inertia(record):
+    scene, state = swinging(n=6, sideways=6.0)
+
+    def tips(polar):
+        """Without and with twist, after steps that twist is stable with."""
+        inertia = scene.rod.rotary_inertia.at[1].mul(polar)
+        rod = replace(scene.rod, rotary_inertia=inertia)
+        return [
+            np.asarray(jaxrod.advance(replace(scene, rod=rod, twist=twist), *run).tip)
+            for twist in (False, True)
+        ]
+
+    run = (state, 1e-4, 2000)
+    bare, full = tips(1.0)
+    assert abs(full[1]) > 0.1, "the arm has to leave its plane"
+    whole, less = np.max(np.abs(full - bare)), np.max(np.abs(np.subtract(*tips(1 / 8))))
+    record(
+        "Without twist, arm pushed sideways: tip after 0.2 s, of the length",
+        "the same scene with twist",
+        whole,
+        at_most=1e-3,
+    )
+    record(
+        "Without twist: what is left of that difference with an eighth of the polar "
+        "inertia",
+        "1/8",
+        less / whole,
+        between=(0.06, 0.25),
+    )
+
+
+def test_momenta_are_kept_and_energy_does_not_drift(record):
+    scene, state = free()
+    dt = 0.1 * float(jaxrod.stable_dt(scene).dt)
+    states = jaxrod.rollout(scene, state, dt, 4000, 100)
+    of_all = lambda f: jax.vmap(lambda s: f(scene.rod, s))(states)
+    for name, function in (
+        ("momentum", momentum),
+        ("angular momentum", angular_momentum),
+    ):
+        values = np.asarray(of_all(function))
+        record(
+            f"Without twist, free rod, 4000 steps: {name}, of its start",
+            "conserved",
+            np.max(np.abs(values - values[0])) / np.max(np.abs(values[0])),
+            at_most=1e-12,
+        )
+    energy = np.asarray(jax.vmap(lambda s: total_energy(scene, s))(states))
+    early, late = np.mean(energy[1:14]), np.mean(energy[-13:])
+    record(
+        "Without twist, free rod, 4000 steps: drift of energy between first and last "
+        "third, of the energy",
+        "none",
+        abs(late - early) / energy[0],
+        at_most=1e-3,
+    )
+
+
+def test_it_is_of_second_order_in_time(record):
+    scene, state = free()
+    span = 8 * float(jaxrod.stable_dt(scene).dt)
+    ends = [jaxrod.advance(scene, state, span / n, n) for n in (40, 80, 160)]
+    size = lambda a, b, part: float(jnp.max(jnp.abs(part(a) - part(b))))
+    for name in ("positions", "velocities", "angular_momenta"):
+        part = lambda s, name=name: getattr(s, name)
+        ratio = size(ends[0], ends[1], part) / size(ends[1], ends[2], part)
+        record(
+            f"Without twist, free rod: order in time of {name}",
+            "2",
+            np.log2(ratio),
+            between=(1.9, 2.1),
+        )
+
+
+def test_loads_are_minus_the_gradient_of_the_energy(record):
+    """For motions of nodes and turns of elements across their axes."""
+    scene, state = free()
+    scene = replace(scene, effects=(jaxrod.clamp(state),))
+    n = scene.rod.n_elements
+    one = jnp.ones(())
+    integrator = stepper(scene, state, one)
+    inside = integrator.enter(state)
+
+    def energy(moves):
+        nodes, turns = moves
+        moved = replace(
+            inside,
+            position=tuple(a + b for a, b in zip(inside.position, nodes, strict=True)),
+            direction=_turned(inside.direction, turns),
+        )
+        return potential_energy(scene, integrator.leave(moved))
+
+    zero = (jnp.zeros((3, n + 1)), jnp.zeros((3, n)))
+    force, couple = jax.grad(energy)(zero)
+    kicked = integrator.kick(inside)
+    change = jnp.stack(kicked.spin) - jnp.stack(inside.spin)
+    np.testing.assert_allclose(change, -couple, atol=1e-10 * jnp.max(jnp.abs(couple)))
+    pushes = (jnp.stack(kicked.velocity) - jnp.stack(inside.velocity))[:, 1:]
+    expected = -force[:, 1:] / scene.rod.node_masses[None, 1:]
+    worst = float(jnp.max(jnp.abs(pushes - expected)) / jnp.max(jnp.abs(expected)))
+    record(
+        "Without twist: internal loads",
+        "minus the gradient of the energy",
+        worst,
+        at_most=1e-12,
+    )
+
+
+def _turned(direction, turns):
+    """Directions turned by small rotation vectors in the world frame."""
+    x, y, z = direction
+    a, b, c = turns
+    x, y, z = x + b * z - c * y, y + c * x - a * z, z + a * y - b * x
+    size = jnp.sqrt(x * x + y * y + z * z)
+    return x / size, y / size, z / size
+
+
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_gradients_agree_with_finite_differences(at_rest, record):
+    scene, state = swinging(n=4, sideways=0.0 if at_rest else 2.0)
+    if not at_rest:
+        state = jaxrod.advance(scene, state, 2e-4, 100)
+
+    @jax.jit
+    def tip(size):
+        rod = replace(
+            scene.rod, bend_twist_stiffness=scene.rod.bend_twist_stiffness * size[0]
+        )
+        load = replace(scene.effects[3], force=scene.effects[3].force + size[1])
+        changed = replace(scene, rod=rod, effects=(*scene.effects[:3], load))
+        start = replace(
+            state,
+            velocities=state.velocities + size[2],
+            angular_momenta=state.angular_momenta + 1e-3 * size[3],
+        )
+        return jnp.sum(jaxrod.advance(changed, start, 2e-4, 60).positions[:, -1])
+
+    at = jnp.array([1.0, 0.0, 0.0, 0.0])
+    exact = np.asarray(jax.jit(jax.grad(tip))(at))
+    step = 1e-4
+    moves = step * np.eye(4)
+    measured = [float(tip(at + m) - tip(at - m)) / (2 * step) for m in moves]
+    assert np.all(np.isfinite(exact))
+    record(
+        f"Without twist: gradient of the tip, {'at rest' if at_rest else 'moving'}",
+        "finite differences",
+        np.max(np.abs(exact - measured)) / np.max(np.abs(measured)),
+        at_most=1e-6,
+    )
+
+
+def test_batches_and_numbers_do_not_recompile():
+    scene, state = swinging(n=5, sideways=1.0)
+    runs = 0
+
+    def height(scene, state, dt, n_steps):
+        nonlocal runs
+        runs += 1
+        return jaxrod.advance(scene, state, dt, n_steps).tip[1]
+
+    compiled = jax.jit(height)
+    alone = [float(compiled(scene, state, dt, 40)) for dt in (1e-4, 2e-4)]
+    stiffness = 2 * scene.rod.bend_twist_stiffness
+    stiffer = replace(scene, rod=replace(scene.rod, bend_twist_stiffness=stiffness))
+    assert float(compiled(stiffer, state, 1e-4, 41)) != alone[0]
+    assert runs == 1
+    together = jax.jit(jax.vmap(height, in_axes=(None, None, 0, None)))(
+        scene, state, jnp.array([1e-4, 2e-4]), 40
+    )
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+
+
+def test_it_costs_about_half_the_arithmetic(record):
+    rod, state = arm(20)
+    scene = jaxrod.make_scene(
+        rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(1.0)
+    )
+
+    def flops(scene):
+        """Of one step within many."""
+        integrator = stepper(scene, state, jnp.asarray(1e-4))
+        carry = integrator.begin(state)
+        return jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()["flops"]
+
+    record(
+        "Arithmetic of a step without twist over that of one with it",
+        "compiled programs",
+        flops(replace(scene, twist=False)) / flops(scene),
+        at_most=0.55,
+    )
+
+
+def test_twist_does_not_limit_the_step():
+    scene, state = swinging(n=8)
+    inertia = scene.rod.rotary_inertia.at[1].mul(1e-4)
+    scene = replace(scene, rod=replace(scene.rod, rotary_inertia=inertia))
+    bound = jaxrod.stable_dt(scene, 1.0)
+    limited = jaxrod.stable_dt(with_twist(scene), 1.0)
+    assert limited.limiting_mode.startswith("twist")
+    assert not bound.limiting_mode.startswith("twist")
+    measured = jaxrod.stable_dt(scene, 1.0, state=state)
+    assert 1 <= float(measured.dt / bound.dt) < 1.2
+    noisy = replace(
+        state,
+        positions=state.positions + 1e-8 * jnp.cos(jnp.arange(27.0).reshape(3, 9)),
+    )
+    after = jaxrod.advance(scene, noisy, bound.dt, 2000)
+    assert float(jnp.max(jnp.abs(after.velocities))) < 10
+
+
+def test_compensation_inertia_scaling_and_other_numbers_of_elements():
+    scene, state = swinging(n=10, dtype=jnp.float32, sideways=2.0)
+    start = jaxrod.compensated(state)
+    one = jaxrod.advance(scene, start, 2e-4, 500)
+    exact = jax.tree.map(lambda a: a.astype(jnp.float64), (scene, state))
+    other = jaxrod.advance(*exact, 2e-4, 500)
+    np.testing.assert_allclose(one.positions, other.positions, atol=2e-6)
+    assert one.remainders is not None and bool(jnp.any(one.remainders != 0))
+    assert not bool(jaxrod.health(scene, one, 2e-4).flagged)
+    fewer, there = resampled(scene, other, 5)
+    assert not fewer.twist and there.positions.shape == (3, 6)
+    scaled = jaxrod.scale_inertia(resampled(*exact, 40)[0])
+    assert not scaled.scene.twist and float(scaled.gain) >= 1
+
+
+@pytree
+class Drag(Effect):
+    """Resists motion across elements: needs directions, not frames."""
+
+    rate: jax.Array
+
+    def loads(self, rod, motion):
+        d3 = directors(motion.orientation)[2]
+        push = tuple(-self.rate * (c[1:] + c[:-1]) for c in motion.velocity)
+        along = push[0] * d3[0] + push[1] * d3[1] + push[2] * d3[2]
+        x, y, z = (
+            jnp.pad(p - along * d, (0, 1)) for p, d in zip(push, d3, strict=True)
+        )
+        return Loads(forces=(x, y, z))
+
+
+@pytree
+class Magnet(Effect):
+    """Turns elements towards a field: couples, but none about the element."""
+
+    field: jax.Array
+
+    def loads(self, rod, motion):
+        d1, d2, _ = directors(motion.orientation)
+        dot = lambda a: (
+            a[0] * self.field[0] + a[1] * self.field[1] + a[2] * self.field[2]
+        )
+        return Loads(couples=(-dot(d2), dot(d1), jnp.zeros_like(d1[0])))
+
+
+@pytree
+class Vane(Effect):
+    """A force along d1: turns with the element."""
+
+    size: jax.Array
+
+    def loads(self, rod, motion):
+        d1, _, _ = directors(motion.orientation)
+        return Loads(forces=tuple(jnp.pad(self.size * c, (0, 1)) for c in d1))
+
+
+def test_effects_of_ones_own_work_unless_they_turn_with_the_elements():
+    scene, state = swinging(n=6)
+    own = (Drag(jnp.asarray(0.3)), Magnet(jnp.array([0.0, 0.0, 3.0])))
+    scene = jaxrod.make_scene(scene.rod, *scene.effects, *own, twist=False)
+    bare = jaxrod.advance(scene, state, 2e-4, 500)
+    full = jaxrod.advance(with_twist(scene), state, 2e-4, 500)
+    assert largest_gap(bare, full) < 1e-11
+    with pytest.raises(ValueError, match="turn with the elements, got Vane"):
+        jaxrod.make_scene(scene.rod, Vane(jnp.asarray(1.0)), twist=False)
+
+
+@pytest.mark.parametrize("end", ["start", "finish"])
+def test_an_end_held_fast_stays(end):
+    scene, state = swinging(n=6, end=end, sideways=1.0)
+    held = jaxrod.make_scene(
+        scene.rod, jaxrod.fixed_end(state, end), *scene.effects[1:3], twist=False
+    )
+    bare = jaxrod.advance(held, state, 2e-4, 300)
+    index = 0 if end == "start" else -1
+    for field in ("positions", "orientations"):
+        before, after = getattr(state, field), getattr(bare, field)
+        np.testing.assert_allclose(after[:, index], before[:, index], atol=1e-14)
+    full = jaxrod.advance(with_twist(held), state, 2e-4, 300)
+    np.testing.assert_allclose(bare.positions, full.positions, atol=1e-4)
+
+
+def test_the_angle_between_directions_is_exact(dtype, record):
+    angles = np.concatenate([[0.0], np.geomspace(1e-8, 3.14, 60)])
+    a = (jnp.asarray(np.ones_like(angles), dtype), *[jnp.zeros(angles.size, dtype)] * 2)
+    b = tuple(
+        jnp.asarray(c, dtype) for c in (np.cos(angles), np.sin(angles), 0 * angles)
+    )
+    got = np.asarray(angle_over_sine(a, b) * b[1], np.float64)
+    tolerance = {"float32": 1e-6, "float64": 1e-14}[str(dtype)]
+    # Near pi a rounded unit vector does not have the angle to full precision.
+    room = tolerance * (1 + 1 / np.abs(np.cos(angles / 2)))
+    assert np.all(np.abs(got - angles) <= room * angles)
+    opposite = jax.grad(
+        lambda x: angle_over_sine((x, x * 0, x * 0), (-x, x * 0, x * 0))
+    )
+    assert np.isfinite(opposite(jnp.ones((), dtype)))
+
+
+def test_frames_have_their_direction_as_third_axis():
+    random = np.random.default_rng(0).normal(size=(3, 50))
+    random[:, :6] = np.concatenate([np.eye(3), -np.eye(3)], axis=1)
+    d = tuple(jnp.asarray(random / np.linalg.norm(random, axis=0)))
+    np.testing.assert_allclose(directors(frame_along(d))[2], d, atol=1e-15)
+    north = (jnp.ones(50), jnp.zeros(50), jnp.zeros(50))
+    q = smallest_rotation(north, d)
+    turned = directors(q)
+    np.testing.assert_allclose(
+        [c[:3] for c in turned[0]], [c[:3] for c in d], atol=1e-15
+    )
+
+
+def refused(rod, state):
+    """What a scene without twist does not take, and a word of the sentence."""
+    changed = lambda **fields: replace(rod, **fields)
+    bend, shear = rod.bend_twist_stiffness, rod.shear_stretch_stiffness
+    couple = (0.0, 0.0, 1.0)
+    return {
+        "bending stiffness": changed(bend_twist_stiffness=bend.at[0].mul(2.0)),
+        "shear stiffness": changed(shear_stretch_stiffness=shear.at[1].mul(2.0)),
+        "straight at rest": changed(rest_curvatures=rod.rest_curvatures.at[1].set(0.1)),
+        "shear at rest": changed(rest_strains=rod.rest_strains.at[0].set(0.01)),
+        "got ElementCouples": jaxrod.ElementCouples(jnp.zeros((3, 4))),
+        "follower": jaxrod.end_load(couple=couple, follower=True),
+        "about d3, got EndLoad": jaxrod.end_load(couple=couple),
+        "about d3, got UniformLoad": jaxrod.uniform_load(couple_per_length=couple),
+        "one held end": (jaxrod.clamp(state), jaxrod.fixed_end(state, "finish")),
+    }
+
+
+def test_what_twists_is_refused_in_words():
+    rod, state = arm(4)
+    for words, spoiled in refused(rod, state).items():
+        effects = spoiled if isinstance(spoiled, tuple) else (spoiled,)
+        with pytest.raises(ValueError, match=f"without twist needs.*{words}"):
+            if isinstance(spoiled, jaxrod.Rod):
+                jaxrod.make_scene(spoiled, twist=False)
+            else:
+                jaxrod.make_scene(rod, *effects, twist=False)
+    scene = jaxrod.make_scene(rod, twist=False)
+    driven = replace(scene, effects=(jaxrod.ElementCouples(jnp.zeros((3, 4))),))
+    with pytest.raises(ValueError, match="ElementCouples"):
+        jax.jit(lambda s: jaxrod.advance(driven, s, 1e-4, 5))(state)
+    for other in (
+        {"plane": "xy"},
+        {"implicit": jaxrod.implicit()},
+        {"mode": "pyelastica"},
+    ):
+        with pytest.raises(ValueError, match="twist=False needs mode='consistent'"):
+            jaxrod.make_scene(rod, twist=False, **other)
