@@ -2,7 +2,7 @@
 
     python benchmarks/validation.py                   all tests, the slow ones included
     python benchmarks/validation.py -m "not slow"     in some ten minutes
-    python benchmarks/validation.py --from run.xml    of a run with --junitxml=run.xml
+    python benchmarks/validation.py --from run.xml    of runs with --junitxml=run.xml
 
 Runs the tests of the physics and of the comparison with PyElastica and tabulates the
 values they recorded, so that the table cannot say anything the tests do not assert.
@@ -106,14 +106,15 @@ class Rows:
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the tests, or reads a run's, and writes the document.
+    """Runs the tests, or reads runs of them, and writes the document.
 
     Returns:
         pytest's exit code, or 1 if a test of the given run had failed.
     """
     rows = Rows()
     if arguments[:1] == ["--from"]:
-        rows.read(Path(arguments[1]))
+        for results in arguments[1:]:
+            rows.read(Path(results))
         code = int(bool(rows.failed))
     else:
         os.chdir(ROOT)
