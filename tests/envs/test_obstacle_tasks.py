@@ -242,6 +242,30 @@ def test_a_broken_arm_costs_a_hundred_and_shows_what_was_last_finite(name):
     np.testing.assert_array_equal(obs[37:], seen[37:])
 
 
+@pytest.mark.parametrize(
+    ("corner", "steps", "score"),
+    [
+        ((-1, -1, 1, 1), 24, -115.8),
+        ((-1, -1, 1, -1), 28, -116.0),
+        ((-1, -1, -1, -1), 40, -127.7),
+    ],
+)
+def test_held_corners_crash_in_the_nest_when_and_at_what_was_published(
+    corner, steps, score
+):
+    env = make("unstructured")
+    params, state = start(env)
+    total, count, crashed = 0.0, 0, False
+    while not crashed and count < 50:
+        _, state, reward, crashed, *_ = stepping(env)(
+            KEY, state, jnp.asarray(corner, float), params
+        )
+        total, count = total + float(reward), count + 1
+    # The last step before the end is one of a blow-up: there or not.
+    assert abs(count - steps) <= 1
+    assert abs(total - score) < 1.5
+
+
 @pytest.mark.parametrize("controls", [2, 4, 6, 8])
 def test_supplement_has_equidistant_control_points(controls):
     env = make("structured", controls=controls)
