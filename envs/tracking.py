@@ -29,7 +29,6 @@ from jaxrod import (
     ControlSpline,
     Effect,
     ElementAverages,
-    ExponentialDamping,
     FixedEnd,
     Rod,
     RodState,
@@ -41,8 +40,16 @@ from jaxrod import (
     spline_couples,
 )
 from jaxrod._pytree import pytree
-from jaxrod._validation import check_count
 from jaxrod.envs import moving_target
+from jaxrod.envs.arm_task import (
+    CONTROL_PERIOD,
+    OBSERVED_NODES,
+    check_sizes,
+    check_variant,
+    observed_points,
+    speed_and_direction,
+    viscous_damping,
+)
 from jaxrod.envs.legacy_arm import (
     LENGTH,
     REFERENCE_ELEMENTS,
@@ -58,10 +65,8 @@ from jaxrod.envs.moving_target import Target, TargetParams
 Variant = Literal["paper", "clean"]
 VARIANTS: tuple[Variant, ...] = ("paper", "clean")
 
-CONTROL_PERIOD = 1.4e-3
 N_CONTROLS = 6
 HEADING_STEPS = 500
-OBSERVED_NODES = 11
 BASE = (0.0, 0.0, 0.0)
 
 
@@ -243,20 +248,19 @@ class Tracking:
             )
         effects: tuple[Effect, ...] = (
             Clamp(rest.orientations[:, 0]),
-            _viscous_damping(rod, params.viscosity),
+            viscous_damping(rod, params.viscosity),
             spline_couples(rod, params.spline, controls, params.torque),
         )
         return Scene(rod, effects)
 
     def observe(self, state: TrackingState) -> Float[Array, " observation"]:
         """Points of the arm, speed and direction of the tip, and of the target."""
-        points = state.arm.positions[:, :: self.n_elements // (OBSERVED_NODES - 1)]
         return jnp.concatenate(
             [
-                jnp.ravel(points),
-                _speed_and_direction(state.arm.velocities[:, -1]),
+                observed_points(state.arm),
+                speed_and_direction(state.arm.velocities[:, -1]),
                 state.target.position,
-                _speed_and_direction(state.target.velocity),
+                speed_and_direction(state.target.velocity),
             ]
         )
 
@@ -280,29 +284,8 @@ def tracking(
     Raises:
         ValueError: If an argument does not fit.
     """
-    if variant not in VARIANTS:
-        raise ValueError(f"variant must be one of {VARIANTS}, got {variant!r}")
+    check_variant(variant, VARIANTS)
     default_substeps = 7 if variant == "paper" else 4
     substeps = default_substeps if substeps is None else substeps
-    check_count("n_elements", n_elements, OBSERVED_NODES - 1)
-    if n_elements % (OBSERVED_NODES - 1):
-        raise ValueError(f"n_elements must be a multiple of 10, got {n_elements}")
-    check_count("substeps", substeps, 1)
-    check_count("episode_length", episode_length, 1)
+    check_sizes(n_elements, substeps, episode_length)
     return Tracking(variant, n_elements, substeps, episode_length)
-
-
-def _viscous_damping(rod: Rod, viscosity: Array) -> ExponentialDamping:
-    """The published drag as rates; per rest length, and about all axes alike."""
-    return ExponentialDamping(
-        translational_rate=viscosity / jnp.mean(rod.linear_density),
-        rotational_rate=viscosity / jnp.mean(rod.rotary_inertia[0]),
-    )
-
-
-def _speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
-    squared = jnp.sum(velocity**2)
-    moving = squared > 0
-    speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
-    direction = velocity / jnp.where(moving, speed, 1)
-    return jnp.concatenate([speed[None], direction])

@@ -1,8 +1,9 @@
 """Train a policy on a task.
 
-CASE is a task: `tracking` (a soft arm follows a moving target; variants `paper`,
-whose scores compare with the published ones, and `clean`) or `trivial` (solved in
-seconds, to try things out).
+CASE is a task: `tracking` (a soft arm follows a moving target), `reaching` (it reaches
+a point with an orientation), `structured` (a planar arm in a maze), `unstructured` (an
+arm in a nest) or `trivial` (solved in seconds, to try things out). Variants are
+`paper`, whose scores compare with the published ones, and `clean`.
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
@@ -41,7 +42,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod train`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("case", metavar="CASE", help="tracking or trivial")
+    parser.add_argument("case", metavar="CASE", help="the task; see above")
     parser.add_argument("--variant", help="paper or clean (default: paper)")
     parser.add_argument(
         "--algorithm", help="ppo, trpo, sac, td3 or ddpg (default: ppo)"
