@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod import vectors
+from jaxrod._contact import Contact
 from jaxrod._validation import is_traced
 from jaxrod.actuation import ElementCouples
 from jaxrod.clamps import Clamp, FixedEnd
@@ -44,6 +45,8 @@ def check_structure(scene: Scene) -> None:
                 "loads that do not turn with the elements",
                 "an EndLoad with follower=True",
             )
+        if isinstance(effect, Contact) and effect.friction is not None:
+            _refuse("loads without couples about d3", "a Contact with friction")
     if held > 1:
         _refuse("at most one held end, because two store twist", f"{held} of them")
 
