@@ -23,7 +23,8 @@ from jaxrod.scene import (
 from jaxrod.stepping import stepper
 from physics.rods import arm, perturb
 
-GRAVITY = (0.0, 2.0, -9.81)
+# What holds at one end holds at the other: the longer run looks at both.
+ENDS = ["start", pytest.param("finish", marks=pytest.mark.slow)]
 
 
 def swinging(n=8, dtype=jnp.float64, end="start", sideways=0.0):
@@ -70,7 +71,7 @@ def largest_gap(one, other):
     )
 
 
-@pytest.mark.parametrize("end", ["start", "finish"])
+@pytest.mark.parametrize("end", ENDS)
 def test_in_a_plane_it_is_the_scene_with_twist_and_the_planar_one(end, record):
     scene, state = swinging(end=end)
     flat = replace(with_twist(scene), plane="zx")
@@ -307,6 +308,7 @@ def test_twist_does_not_limit_the_step():
     assert float(jnp.max(jnp.abs(after.velocities))) < 10
 
 
+@pytest.mark.slow
 def test_compensation_inertia_scaling_and_other_numbers_of_elements():
     scene, state = swinging(n=10, dtype=jnp.float32, sideways=2.0)
     start = jaxrod.compensated(state)
@@ -363,6 +365,7 @@ class Vane(Effect):
         return Loads(forces=tuple(jnp.pad(self.size * c, (0, 1)) for c in d1))
 
 
+@pytest.mark.slow
 def test_effects_of_ones_own_work_unless_they_turn_with_the_elements():
     scene, state = swinging(n=6)
     own = (Drag(jnp.asarray(0.3)), Magnet(jnp.array([0.0, 0.0, 3.0])))
@@ -374,7 +377,7 @@ def test_effects_of_ones_own_work_unless_they_turn_with_the_elements():
         jaxrod.make_scene(scene.rod, Vane(jnp.asarray(1.0)), twist=False)
 
 
-@pytest.mark.parametrize("end", ["start", "finish"])
+@pytest.mark.parametrize("end", ENDS)
 def test_an_end_held_fast_stays(end):
     scene, state = swinging(n=6, end=end, sideways=1.0)
     held = jaxrod.make_scene(
