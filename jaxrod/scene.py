@@ -77,8 +77,9 @@ def make_scene(
             Consistent mode, in space, only.
         twist: `False` to leave twist out of a naturally straight rod with sections
             alike in all directions, under loads that do not twist it: half the
-            arithmetic, for what the polar inertia changes. Explicit steps in
-            consistent mode, in space, only.
+            arithmetic, for what the polar inertia changes. Couples about the axis
+            that cannot be seen here (traced ones), and spin about it in a state, are
+            dropped. Explicit steps in consistent mode, in space, only.
 
     Raises:
         ValueError: If the mode or the plane is unknown, the choices exclude each
