@@ -19,7 +19,7 @@ from jaxrod.rotations import (
     multiply_quaternions,
     normalise,
 )
-from jaxrod.vectors import Vec3, add, cross, dot, pad, scale
+from jaxrod.vectors import Vec3, add, cross, dot, scale
 
 
 def half_angle_cosine(a: Vec3, b: Vec3) -> Array:
@@ -98,16 +98,11 @@ def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
 
 def _products(q: Quaternion) -> Quaternion:
     """Of each quaternion all those up to it, the last on the left."""
-    reach = 1
-    while reach < q[0].shape[0]:
-        w, x, y, z = (c[:-reach] for c in q)
-        earlier = (
-            lax.pad(w, jnp.ones((), w.dtype), [(reach, 0, 0)]),
-            pad(x, reach, 0),
-            pad(y, reach, 0),
-            pad(z, reach, 0),
-        )
-        # Barriers: fused, every doubling would compute those before it again.
-        q = lax.optimization_barrier(multiply_quaternions(q, earlier))
-        reach *= 2
-    return q
+
+    def further(product: Quaternion, factor: Quaternion) -> tuple[Quaternion, ...]:
+        product = multiply_quaternions(factor, product)
+        return product, product
+
+    one, zero = jnp.ones((), q[0].dtype), jnp.zeros((), q[0].dtype)
+    # One after the other: doublings take compilers minutes, and this is done once.
+    return lax.scan(further, (one, zero, zero, zero), q)[1]
