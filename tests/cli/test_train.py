@@ -130,7 +130,11 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["swimming"], "case must be one of tracking, trivial; got 'swimming'"),
+        (
+            ["swimming"],
+            "case must be one of reaching, structured, tracking, trivial, "
+            "unstructured; got 'swimming'",
+        ),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
         (["trivial", "--variant", "paper"], "'trivial' has no variant"),
         (["trivial", "--algorithm", "luck"], "algorithm must be one of"),
