@@ -276,6 +276,7 @@ def test_supplement_has_equidistant_control_points(controls):
     np.testing.assert_allclose(spline(jnp.asarray(values), points), values, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @VARIANTS
 @NAMES

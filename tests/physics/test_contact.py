@@ -137,6 +137,7 @@ def rolled(scene, state, dt, n_steps):
     return after, jnp.mean(after.velocities[0]), jnp.mean(spin)
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_dropped_comes_to_rest_there(record):
     scene, state = on_the_floor()
     above = replace(state, positions=state.positions.at[1].add(0.2 * RADIUS))
@@ -192,6 +193,7 @@ def test_an_arm_that_slides_is_braked_by_friction_until_it_rolls(mode, record):
     assert spin == pytest.approx(-float(final) / RADIUS, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steepness", [0.5, 2.0])
 def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, record):
     """It creeps as stated where the slope is gentle, and slides where it is not."""

@@ -98,6 +98,7 @@ def test_in_a_plane_it_is_the_scene_with_twist_and_the_planar_one(end, record):
     assert largest_gap(bare, full) < 2 * max(largest_gap(full, flat), 1e-11)
 
 
+@pytest.mark.slow
 def test_out_of_a_plane_it_differs_by_the_polar_inertia(record):
     scene, state = swinging(n=6, sideways=6.0)
 
@@ -156,6 +157,7 @@ def test_momenta_are_kept_and_energy_does_not_drift(record):
     )
 
 
+@pytest.mark.slow
 def test_it_is_of_second_order_in_time(record):
     scene, state = free()
     span = 8 * float(jaxrod.stable_dt(scene).dt)
@@ -290,6 +292,7 @@ def test_it_costs_about_half_the_arithmetic(record):
     )
 
 
+@pytest.mark.slow
 def test_twist_does_not_limit_the_step():
     scene, state = swinging(n=8)
     inertia = scene.rod.rotary_inertia.at[1].mul(1e-4)

@@ -223,6 +223,7 @@ def test_two_devices_train_the_same_as_one(tmp_path):
             np.testing.assert_allclose(float(other[name]), row[name], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_vectorised_seeds_equal_separate_runs(six_updates):
     states, metrics = train_seeds(
         Trivial(), "sac", steps=16 * 6, seeds=(8, 3), config=SMALL

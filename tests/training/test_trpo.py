@@ -159,6 +159,7 @@ def test_line_search_takes_the_first_length_that_will_do_or_stays():
     assert not bool(never.accepted) and float(never.point[0]) == 1.0
 
 
+@pytest.mark.slow
 def test_vectorised_seeds_equal_separate_runs():
     states, metrics = train_seeds(
         Trivial(), "trpo", steps=128 * 3, seeds=(8, 3), config=SMALL
