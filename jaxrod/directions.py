@@ -99,7 +99,9 @@ def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
 def _products(q: Quaternion) -> Quaternion:
     """Of each quaternion all those up to it, the last on the left."""
 
-    def further(product: Quaternion, factor: Quaternion) -> tuple[Quaternion, ...]:
+    def further(
+        product: Quaternion, factor: Quaternion
+    ) -> tuple[Quaternion, Quaternion]:
         product = multiply_quaternions(factor, product)
         return product, product
 
