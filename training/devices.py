@@ -52,10 +52,10 @@ def compile_updates(
         metrics have a leading axis of `capacity`, valid up to `count`.
     """
     specs = algorithm.partition(state)
+    along_devices = PartitionSpec(None, None, DEVICE_AXIS)
     metric_specs = Metrics(
-        # Each specification stands for all the arrays below it: not what types say.
-        scalars=PartitionSpec(),  # type: ignore[arg-type]
-        episodes=PartitionSpec(None, None, DEVICE_AXIS),  # type: ignore[arg-type]
+        scalars=PartitionSpec(),  # type: ignore[arg-type]  # a tree prefix
+        episodes=along_devices,  # type: ignore[arg-type]  # a tree prefix
     )
 
     def updates(state: Any, count: Int[Array, ""]) -> tuple[Any, Metrics]:
