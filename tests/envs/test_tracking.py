@@ -204,7 +204,9 @@ def test_clean_arm_is_as_accurate_as_it_says():
     assert 0.009 < np.sqrt(np.mean(error**2)) < 0.016
 
 
-@pytest.mark.parametrize("variant", ["paper", "clean"])
+@pytest.mark.parametrize(
+    "variant", [pytest.param("paper", marks=pytest.mark.slow), "clean"]
+)
 def test_gradient_of_the_return_is_that_of_finite_differences(variant):
     env = tracking(variant, n_elements=10, substeps=3 if variant == "clean" else 7)
     params = env.default_params()

@@ -29,7 +29,14 @@ def swing(dtype, remember, damping, plane):
     return np.asarray(states.tip, np.float64), YOUNG * AREA * (stretch - 1)
 
 
-@pytest.mark.parametrize(("damping", "plane"), [(0.0, None), (5.0, None), (0.0, "xy")])
+@pytest.mark.parametrize(
+    ("damping", "plane"),
+    [
+        (0.0, None),
+        pytest.param(5.0, None, marks=pytest.mark.slow),
+        (0.0, "xy"),
+    ],
+)
 def test_float32_agrees_with_float64(damping, plane, record):
     tip, force = swing(jnp.float64, False, damping, None)
     _, plain_force = swing(jnp.float32, False, damping, plane)

@@ -86,6 +86,7 @@ def test_principal_axes_may_lie_obliquely_where_all_axes_are_alike():
     np.testing.assert_allclose(flat.orientations, full.orientations, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_in_space():
     scene, state = swinging("zx")
     state = replace(state, velocities=state.velocities.at[0].set(0.1))

@@ -254,7 +254,7 @@ def accelerations(scene, state, moves):
     return after.velocities / dt, spins / dt
 
 
-@pytest.mark.parametrize("stretch", [0.5, 0.1])
+@pytest.mark.parametrize("stretch", [0.5, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
     rod, state = arm(2, radius=0.02)
     scene = jaxrod.make_scene(rod, mode="pyelastica")

@@ -22,6 +22,7 @@ def quarter_of_a_swing():
     return dataclasses.replace(swing(), controls=np.zeros((25, 0)))
 
 
+@pytest.mark.slow
 def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
     lines = []
     problem = quarter_of_a_swing()

@@ -31,7 +31,10 @@ SIZES = {
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     ("name", "config"),
-    [("td3", TD3Config(**SIZES)), ("ddpg", DDPGConfig(**SIZES))],
+    [
+        ("td3", TD3Config(**SIZES)),
+        pytest.param("ddpg", DDPGConfig(**SIZES), marks=pytest.mark.slow),
+    ],
 )
 def test_trivial_task_is_learned_to_its_known_optimum(name, config):
     env = Trivial()
