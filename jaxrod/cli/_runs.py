@@ -22,6 +22,18 @@ PAPER_CASES = {
 }
 """What the paper calls a case."""
 
+_SCORE_WINDOWS = {"structured": 10, "unstructured": 10}
+_SCORE_WINDOW = 50
+_COMPARABLE = ("variant", "controls")
+
+
+def score_window(case: str) -> int:
+    """Last training episodes of a seed whose mean return is the final score.
+
+    As in the paper: 10 in Cases 3 and 4, 50 in the others.
+    """
+    return _SCORE_WINDOWS.get(case, _SCORE_WINDOW)
+
 
 @dataclasses.dataclass(frozen=True)
 class StoredRun:
@@ -131,18 +143,37 @@ def make_case(case: str, options: Mapping[str, Any]) -> Environment:
 
 def describe(config: Mapping[str, Any]) -> str:
     """A run in a few words, such as "tracking (paper), ppo, seed 0"."""
-    variant = f" ({config['variant']})" if config.get("variant") else ""
-    return f"{config['case']}{variant}, {config['algorithm']}, seed {config['seed']}"
+    options = config.get("env_options", {})
+    what = [config["variant"]] if config.get("variant") else []
+    if options.get("controls") is not None:
+        what.append(f"{options['controls']} control points")
+    if options.get("nest") is not None:
+        what.append(f"nest {options['nest']}")
+    case = config["case"] + (f" ({', '.join(what)})" if what else "")
+    return f"{case}, {config['algorithm']}, seed {config['seed']}"
 
 
 def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
-    """What the paper reached at this; None where scores do not compare."""
+    """What the paper reached at this; None where scores do not compare.
+
+    Args:
+        config: as in `config.json`.
+    """
     from jaxrod import viz
 
+    options = {k: v for k, v in config["env_options"].items() if v is not None}
     if config.get("variant") != "paper" or config["case"] not in PAPER_CASES:
         return None
+    if not set(options) <= set(_COMPARABLE):
+        return None
+    case, configuration = PAPER_CASES[config["case"]], None
+    if "controls" in options:
+        case, configuration = (
+            f"{case}-ctrlpts",
+            f"batch=16000,n_ctrl={options['controls']}",
+        )
     try:
-        return viz.paper_result(PAPER_CASES[config["case"]], config["algorithm"])
+        return viz.paper_result(case, config["algorithm"], configuration)
     except ValueError:
         return None
 

@@ -25,6 +25,9 @@ from jaxrod.cli import _settings
 STEPS = 10_000_000
 """Control steps by default: the published budget."""
 
+PUBLISHED = "published"
+"""The word for the nest of the paper, among the seeds of others."""
+
 EXAMPLES = """\
 examples:
   jaxrod train tracking                                    the paper's, a few minutes
@@ -33,6 +36,8 @@ examples:
   jaxrod train trivial --steps 200k --num-envs 32 --set rollout_steps=64
   jaxrod train tracking --set learning_rate=3e-4 --set hidden_sizes=128,128
   jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
+  jaxrod train structured --algorithm trpo --steps 500k --controls 4 --num-envs 16
+  jaxrod train unstructured --nest 7 --steps 1M --num-envs 16
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm with their defaults.
@@ -44,6 +49,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument("case", metavar="CASE", help="the task; see above")
     parser.add_argument("--variant", help="paper or clean (default: paper)")
+    parser.add_argument(
+        "--controls",
+        type=int,
+        metavar="N",
+        help="structured: equidistant control points, 2, 4, 6 or 8 in the paper "
+        "(default: the two that it placed by hand)",
+    )
+    parser.add_argument(
+        "--nest",
+        type=_nest,
+        metavar="NEST",
+        help=f"unstructured: {PUBLISHED}, or the seed of a random nest "
+        f"(default: {PUBLISHED})",
+    )
     parser.add_argument(
         "--algorithm", help="ppo, trpo, sac, td3 or ddpg (default: ppo)"
     )
@@ -117,6 +136,10 @@ def run(args: argparse.Namespace) -> int:
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
+    if args.controls is not None:
+        options["controls"] = args.controls
+    if args.nest is not None:
+        options["nest"] = None if args.nest == PUBLISHED else args.nest
     env = _runs.make_case(args.case, options)
     if hasattr(env, "variant"):
         options["variant"] = env.variant
@@ -154,6 +177,9 @@ def run(args: argparse.Namespace) -> int:
             out=out,
             config=config,
             env_options=options,
+            score_window=_chosen(
+                None, stored, "score_window", _runs.score_window(args.case)
+            ),
             resume=args.resume,
             overwrite=args.overwrite,
             devices=jax.devices()[:share],
@@ -175,7 +201,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({**summary, "run": str(out)}, indent=2))
         return 0
-    for line in _lines(summary):
+    for line in _lines(summary, _runs.read_config(out)):
         print(line)
     from jaxrod.cli._pictures import print_paths
 
@@ -194,7 +220,7 @@ def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
     return drawn
 
 
-def _lines(summary: Mapping[str, Any]) -> list[str]:
+def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """The result in words."""
     from jaxrod.cli import _runs
 
@@ -204,9 +230,9 @@ def _lines(summary: Mapping[str, Any]) -> list[str]:
         episodes = min(summary["score_window"], summary["episodes"])
         score = f"{final:,.1f}, mean return of the last {episodes} training episodes"
     lines = [
-        f"{_runs.describe(summary)}: {summary['env_steps']:,} control steps in "
+        f"{_runs.describe(config)}: {summary['env_steps']:,} control steps in "
         f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s",
-        f"final score   {score}{_runs.paper_sentence(summary)}",
+        f"final score   {score}{_runs.paper_sentence(config)}",
     ]
     if "evaluation_score" in summary:
         lines.append(
@@ -227,7 +253,21 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
     words = [args.case, variant, args.algorithm or "ppo", str(args.seed or 0)]
     if args.resume and variant is None:
         words[1] = args.variant or _default_variant(args.case)
+    if args.controls is not None:
+        words.insert(2, f"{args.controls}-controls")
+    if args.nest not in (None, PUBLISHED):
+        words.insert(2, f"nest-{args.nest}")
     return Path("runs") / "-".join(word for word in words if word)
+
+
+def _nest(text: str) -> int | str:
+    """Reads which nest: the published one, or the seed of another."""
+    try:
+        return text if text == PUBLISHED else int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be {PUBLISHED} or a seed, got {text!r}"
+        ) from None
 
 
 def _default_variant(case: str) -> str | None:

@@ -1,0 +1,99 @@
+"""What a task lets choose: read, recorded, named, and compared with the right rows."""
+
+from pathlib import Path
+
+import pytest
+
+from jaxrod import cli, viz
+from jaxrod.cli import _runs, train
+
+
+def config(case, algorithm="trpo", variant="paper", **options):
+    return {
+        "case": case,
+        "variant": variant,
+        "env_options": {"variant": variant, **options},
+        "algorithm": algorithm,
+        "seed": 0,
+    }
+
+
+def test_equidistant_control_points_compare_with_the_papers_rows_of_that_number():
+    for number in (2, 4, 6, 8):
+        for algorithm in ("ppo", "trpo"):
+            found = _runs.paper_result(config("structured", algorithm, controls=number))
+            assert found == viz.paper_result(
+                "Case3-ctrlpts", algorithm, f"batch=16000,n_ctrl={number}"
+            )
+    assert "5,695 after 1.9 h" in _runs.paper_sentence(config("structured", controls=4))
+
+
+def test_the_placed_points_and_the_published_nest_compare_with_the_figures():
+    for case, options, paper in (
+        ("structured", {}, "Case3"),
+        ("structured", {"controls": None}, "Case3"),
+        ("unstructured", {"nest": None}, "Case4"),
+    ):
+        found = _runs.paper_result(config(case, **options))
+        assert found == viz.paper_result(paper, "TRPO")
+
+
+@pytest.mark.parametrize(
+    ("case", "algorithm", "options"),
+    [
+        ("structured", "trpo", {"controls": 3}),
+        ("structured", "sac", {"controls": 4}),
+        ("structured", "trpo", {"variant": "clean"}),
+        ("unstructured", "trpo", {"nest": 0}),
+        ("unstructured", "trpo", {"n_elements": 20}),
+        ("tracking", "trpo", {"episode_length": 100}),
+    ],
+)
+def test_other_tasks_than_the_papers_compare_with_nothing(case, algorithm, options):
+    assert _runs.paper_result(config(case, algorithm, **options)) is None
+
+
+def test_the_score_of_cases_3_and_4_is_of_ten_episodes_as_in_the_paper():
+    windows = [_runs.score_window(case) for case in _runs.PAPER_CASES]
+    assert windows == [50, 50, 10, 10]
+
+
+def test_a_run_is_described_and_filed_with_what_was_chosen():
+    assert (
+        _runs.describe(config("structured", controls=4))
+        == "structured (paper, 4 control points), trpo, seed 0"
+    )
+    assert (
+        _runs.describe(config("unstructured", nest=7))
+        == "unstructured (paper, nest 7), trpo, seed 0"
+    )
+    parser = cli._parser(["train"])[0]
+    for words, folder in (
+        (["structured", "--controls", "4"], "structured-paper-4-controls-ppo-0"),
+        (["unstructured", "--nest", "7"], "unstructured-paper-nest-7-ppo-0"),
+        (["unstructured", "--nest", "published"], "unstructured-paper-ppo-0"),
+    ):
+        for more in ([], ["--resume"]):
+            args = parser.parse_args(["train", *words, *more])
+            variant = None if more else "paper"
+            assert train._folder(args, variant) == Path("runs") / folder
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["structured", "--controls", "1"], "controls must be at least 2"),
+        (["structured", "--nest", "1"], "'structured' has no nest to choose"),
+        (["tracking", "--controls", "4"], "'tracking' has no controls to choose"),
+        (["unstructured", "--nest", "-1"], "nest must be at least 0"),
+        (
+            ["unstructured", "--nest", "bird"],
+            "--nest: must be published or a seed, got 'bird'",
+        ),
+    ],
+)
+def test_a_choice_that_a_task_does_not_have_is_named(words, sentence, run, tmp_path):
+    code, out, err = run("train", *words, "--out", tmp_path / "run")
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert not (tmp_path / "run").exists()
