@@ -1,4 +1,4 @@
-"""A rod without twist moves as one with twist, but for its polar inertia, for less."""
+"""A rod without twist moves as one with twist, but for its polar inertia."""
 
 from dataclasses import replace
 
@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod._pytree import pytree
 from jaxrod.directions import angle_over_sine, frame_along, smallest_rotation
-from jaxrod.effects import Effect
-from jaxrod.motion import Loads
-from jaxrod.resampling import resampled
 from jaxrod.rotations import directors
 from jaxrod.scene import (
     angular_momentum,
@@ -21,54 +17,10 @@ from jaxrod.scene import (
     total_energy,
 )
 from jaxrod.stepping import stepper
-from physics.rods import arm, perturb
+from physics.untwisted import free, largest_gap, swinging, with_twist
 
 # What holds at one end holds at the other: the longer run looks at both.
 ENDS = ["start", pytest.param("finish", marks=pytest.mark.slow)]
-
-
-def swinging(n=8, dtype=jnp.float64, end="start", sideways=0.0):
-    """A tapered arm clamped at one end, loaded, and pushed sideways; scene, state."""
-    rod, state = arm(n, dtype, radius=(0.05, 0.03), direction=(1.0, 0.0, 0.0))
-    s = jnp.linspace(0, 1, n + 1, dtype=dtype)
-    s = s if end == "start" else 1 - s
-    velocities = jnp.zeros((3, n + 1), dtype).at[1].set(sideways * s**2)
-    effects = (
-        jaxrod.clamp(state, end),
-        jaxrod.gravity((0.0, 0.0, -9.81)),
-        jaxrod.exponential_damping(0.5, 3.0),
-        jaxrod.end_load((0.0, 0.0, 4.0), end="finish" if end == "start" else "start"),
-        jaxrod.uniform_load((1.0, 0.0, 2.0)),
-    )
-    scene = jaxrod.make_scene(rod, *effects, twist=False)
-    return scene, replace(state, velocities=velocities)
-
-
-def with_twist(scene):
-    return replace(scene, twist=True)
-
-
-def free(n=6, dtype=jnp.float64):
-    """A free rod, bent and tumbling; every motion of its elements is there."""
-    rod, state = arm(n, dtype)
-    random = np.random.default_rng(3)
-    moves = (0.01 * random.normal(size=(3, n + 1)), 0.2 * random.normal(size=(3, n)))
-    state = perturb(state, tuple(jnp.asarray(m, dtype) for m in moves))
-    velocities = jnp.asarray(random.normal(size=(3, n + 1)), dtype)
-    momenta = jnp.asarray(1e-2 * random.normal(size=(3, n)), dtype)
-    state = replace(state, velocities=velocities, angular_momenta=momenta)
-    scene = jaxrod.make_scene(rod, twist=False)
-    # The state without the twist that a scene without twist does not see.
-    integrator = stepper(scene, state, jnp.asarray(1e-4, dtype))
-    return scene, integrator.leave(integrator.enter(state))
-
-
-def largest_gap(one, other):
-    """Over all leaves of two states, each in units of the largest entry."""
-    return max(
-        float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b)))
-        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
-    )
 
 
 @pytest.mark.parametrize("end", ENDS)
@@ -251,135 +203,6 @@ def test_gradients_agree_with_finite_differences(at_rest, record):
     )
 
 
-def test_batches_and_numbers_do_not_recompile():
-    scene, state = swinging(n=5, sideways=1.0)
-    runs = 0
-
-    def height(scene, state, dt, n_steps):
-        nonlocal runs
-        runs += 1
-        return jaxrod.advance(scene, state, dt, n_steps).tip[1]
-
-    compiled = jax.jit(height)
-    alone = [float(compiled(scene, state, dt, 40)) for dt in (1e-4, 2e-4)]
-    stiffness = 2 * scene.rod.bend_twist_stiffness
-    stiffer = replace(scene, rod=replace(scene.rod, bend_twist_stiffness=stiffness))
-    assert float(compiled(stiffer, state, 1e-4, 41)) != alone[0]
-    assert runs == 1
-    together = jax.jit(jax.vmap(height, in_axes=(None, None, 0, None)))(
-        scene, state, jnp.array([1e-4, 2e-4]), 40
-    )
-    np.testing.assert_allclose(together, alone, rtol=1e-12)
-
-
-def test_it_costs_about_half_the_arithmetic(record):
-    rod, state = arm(20)
-    scene = jaxrod.make_scene(
-        rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(1.0)
-    )
-
-    def flops(scene):
-        """Of one step within many."""
-        integrator = stepper(scene, state, jnp.asarray(1e-4))
-        carry = integrator.begin(state)
-        return jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()["flops"]
-
-    record(
-        "Arithmetic of a step without twist over that of one with it",
-        "compiled programs",
-        flops(replace(scene, twist=False)) / flops(scene),
-        at_most=0.55,
-    )
-
-
-@pytest.mark.slow
-def test_twist_does_not_limit_the_step():
-    scene, state = swinging(n=8)
-    inertia = scene.rod.rotary_inertia.at[1].mul(1e-4)
-    scene = replace(scene, rod=replace(scene.rod, rotary_inertia=inertia))
-    bound = jaxrod.stable_dt(scene, 1.0)
-    limited = jaxrod.stable_dt(with_twist(scene), 1.0)
-    assert limited.limiting_mode.startswith("twist")
-    assert not bound.limiting_mode.startswith("twist")
-    measured = jaxrod.stable_dt(scene, 1.0, state=state)
-    assert 1 <= float(measured.dt / bound.dt) < 1.2
-    noisy = replace(
-        state,
-        positions=state.positions + 1e-8 * jnp.cos(jnp.arange(27.0).reshape(3, 9)),
-    )
-    after = jaxrod.advance(scene, noisy, bound.dt, 2000)
-    assert float(jnp.max(jnp.abs(after.velocities))) < 10
-
-
-@pytest.mark.slow
-def test_compensation_inertia_scaling_and_other_numbers_of_elements():
-    scene, state = swinging(n=10, dtype=jnp.float32, sideways=2.0)
-    start = jaxrod.compensated(state)
-    one = jaxrod.advance(scene, start, 2e-4, 500)
-    exact = jax.tree.map(lambda a: a.astype(jnp.float64), (scene, state))
-    other = jaxrod.advance(*exact, 2e-4, 500)
-    np.testing.assert_allclose(one.positions, other.positions, atol=2e-6)
-    assert one.remainders is not None and bool(jnp.any(one.remainders != 0))
-    assert not bool(jaxrod.health(scene, one, 2e-4).flagged)
-    fewer, there = resampled(scene, other, 5)
-    assert not fewer.twist and there.positions.shape == (3, 6)
-    scaled = jaxrod.scale_inertia(resampled(*exact, 40)[0])
-    assert not scaled.scene.twist and float(scaled.gain) >= 1
-
-
-@pytree
-class Drag(Effect):
-    """Resists motion across elements: needs directions, not frames."""
-
-    rate: jax.Array
-
-    def loads(self, rod, motion):
-        d3 = directors(motion.orientation)[2]
-        push = tuple(-self.rate * (c[1:] + c[:-1]) for c in motion.velocity)
-        along = push[0] * d3[0] + push[1] * d3[1] + push[2] * d3[2]
-        x, y, z = (
-            jnp.pad(p - along * d, (0, 1)) for p, d in zip(push, d3, strict=True)
-        )
-        return Loads(forces=(x, y, z))
-
-
-@pytree
-class Magnet(Effect):
-    """Turns elements towards a field: couples, but none about the element."""
-
-    field: jax.Array
-
-    def loads(self, rod, motion):
-        d1, d2, _ = directors(motion.orientation)
-        dot = lambda a: (
-            a[0] * self.field[0] + a[1] * self.field[1] + a[2] * self.field[2]
-        )
-        return Loads(couples=(-dot(d2), dot(d1), jnp.zeros_like(d1[0])))
-
-
-@pytree
-class Vane(Effect):
-    """A force along d1: turns with the element."""
-
-    size: jax.Array
-
-    def loads(self, rod, motion):
-        d1, _, _ = directors(motion.orientation)
-        return Loads(forces=tuple(jnp.pad(self.size * c, (0, 1)) for c in d1))
-
-
-@pytest.mark.slow
-def test_effects_of_ones_own_work_unless_they_turn_with_the_elements():
-    scene, state = swinging(n=6)
-    own = (Drag(jnp.asarray(0.3)), Magnet(jnp.array([0.0, 0.0, 3.0])))
-    scene = jaxrod.make_scene(scene.rod, *scene.effects, *own, twist=False)
-    bare = jaxrod.advance(scene, state, 2e-4, 500)
-    full = jaxrod.advance(with_twist(scene), state, 2e-4, 500)
-    assert largest_gap(bare, full) < 1e-11
-    with pytest.raises(ValueError, match="turn with the elements, got Vane"):
-        jaxrod.make_scene(scene.rod, Vane(jnp.asarray(1.0)), twist=False)
-
-
 @pytest.mark.parametrize("end", ENDS)
 def test_an_end_held_fast_stays(end):
     scene, state = swinging(n=6, end=end, sideways=1.0)
@@ -423,49 +246,3 @@ def test_frames_have_their_direction_as_third_axis():
     np.testing.assert_allclose(
         [c[:3] for c in turned[0]], [c[:3] for c in d], atol=1e-15
     )
-
-
-def refused(rod, state):
-    """What a scene without twist does not take, and a word of the sentence."""
-    changed = lambda **fields: replace(rod, **fields)
-    bend, shear = rod.bend_twist_stiffness, rod.shear_stretch_stiffness
-    couple = (0.0, 0.0, 1.0)
-    return {
-        "bending stiffness": changed(bend_twist_stiffness=bend.at[0].mul(2.0)),
-        "shear stiffness": changed(shear_stretch_stiffness=shear.at[1].mul(2.0)),
-        "straight at rest": changed(rest_curvatures=rod.rest_curvatures.at[1].set(0.1)),
-        "shear at rest": changed(rest_strains=rod.rest_strains.at[0].set(0.01)),
-        "got ElementCouples": jaxrod.ElementCouples(jnp.zeros((3, 4))),
-        "follower": jaxrod.end_load(couple=couple, follower=True),
-        "about d3, got EndLoad": jaxrod.end_load(couple=couple),
-        "about d3, got UniformLoad": jaxrod.uniform_load(couple_per_length=couple),
-        "one held end": (jaxrod.clamp(state), jaxrod.fixed_end(state, "finish")),
-        "got a Contact with friction": jaxrod.contact(
-            jaxrod.sphere((0.0, 0.0, 2.0), 0.1),
-            stiffness=1e3,
-            friction=0.3,
-            friction_drag=1.0,
-        ),
-    }
-
-
-def test_what_twists_is_refused_in_words():
-    rod, state = arm(4)
-    for words, spoiled in refused(rod, state).items():
-        effects = spoiled if isinstance(spoiled, tuple) else (spoiled,)
-        with pytest.raises(ValueError, match=f"without twist needs.*{words}"):
-            if isinstance(spoiled, jaxrod.Rod):
-                jaxrod.make_scene(spoiled, twist=False)
-            else:
-                jaxrod.make_scene(rod, *effects, twist=False)
-    scene = jaxrod.make_scene(rod, twist=False)
-    driven = replace(scene, effects=(jaxrod.ElementCouples(jnp.zeros((3, 4))),))
-    with pytest.raises(ValueError, match="ElementCouples"):
-        jax.jit(lambda s: jaxrod.advance(driven, s, 1e-4, 5))(state)
-    for other in (
-        {"plane": "xy"},
-        {"implicit": jaxrod.implicit()},
-        {"mode": "pyelastica"},
-    ):
-        with pytest.raises(ValueError, match="twist=False needs mode='consistent'"):
-            jaxrod.make_scene(rod, twist=False, **other)
