@@ -1,0 +1,45 @@
+"""The tasks for Gymnasium: import this module, then `gymnasium.make("jaxrod/...")`.
+
+The ids are `jaxrod/TASK-VARIANT-v0`, for example `jaxrod/tracking-paper-v0`; `ids()`
+lists them. Keyword arguments of `make` and `make_vec` go to the task, for example
+`controls=4` to a structured one. An id's version rises when what it computes changes.
+"""
+
+from __future__ import annotations
+
+try:
+    import gymnasium
+except ModuleNotFoundError as missing:
+    if missing.name != "gymnasium":
+        raise
+    raise ModuleNotFoundError(
+        'jaxrod.envs.gym needs gymnasium; install it with: pip install "jaxrod[gym]"',
+        name="gymnasium",
+    ) from missing
+
+from jaxrod.envs.gymnasium_env import GymnasiumEnv
+from jaxrod.envs.gymnasium_vector_env import GymnasiumVectorEnv
+
+__all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "ids"]
+
+TASKS = ("tracking", "reaching", "structured", "unstructured")
+VARIANTS = ("paper", "clean")
+
+
+def ids() -> tuple[str, ...]:
+    """Returns the ids that are registered."""
+    return tuple(_id(task, variant) for task in TASKS for variant in VARIANTS)
+
+
+def _id(task: str, variant: str) -> str:
+    return f"jaxrod/{task}-{variant}-v0"
+
+
+for _task in TASKS:
+    for _variant in VARIANTS:
+        gymnasium.register(
+            id=_id(_task, _variant),
+            entry_point="jaxrod.envs.gym:GymnasiumEnv",
+            vector_entry_point="jaxrod.envs.gym:GymnasiumVectorEnv",
+            kwargs={"task": _task, "variant": _variant},
+        )

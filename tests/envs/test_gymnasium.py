@@ -1,0 +1,285 @@
+"""Gymnasium sees what the functional environments do, bit for bit."""
+
+import dataclasses
+import functools
+import importlib
+import sys
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from jaxrod import straight_rod
+from jaxrod._pytree import pytree
+from jaxrod.envs import VectorEnvironment, make
+from jaxrod.envs.gym import GymnasiumEnv, GymnasiumVectorEnv, ids
+from jaxrod.envs.trivial import Trivial
+
+pytestmark = pytest.mark.default_precision
+
+
+@pytree
+class Seen:
+    """What is drawn of a state, or of parameters."""
+
+    arm: Any = None
+    target: Any = None
+    rod: Any = None
+    position: Any = None
+    radius: Any = None
+    task: Any = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Leaning(Trivial):
+    """The point on a line drawn as the place of an arm; three steps an episode."""
+
+    episode_length: int = 3
+    control_period: float = 0.1
+
+    def default_params(self):
+        rod, rest = straight_rod(
+            4, length=1.0, radius=0.05, density=1e3, youngs_modulus=1e6
+        )
+        task, target = super().default_params(), Seen(radius=0.1)
+        return Seen(task=task, rod=rod, arm=rest, target=target)
+
+    def show(self, observation, state, params):
+        along_x = jnp.array([[1.0], [0.0], [0.0]])
+        moved = params.arm.positions + state.position * along_x
+        arm = dataclasses.replace(params.arm, positions=moved)
+        target = Seen(position=jnp.array([0.0, 1.0, 0.0]))
+        return observation, Seen(arm=arm, target=target, task=state)
+
+    def reset(self, key, params):
+        return self.show(*super().reset(key, params.task), params)
+
+    def step(self, key, state, action, params):
+        observation, following, *rest = super().step(
+            key, state.task, action, params.task
+        )
+        return *self.show(observation, following, params), *rest
+
+
+@functools.partial(jax.jit, static_argnums=(0, 2))
+def functional_reset(batch, key, num_envs, params):
+    return batch.reset(key, num_envs, params)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def functional_step(batch, state, actions, params):
+    return batch.step(state, actions, params)
+
+
+def actions_for(envs, steps):
+    """Random actions that lean one way, so that a point runs off its line."""
+    shape = (steps, *envs.action_space.shape)
+    drawn = np.random.default_rng(0).uniform(-1, 1, shape) + 0.5
+    return np.clip(drawn, -1, 1).astype(np.float32)
+
+
+def check_same(env, envs, steps):
+    """A vector environment does what the functional interface does."""
+    batch, params = VectorEnvironment(env), env.default_params()
+    state = functional_reset(batch, jax.random.key(7), envs.num_envs, params)
+    observation, infos = envs.reset(seed=7)
+    np.testing.assert_array_equal(observation, state.observation)
+    assert infos == {}
+    terminated = truncated = 0
+    for actions in actions_for(envs, steps):
+        state, expected = functional_step(batch, state, actions, params)
+        seen = envs.step(actions)
+        assert seen[0] in envs.observation_space
+        names = ("observation", "reward", "terminated", "truncated")
+        for got, name in zip(seen, names, strict=False):
+            np.testing.assert_array_equal(got, getattr(expected, name))
+        ended = np.asarray(expected.terminated | expected.truncated)
+        infos = seen[-1]
+        assert ("final_obs" in infos) == ended.any()
+        for i, over in enumerate(ended):
+            scalars = infos["final_info"] if over else infos
+            for name, value in expected.info.items():
+                assert scalars[name][i] == value[i]
+                assert scalars[f"_{name}"][i]
+            if over:
+                assert infos["_final_obs"][i] and infos["_final_info"][i]
+                final = infos["final_obs"][i]
+                np.testing.assert_array_equal(final, expected.final_observation[i])
+        terminated += np.asarray(expected.terminated).sum()
+        truncated += np.asarray(expected.truncated).sum()
+    return terminated, truncated
+
+
+def check_one_is_a_batch_of_one(env, envs, steps):
+    """Gymnasium's own batch of our environment is our batch of one."""
+    sync = SyncVectorEnv([lambda: env], autoreset_mode=AutoresetMode.SAME_STEP)
+    assert data_equivalence(sync.reset(seed=3), envs.reset(seed=3), exact=True)
+    for actions in actions_for(envs, steps):
+        ours, theirs = envs.step(actions), sync.step(actions)
+        assert data_equivalence(ours, theirs, exact=True)
+
+
+def test_vector_environment_is_the_functional_one_to_the_last_bit():
+    envs = GymnasiumVectorEnv("trivial", 3)
+    terminated, truncated = check_same(make("trivial"), envs, 60)
+    assert terminated > 0 and truncated > 0
+
+
+def test_environment_is_a_batch_of_one_to_the_last_bit_over_many_episodes():
+    check_one_is_a_batch_of_one(
+        GymnasiumEnv("trivial"), GymnasiumVectorEnv("trivial", 1), 60
+    )
+
+
+@pytest.mark.parametrize(
+    "envs", [GymnasiumEnv("trivial"), GymnasiumVectorEnv("trivial", 3)], ids=type
+)
+def test_seeds_repeat_and_none_is_fresh(envs):
+    first, second = (
+        [envs.reset(seed=5)[0], envs.reset()[0], envs.reset()[0]] for _ in range(2)
+    )
+    np.testing.assert_array_equal(first, second)
+    large = [envs.reset(seed=seed)[0] for seed in (6, 2**32 + 5, 2**32 + 6, 2**70)]
+    drawn = np.stack([*first, *large])
+    assert len(np.unique(drawn)) == drawn.size
+    assert not np.array_equal(type(envs)("trivial").reset()[0], first[0])
+    np.testing.assert_array_equal(drawn[0].ravel()[0], observation_of_seed(5))
+
+
+def observation_of_seed(seed):
+    env = make("trivial")
+    batch, params = VectorEnvironment(env), env.default_params()
+    return functional_reset(batch, jax.random.key(seed), 1, params).observation[0, 0]
+
+
+def test_what_is_returned_belongs_to_the_caller():
+    envs = GymnasiumVectorEnv("trivial", 2)
+    before, _ = envs.reset(seed=0)
+    kept = before.copy()
+    actions = np.full((2, 1), 0.5, np.float32)
+    expected = envs.step(actions)[0]
+    np.testing.assert_array_equal(before, kept)
+    envs.reset(seed=0)[0][:] = 100
+    np.testing.assert_array_equal(envs.step(actions)[0], expected)
+
+
+def test_steps_and_pictures_without_an_episode_are_refused():
+    needed = pytest.raises(gymnasium.error.ResetNeeded, match="reset")
+    env, envs = GymnasiumEnv("trivial"), GymnasiumVectorEnv("trivial", 2)
+    with needed:
+        env.step(np.zeros(1, np.float32))
+    with needed:
+        envs.step(np.zeros((2, 1), np.float32))
+    drawn = {"render_mode": "rgb_array"}
+    with needed:
+        GymnasiumEnv("tracking", **drawn).render()
+    with needed:
+        GymnasiumVectorEnv("tracking", 2, **drawn).render()
+    env.reset(seed=0)
+    while not any(env.step(np.ones(1, np.float32))[2:4]):
+        pass
+    with pytest.raises(gymnasium.error.ResetNeeded, match="has ended"):
+        env.step(np.zeros(1, np.float32))
+
+
+def test_bad_input_is_refused_in_words():
+    env, envs = GymnasiumEnv("trivial"), GymnasiumVectorEnv("trivial", 2)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=r"shape \(1, 1\), got \(1, 2\)"):
+        env.step(np.zeros(2, np.float32))
+    with pytest.raises(ValueError, match=r"shape \(2, 1\), got \(1,\)"):
+        envs.step(np.zeros(1, np.float32))
+    for either in (env, envs):
+        with pytest.raises(ValueError, match=r"no options, got .*reset_mask"):
+            either.reset(options={"reset_mask": np.ones(2, bool)})
+    with pytest.raises(ValueError, match="None for trivial; got 'rgb_array'"):
+        GymnasiumEnv("trivial", render_mode="rgb_array")
+    with pytest.raises(ValueError, match="None or 'rgb_array' for tracking; got 'x'"):
+        GymnasiumEnv("tracking", render_mode="x")
+    with pytest.raises(ValueError, match=r"no options, got .*variant"):
+        GymnasiumEnv(make("trivial"), variant="clean")
+    with pytest.raises(ValueError, match="num_envs must be at least 1, got 0"):
+        GymnasiumVectorEnv("trivial", 0)
+    with pytest.warns(UserWarning, match="rgb_array"):
+        assert env.render() is None
+    with pytest.warns(UserWarning, match="rgb_array"):
+        assert envs.render() is None
+
+
+def test_every_task_has_an_id_for_each_variant_and_takes_its_options():
+    assert len(ids()) == len(set(ids())) == 8
+    for name in ids():
+        spec = gymnasium.spec(name)
+        assert spec.kwargs["variant"] in name and spec.kwargs["task"] in name
+    env = gymnasium.make("jaxrod.envs.gym:jaxrod/structured-clean-v0", controls=4)
+    assert env.action_space.shape == (4,)
+    assert env.spec.from_json(env.spec.to_json()).kwargs["controls"] == 4
+
+
+def test_parameters_and_environments_may_be_ones_own():
+    env = make("trivial", episode_length=3)
+    params = type(env.default_params())(stride=0.0)
+    envs = GymnasiumVectorEnv(env, 2, params=params)
+    first, _ = envs.reset(seed=0)
+    for step in range(3):
+        *_, truncated, infos = envs.step(np.ones((2, 1), np.float32))
+        assert truncated.tolist() == [step == 2] * 2
+    np.testing.assert_array_equal(np.stack(infos["final_obs"]), first)
+
+
+def test_without_gymnasium_a_sentence_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, "jaxrod.envs.gym")
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[gym\]"'):
+        importlib.import_module("jaxrod.envs.gym")
+
+
+def test_the_checker_has_nothing_to_say_about_what_can_be_drawn():
+    gymnasium.register("tests/Leaning-v0", GymnasiumEnv, kwargs={"task": Leaning()})
+    try:
+        check_env(gymnasium.make("tests/Leaning-v0").unwrapped)
+    finally:
+        del gymnasium.registry["tests/Leaning-v0"]
+
+
+def test_pictures_are_those_of_the_running_episode():
+    env = GymnasiumEnv(Leaning(), render_mode="rgb_array")
+    envs = GymnasiumVectorEnv(Leaning(), 2, render_mode="rgb_array")
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    pictures = []
+    for _ in range(3):
+        pictures.append(env.render())
+        env.step(np.ones(1, np.float32))
+    assert all(p.shape == (480, 640, 3) and p.dtype == np.uint8 for p in pictures)
+    assert np.any(pictures[0] != pictures[1])
+    # When the episode has ended its last moment but one is shown, not the next start.
+    np.testing.assert_array_equal(env.render(), pictures[2])
+    env.reset()
+    assert np.any(env.render() != pictures[2])
+    first, second = envs.render()
+    np.testing.assert_array_equal(first, pictures[0])
+    assert np.any(first != second)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ids())
+def test_every_id_passes_the_checker_and_is_the_functional_environment(name):
+    check_env(gymnasium.make(name).unwrapped)
+    more = {"episode_length": 4}
+    env = gymnasium.make(name, **more).unwrapped
+    envs = gymnasium.make_vec(name, num_envs=1, **more)
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    check_one_is_a_batch_of_one(env, envs, 10)
+    options = dict(envs.spec.kwargs)
+    functional = make(options["task"], variant=options["variant"], **more)
+    _, truncated = check_same(
+        functional, gymnasium.make_vec(name, num_envs=2, **more), 6
+    )
+    assert truncated > 0
