@@ -59,6 +59,7 @@ class StructuredObstacles(ObstacleTask):
     n_obstacles = len(AXES)
     target_position = (-0.8, 0.5, 0.15)
     plane = "zx"
+    contact_points = 1
 
     @property
     def name(self) -> str:
@@ -107,7 +108,7 @@ def structured_obstacles(
         n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
             and 40 in "clean".
         substeps: Simulation steps per control step of 1.4 ms; by default 14 in
-            "paper" and 9 in "clean".
+            "paper" and 13 in "clean".
         episode_length: Control steps per episode.
 
     Raises:

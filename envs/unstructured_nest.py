@@ -48,6 +48,9 @@ class UnstructuredNest(ObstacleTask):
     n_obstacles = COUNT
     target_position = (-0.8, 0.5, TARGET_HEIGHT)
     plane = None
+    contact_points = 2
+    """Stretched twofold the arm's nodes are 5 cm apart, and a thin cylinder that gets
+    between two of them would push them further apart."""
 
     @property
     def name(self) -> str:
@@ -95,7 +98,7 @@ def unstructured_nest(
         n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
             and 40 in "clean".
         substeps: Simulation steps per control step of 1.4 ms; by default 14 in
-            "paper" and 9 in "clean".
+            "paper" and 13 in "clean".
         episode_length: Control steps per episode.
 
     Raises:
