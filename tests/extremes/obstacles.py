@@ -1,0 +1,160 @@
+"""Extreme actions among obstacles, in the library's physics, and what becomes of it.
+
+    python tests/extremes/obstacles.py --episodes 192
+
+The tasks are Case 3 ("structured") or Case 4 ("unstructured") in the variant "clean",
+in float32. A third of the episodes hold one corner of the action space throughout, a
+third jump between corners every 0.14 s on average, a third draw a new action every
+time. Overlap of arm and obstacles is looked for after every step of the simulation, at
+the nodes and in the middle between them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+from jaxrod import vectors
+from jaxrod._pytree import pytree
+from jaxrod.envs import make
+
+KINDS = ("held", "switched", "random")
+FLAGS = ("not_finite", "stretch", "joint_angle", "speed", "spin")
+
+
+@pytree
+class Outcome:
+    """What is known of an episode."""
+
+    flagged: jax.Array
+    """A health flag rose; from then on the arm is frozen."""
+    flags: jax.Array
+    """Which, as in `FLAGS`."""
+    penetration: jax.Array
+    """Deepest overlap with an obstacle, over the arm's radius [1]."""
+    largest_stretch: jax.Array
+    largest_speed: jax.Array
+
+
+def penetration(arm, state):
+    """How far an arm is in an obstacle, at its deepest, over its radius [1]."""
+    nodes = state.positions
+    points = jnp.concatenate([nodes, 0.5 * (nodes[:, 1:] + nodes[:, :-1])], axis=1)
+    (touch,) = arm.obstacles
+    surface = jax.vmap(lambda body: body.surface(vectors.split(points))[0])
+    return 1 - jnp.min(surface(touch.body)) / arm.rod.radii[0]
+
+
+def episode(index, key, task, params, control_steps):
+    """One episode; pure."""
+    arm, size = params.arm, task.action_size
+    kind = index % len(KINDS)
+
+    def corner(key):
+        return jax.random.rademacher(key, (size,)).astype(params.dt.dtype)
+
+    def control_step(carry, k):
+        state, muscles, wanted, outcome = carry
+        switch, draw = jax.random.split(jax.random.fold_in(key, k))
+        jump = jax.random.uniform(switch) < 0.01
+        drawn = jax.random.uniform(draw, (size,), params.dt.dtype, -1.0, 1.0)
+        switched = jnp.where(jump, corner(draw), wanted)
+        wanted = jnp.where(kind == 0, wanted, jnp.where(kind == 1, switched, drawn))
+        values = jnp.reshape(wanted, (task.n_directions, task.n_controls))
+        controls = jnp.pad(values, ((0, 3 - task.n_directions), (0, 0)))
+        muscles = jaxrod.limit_rate(muscles, controls, arm.largest_change)
+        scene = arm.scene(muscles)
+        course = jaxrod.rollout(scene, state, params.dt, task.substeps)
+        after = jax.tree.map(lambda leaf: leaf[-1], course)
+        report = jaxrod.health(scene, after, params.dt)
+        depth = jnp.max(jax.vmap(lambda at: penetration(arm, at))(course))
+        flags = [report.stretch, report.joint_angle, report.speed, report.spin]
+        sound = ~outcome.flagged
+
+        def largest(before, now):
+            return jnp.where(sound, jnp.fmax(before, now), before)
+
+        outcome = Outcome(
+            flagged=outcome.flagged | report.flagged,
+            flags=jnp.where(sound, jnp.stack([~report.finite, *flags]), outcome.flags),
+            penetration=largest(outcome.penetration, depth),
+            largest_stretch=largest(outcome.largest_stretch, report.largest_stretch),
+            largest_speed=largest(outcome.largest_speed, report.largest_speed),
+        )
+        state = jaxrod.freeze(outcome.flagged, state, after)
+        return (state, muscles, wanted, outcome), None
+
+    zero = jnp.zeros_like(params.dt)
+    no = jnp.zeros((), bool)
+    nothing = Outcome(no, jnp.zeros(len(FLAGS), bool), zero, zero, zero)
+    first = corner(jax.random.fold_in(key, control_steps))
+    start = (arm.rest, arm.relaxed(), first, nothing)
+    (state, _, _, outcome), _ = jax.lax.scan(
+        control_step, start, jnp.arange(control_steps)
+    )
+    return outcome, jnp.all(jnp.isfinite(state.positions))
+
+
+@partial(jax.jit, static_argnames=("task", "control_steps"))
+def episodes(indices, task, params, control_steps):
+    """A batch of episodes, numbered; each has randomness of its own."""
+    keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(2024), i))(indices)
+    return jax.vmap(lambda i, k: episode(i, k, task, params, control_steps))(
+        indices, keys
+    )
+
+
+def run(name, count, seconds, batch=48, offset=0):
+    """Runs episodes from number `offset` on; returns what became of them all."""
+    task = make(name, variant="clean")
+    params = task.default_params()
+    control_steps = round(seconds / task.control_period)
+    begin = time.perf_counter()
+    parts = []
+    for first in range(offset, offset + count, batch):
+        indices = jnp.arange(first, first + batch)
+        found = episodes(indices, task, params, control_steps)
+        parts.append(jax.tree.map(np.asarray, found))
+    outcome, finite = jax.tree.map(
+        lambda *leaves: np.concatenate(leaves)[:count], *parts
+    )
+    kinds = np.arange(offset, offset + count) % len(KINDS)
+    return {
+        "task": name,
+        "episodes": count,
+        "seconds": seconds,
+        "episodes_flagged": int(outcome.flagged.sum()),
+        "flagged_by_kind": {
+            kind: int(outcome.flagged[kinds == k].sum()) for k, kind in enumerate(KINDS)
+        },
+        "flags": dict(zip(FLAGS, outcome.flags.sum(axis=0).tolist(), strict=True)),
+        "states_not_finite_after_freezing": int((~finite).sum()),
+        "deepest_penetration_over_radius": float(outcome.penetration.max()),
+        "largest_stretch": float(outcome.largest_stretch.max()),
+        "largest_speed": float(outcome.largest_speed.max()),
+        "wall_seconds": time.perf_counter() - begin,
+    }
+
+
+def main():
+    """Prints one JSON object."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--task", default="unstructured")
+    parser.add_argument("--episodes", type=int, default=192)
+    parser.add_argument("--offset", type=int, default=0, help="number of the first")
+    parser.add_argument("--seconds", type=float, default=5.0)
+    options = parser.parse_args()
+    jaxrod.configure_cpu(1)
+    result = run(options.task, options.episodes, options.seconds, offset=options.offset)
+    print(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()
