@@ -28,6 +28,7 @@ COMMANDS = {
     "train": "train a policy on a task",
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
+    "reproduce": "run the published benchmark: cases, algorithms, seeds",
     "optimise": "find actuation by gradients through the simulation",
     "tradeoff": "measure what accuracy costs, and find the cheapest setting",
     "benchmark": "measure rod-steps per second on this machine",

@@ -20,6 +20,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxrod.cli._machine import processor
+
 if TYPE_CHECKING:
     from jaxrod.benchmark import Report
 
@@ -136,23 +138,13 @@ def machine_facts(load: float | None) -> dict[str, Any]:
         except metadata.PackageNotFoundError:
             continue
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": available_cores(),
         "load_average_before": load,
         "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "versions": versions,
     }
-
-
-def _processor() -> str:
-    """The processor's name, as well as it can be found out."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def _table(report: Report, machine: dict[str, Any]) -> str:

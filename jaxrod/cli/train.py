@@ -108,6 +108,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="devices to spread the environments over (default: as many as fit)",
     )
     parser.add_argument(
+        "--checkpoint-seconds",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="time between checkpoints (default: 60)",
+    )
+    parser.add_argument(
         "--no-replay", action="store_true", help="do not write replay.html"
     )
     parser.add_argument(
@@ -182,6 +189,7 @@ def run(args: argparse.Namespace) -> int:
             ),
             resume=args.resume,
             overwrite=args.overwrite,
+            checkpoint_seconds=args.checkpoint_seconds,
             devices=jax.devices()[:share],
         )
     except FloatingPointError as error:

@@ -1,0 +1,40 @@
+"""The published grid as it is planned: within the paper's budget, and trainable."""
+
+import pytest
+
+from jaxrod.cli import _grid, _runs
+from jaxrod.training import algorithm_names
+from jaxrod.training.grid_settings import GRID
+
+
+def test_the_grid_has_every_case_and_algorithm_within_the_papers_budget():
+    cells = _grid.plan([], [], [0])
+    pairs = {(cell.case, cell.algorithm) for cell in cells}
+    assert len(pairs) == len(cells) == 20
+    for cell in cells:
+        assert cell.variant == "paper"
+        assert 0.98 * GRID[cell.task][cell.algorithm].steps <= cell.steps
+        assert cell.steps <= cell.paper.timesteps
+
+
+@pytest.mark.parametrize("case", GRID)
+def test_every_cell_names_settings_that_its_learner_takes(case):
+    # `plan` validates them as a run does; two devices are what a laptop has.
+    assert set(GRID[case]) == set(algorithm_names())
+    for cell in _grid.plan([case], [], [0, 1]):
+        assert cell.settings["num_envs"] % 2 == 0
+
+
+def test_cases_have_the_tasks_names_and_the_papers():
+    named = _grid.plan(["tracking", "structured"], ["ppo"], [0])
+    assert _grid.plan(["Case1", "case3", "Case1"], ["PPO", "ppo"], [0, 0]) == named
+    assert [cell.name for cell in named] == ["Case1-PPO-0", "Case3-PPO-0"]
+    (clean,) = _grid.plan(["Case4"], ["sac"], [2], variant="clean")
+    assert clean.name == "Case4-SAC-clean-2"
+    assert clean.paper is None
+    assert list(_runs.PAPER_CASES.values()) == ["Case1", "Case2", "Case3", "Case4"]
+
+
+def test_a_share_of_the_steps_is_rounded_down_to_whole_updates():
+    (cell,) = _grid.plan(["Case3"], ["ppo"], [0], fraction=0.1)
+    assert cell.steps == 500_000 // 10 // 8192 * 8192

@@ -1,0 +1,87 @@
+"""The published grid as data: how many control steps, and what differs from defaults.
+
+`GRID[case][algorithm]` names the control steps of a run and the settings that differ
+from the learner's defaults in that case; docs/algorithms.md says what they mean and
+why the defaults are what they are. Settings are the same for all seeds and variants.
+
+In Cases 3 and 4 samples are scarce (0.5 and 1 million control steps, episodes of 3571):
+few environments, so that episodes end often, and for the learners with a memory a
+gradient step for every second control step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
+
+Settings = Mapping[str, int | float | bool | tuple[int, ...]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Planned:
+    """A run as it is planned.
+
+    Attributes:
+        steps: control steps.
+        settings: what differs from the learner's defaults, by name.
+    """
+
+    steps: int
+    settings: Settings = MappingProxyType({})
+
+
+_SCARCE_ON_POLICY: Settings = {"num_envs": 16, "rollout_steps": 512}
+_SCARCE_OFF_POLICY: Settings = {
+    "num_envs": 16,
+    "rollout_steps": 16,
+    "gradient_steps": 128,
+    "buffer_size": 500_000,
+}
+_QUICK_ON_POLICY: Settings = {"num_envs": 8, "rollout_steps": 32, "hidden_sizes": (16,)}
+_QUICK_OFF_POLICY: Settings = {
+    "num_envs": 8,
+    "gradient_steps": 16,
+    "buffer_size": 20_000,
+    "learning_starts": 500.0,
+    "hidden_sizes": (16,),
+}
+
+GRID: Mapping[str, Mapping[str, Planned]] = {
+    "tracking": {
+        "ppo": Planned(10_000_000),
+        "trpo": Planned(10_000_000),
+        "sac": Planned(10_000_000),
+        "td3": Planned(10_000_000),
+        "ddpg": Planned(10_000_000),
+    },
+    "reaching": {
+        "ppo": Planned(10_000_000),
+        "trpo": Planned(10_000_000),
+        "sac": Planned(10_000_000),
+        "td3": Planned(10_000_000),
+        "ddpg": Planned(10_000_000),
+    },
+    "structured": {
+        "ppo": Planned(500_000, _SCARCE_ON_POLICY),
+        "trpo": Planned(500_000, _SCARCE_ON_POLICY),
+        "sac": Planned(500_000, _SCARCE_OFF_POLICY),
+        "td3": Planned(500_000, _SCARCE_OFF_POLICY),
+        "ddpg": Planned(500_000, _SCARCE_OFF_POLICY),
+    },
+    "unstructured": {
+        "ppo": Planned(1_000_000, _SCARCE_ON_POLICY),
+        "trpo": Planned(1_000_000, _SCARCE_ON_POLICY),
+        "sac": Planned(1_000_000, _SCARCE_OFF_POLICY),
+        "td3": Planned(1_000_000, _SCARCE_OFF_POLICY),
+        "ddpg": Planned(1_000_000, _SCARCE_OFF_POLICY),
+    },
+    # Not of the paper: to try things out.
+    "trivial": {
+        "ppo": Planned(40_000, _QUICK_ON_POLICY),
+        "trpo": Planned(40_000, _QUICK_ON_POLICY),
+        "sac": Planned(10_000, _QUICK_OFF_POLICY),
+        "td3": Planned(10_000, _QUICK_OFF_POLICY),
+        "ddpg": Planned(10_000, _QUICK_OFF_POLICY),
+    },
+}
