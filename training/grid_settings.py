@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from types import MappingProxyType
 
 Settings = Mapping[str, int | float | bool | tuple[int, ...]]
 
@@ -28,7 +27,7 @@ class Planned:
     """
 
     steps: int
-    settings: Settings = MappingProxyType({})
+    settings: Settings = dataclasses.field(default_factory=dict)
 
 
 _SCARCE_ON_POLICY: Settings = {"num_envs": 16, "rollout_steps": 512}
