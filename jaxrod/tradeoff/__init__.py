@@ -6,7 +6,7 @@ and `jaxrod tradeoff` lay out the whole trade, PyElastica beside it.
 
 from jaxrod.tradeoff.measure import Measurement, Reference, measure, reference
 from jaxrod.tradeoff.problem import Problem, problem_of
-from jaxrod.tradeoff.scenes import SCENES, rope, swing, tracking_arm
+from jaxrod.tradeoff.scenes import SCENES, rope, slam, swing, tracking_arm
 from jaxrod.tradeoff.setting import Setting, prepare
 from jaxrod.tradeoff.tuning import Tuned, tune
 
@@ -22,6 +22,7 @@ __all__ = [
     "problem_of",
     "reference",
     "rope",
+    "slam",
     "swing",
     "tracking_arm",
     "tune",

@@ -115,7 +115,7 @@ def measure_grid(
         elements: Numbers of elements.
         batches: How many rods at once; implicit steps are timed for one.
         pyelastica_elements: Numbers of elements for PyElastica; left out, with a
-            word, where it is not installed.
+            word, where it is not installed or has not got what the problem has.
         mujoco_elements: The same for MuJoCo's cable; left out, with a word, where the
             problem has something the cable has not.
         seconds: How long to time each setting and batch [s].
@@ -147,6 +147,9 @@ def measure_grid(
             if missing.name != "elastica":
                 raise
             say("PyElastica is not installed")
+            break
+        except ValueError as unfit:
+            say(f"PyElastica is left out: {unfit}")
             break
         add("pyelastica", one)
     for n in mujoco_elements:

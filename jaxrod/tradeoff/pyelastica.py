@@ -174,7 +174,9 @@ def _add(
         rates = float(effect.translational_rate), float(effect.rotational_rate)
         simulator.dampen(system).using(_damper(elastica, *rates, dt))
     else:
-        raise ValueError(f"PyElastica is compared without {type(effect).__name__}")
+        raise ValueError(
+            f"PyElastica has no effect of the same law as {type(effect).__name__}"
+        )
 
 
 def _damper(elastica: Any, rate: float, spin_rate: float, dt: float) -> Any:

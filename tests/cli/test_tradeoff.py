@@ -65,7 +65,7 @@ def test_it_writes_table_picture_and_page(measured, run_json, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["slam"], "SCENE must be one of swing, tracking, rope, got 'slam'"),
+        (["flop"], "SCENE must be one of swing, tracking, rope, slam, got 'flop'"),
         (["swing", "--elements", "1"], "--elements must be at least 2 each"),
         (["swing", "--batches", "0"], "--batches must be at least 1 each"),
         (

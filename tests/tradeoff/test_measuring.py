@@ -15,7 +15,7 @@ from jaxrod.tradeoff import grid as grids
 from jaxrod.tradeoff.measure import tip_error, tips_of
 from jaxrod.tradeoff.mujoco_cable import measure_mujoco
 from jaxrod.tradeoff.pyelastica import measure_pyelastica
-from jaxrod.tradeoff.scenes import SCENES, rope, swing, tracking_arm
+from jaxrod.tradeoff.scenes import SCENES, rope, slam, swing, tracking_arm
 
 
 def short(problem, periods):
@@ -168,7 +168,32 @@ def test_the_front_holds_what_none_beats():
     assert grids.cheapest(rows, 0.01) is None
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.slow
+def test_a_slammed_arm_hits_its_post_and_converges():
+    problem = slam()
+    coarse, fine, finer = (
+        tips_of(problem, prepare(problem, Setting(n, reductions=("planar",))))
+        for n in (10, 20, 40)
+    )
+    free = dataclasses.replace(problem, build=swing().build)
+    missed = tips_of(free, prepare(free, Setting(20, reductions=("planar",))))
+    assert np.max(np.abs(missed - fine)) > 0.1
+    errors = [tip_error(tips, finer, 1.0) for tips in (coarse, fine)]
+    assert errors[1] < 0.5 * errors[0] < 0.01
+
+
+def test_simulators_without_our_contact_are_left_out_with_a_word(monkeypatch):
+    monkeypatch.setattr(grids, "settings_of", lambda problem, elements: [])
+    said: list[str] = []
+    problem = short(slam(), 2)
+    assert grids.measure_grid(problem, _reference_of(problem), say=said.append) == []
+    assert [line.split(":")[0] for line in said] == [
+        "PyElastica is left out",
+        "MuJoCo is left out",
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(SCENES.keys() - {"slam"}))
 def test_named_problems_are_made_of_effects_pyelastica_has(name):
     problem = short(SCENES[name](), 2)
     tips = tips_of(
