@@ -1,0 +1,190 @@
+"""`jaxrod reproduce`: grids of runs that stop, die and diverge, and what they leave."""
+
+import csv
+import json
+import shutil
+import sys
+
+import pytest
+
+from jaxrod.cli import _grid, _grid_process
+from jaxrod.cli._grid_records import COLUMNS
+
+# A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
+# score 100 seed + 1, diverges where seed is 7, and is killed where seed is 9.
+TRAIN = """
+import json, os, pathlib, sys, time
+words = sys.argv[1:]
+given = {a[2:]: b for a, b in zip(words, words[1:]) if a.startswith("--")}
+out, seed = pathlib.Path(given["out"]), int(given["seed"])
+resumed = "--resume" in words
+asked = json.loads(os.environ["CONFIGS"])[out.name]
+(out / "checkpoints").mkdir(parents=True, exist_ok=True)
+with open(out.parent / "called", "a") as called:
+    called.write(out.name + (" resumed" if resumed else "") + "\\n")
+(out / "config.json").write_text(json.dumps(asked))
+(out / "progress.csv").write_text(
+    "env_steps,wall_s,episode_return_mean,flagged_fraction\\n"
+    + "".join(f"{k},{k / 10},{k if k > 9 else ''},0.0\\n" for k in range(1, 1001)))
+if seed == 7:
+    print("value_loss is not a number after 1,000 steps: learning diverged")
+    sys.exit(1)
+if seed == 9 and not resumed:
+    os.kill(os.getpid(), 9)
+summary = {"final_score": 100.0 * seed + 1, "env_steps": 1000, "wall_s": 2.5,
+           "flagged_fraction": 0.0, "score_window": 50, "episodes": 9,
+           "evaluation_score": 1.0, "jax_version": "1", "device": "2 x cpu",
+           "status": "finished"}
+(out / "summary.json").write_text(json.dumps(summary))
+"""
+
+
+@pytest.fixture
+def grid(run, monkeypatch, tmp_path):
+    """Runs a grid of stand-ins; `called()` says which were started since."""
+    monkeypatch.setattr(_grid_process, "LAUNCHER", (sys.executable, "-c", TRAIN))
+    monkeypatch.setattr(_grid_process, "POLL_SECONDS", 0.02)
+    out = tmp_path / "grid"
+
+    def call(*seeds, words=(), algorithms=("ppo", "sac"), case="trivial"):
+        chosen = _grid.plan([case], algorithms, seeds)
+        if "--steps" in words:
+            chosen = _grid.plan([case], algorithms, seeds, steps=int(words[-1]))
+        configs = {cell.name: cell.config for cell in chosen}
+        monkeypatch.setenv("CONFIGS", json.dumps(configs))
+        more = ["--algorithms", *algorithms, "--seeds", *seeds, "--out", out]
+        return run("reproduce", case, *more, *words)
+
+    def called():
+        file = out / "runs" / "called"
+        lines = file.read_text().splitlines() if file.exists() else []
+        file.unlink(missing_ok=True)
+        return lines
+
+    call.out, call.called = out, called
+    return call
+
+
+def rows(out):
+    with (out / "results.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_grid_leaves_a_row_per_cell_and_is_not_run_twice(grid):
+    code, _, err = grid(1, 0)
+    assert code == 0, err
+    assert (grid.out / "results.csv").read_text().splitlines()[0] == ",".join(COLUMNS)
+    assert [(r["algorithm"], r["seed"], r["final_score"]) for r in rows(grid.out)] == [
+        ("PPO", "0", "1.0"),
+        ("PPO", "1", "101.0"),
+        ("SAC", "0", "1.0"),
+        ("SAC", "1", "101.0"),
+    ]
+    assert "4 done" in err
+    assert len(grid.called()) == 4
+    assert not list(grid.out.glob("runs/*/checkpoints"))
+    before = (grid.out / "results.csv").read_bytes()
+    shutil.rmtree(grid.out / "runs")  # as in a fresh clone
+    assert grid(0, 1)[0] == 0
+    assert grid.called() == []
+    assert (grid.out / "results.csv").read_bytes() == before
+
+
+def test_results_stand_beside_the_papers(grid):
+    assert grid(0, 1, algorithms=("trpo",), case="Case3")[0] == 0
+    assert {(r["case"], r["variant"]) for r in rows(grid.out)} == {("Case3", "paper")}
+    line = next(
+        line
+        for line in (grid.out / "results.md").read_text().splitlines()
+        if line.startswith("| Case3 TRPO")
+    )
+    # The mean, every seed, the paper's, the difference; 2.15 h over 2.5 s.
+    for text in ("| 51 |", "0: 1, 1: 101", "4,124 ± 564", "-4,073", "3,096"):
+        assert text in line
+    curve = (grid.out / "curves" / "Case3-TRPO-1.csv").read_text().splitlines()
+    assert curve[0] == "env_steps,wall_s,episode_return_mean"
+    assert len(curve) == 201
+    assert curve[-1] == "1000,100.0,1000"
+
+
+def test_rows_without_a_record_are_kept(grid):
+    grid.out.mkdir()
+    row = "Case1,PPO,paper,3,10,7.5,1.0,0.0"
+    (grid.out / "results.csv").write_text(f"{','.join(COLUMNS)}\n{row}\n")
+    assert grid(0)[0] == 0
+    lines = (grid.out / "results.csv").read_text().splitlines()
+    assert lines[1] == row
+    assert len(lines) == 4
+
+
+def test_a_cell_that_diverged_is_recorded_and_the_grid_goes_on(grid):
+    code, _, err = grid(7, 0)
+    assert code == 1
+    assert "learning diverged" in err
+    scores = {(r["algorithm"], r["seed"]): r["final_score"] for r in rows(grid.out)}
+    assert scores["PPO", "7"] == scores["SAC", "7"] == "nan"
+    assert scores["PPO", "0"] == scores["SAC", "0"] == "1.0"
+    assert "seed 7: value_loss is not" in (grid.out / "results.md").read_text()
+    grid.called()
+    # It would diverge again.
+    assert grid(7, 0)[0] == 1
+    assert grid.called() == []
+
+
+def test_a_cell_that_was_killed_is_not_recorded_and_goes_on_later(grid):
+    code, _, err = grid(9, 0, algorithms=("ppo",))
+    assert code == 1
+    assert "killed by signal 9" in err
+    assert [r["seed"] for r in rows(grid.out)] == ["0"]
+    grid.called()
+    assert grid(9, 0, algorithms=("ppo",))[0] == 0
+    assert grid.called() == ["trivial-PPO-9 resumed"]
+    assert [r["final_score"] for r in rows(grid.out)] == ["1.0", "901.0"]
+
+
+def test_what_was_run_otherwise_is_replaced_only_when_asked(grid):
+    assert grid(0, algorithms=("ppo",))[0] == 0
+    grid.called()
+    words = ("--steps", 512)
+    code, _, err = grid(0, algorithms=("ppo",), words=words)
+    assert code == 2
+    assert "steps was 39936, now 512" in err
+    assert err.count("\n") == 1
+    assert grid.called() == []
+    code = grid(0, algorithms=("ppo",), words=("--overwrite", *words))[0]
+    assert code == 0
+    assert grid.called() == ["trivial-PPO-0"]
+    record = json.loads((grid.out / "cells" / "trivial-PPO-0.json").read_text())
+    assert record["config"]["steps"] == 512
+
+
+def test_a_dry_run_tells_steps_settings_and_the_time_measured(grid, run, run_json):
+    grid(0, algorithms=("ppo",))
+    words = ("reproduce", "trivial", "--algorithms", "ppo", "--out", grid.out)
+    table = run_json(*words, "--dry-run", "--json")
+    assert [row["status"] for row in table] == ["finished", "waiting", "waiting"]
+    assert table[1]["steps"] == 39_936
+    assert table[1]["expected_s"] == pytest.approx(39_936 * 2.5 / 1000)
+    assert "num_envs=8" in table[1]["changed"]
+    code, out, _ = run(*words, "--dry-run")
+    assert code == 0
+    assert "2 of 3 cells to run" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["Case5"], "case must be one of tracking"),
+        (["trivial", "--algorithms", "luck"], "algorithm must be one of ppo"),
+        (["trivial", "--seeds", "-1"], "seeds must not be negative"),
+        (["tracking", "--variant", "dirty"], "variant must be one of"),
+        (["trivial", "--steps", "3"], "needs at least one update"),
+        (["trivial", "--steps-fraction", "2"], "steps-fraction must be in (0, 1]"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(words, sentence, run, tmp_path):
+    code, out, err = run("reproduce", *words, "--out", tmp_path / "grid")
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "grid").exists()
