@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.envs import VectorEnvironment
-from jaxrod.envs.tracking import tracking
+from jaxrod.envs import VectorEnvironment, make
 from jaxrod.envs.trivial import Trivial
 
 
@@ -169,9 +168,19 @@ def test_empty_batch_is_refused():
         VectorEnvironment(env).reset(jax.random.key(0), 0, env.default_params())
 
 
-def test_a_bad_arm_in_4096_is_flagged_and_the_others_are_the_same_to_the_last_bit():
+@pytest.mark.parametrize(
+    "task",
+    [
+        "tracking",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("reaching", "structured")
+        ),
+    ],
+)
+def test_a_bad_arm_in_4096_is_flagged_and_the_others_are_the_same_to_the_last_bit(task):
     bad, num_envs = 77, 4096
-    env = tracking("clean", episode_length=50)
+    env = make(task, variant="clean", episode_length=50)
     params = env.default_params()
     batch = VectorEnvironment(env)
     actions = jax.random.uniform(
