@@ -9,7 +9,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from jaxrod.cli import _runs
-from jaxrod.cli._grid_records import Record
+from jaxrod.cli._grid_records import Record, Records
 from jaxrod.cli._grid_view import duration
 
 if TYPE_CHECKING:
@@ -79,6 +79,32 @@ def write_report(records: Iterable[Record], out: Path) -> None:
     from jaxrod.training.files import write_atomically
 
     write_atomically(out / "results.md", report(records).encode())
+
+
+def draw_figures(records: Records) -> None:
+    """Draws a picture per case and variant: `OUT/Case1.png`, ...
+
+    Cells without a complete episode are left out; nothing is drawn without matplotlib.
+    """
+    from jaxrod import viz
+
+    figures: dict[str, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
+    for record in records:
+        if record["final_score"] is not None:
+            variant = record["variant"]
+            suffix = "" if variant in (None, "paper") else f"-{variant}"
+            figures[record["case"] + suffix][record["algorithm"]].append(record)
+    for name, groups in figures.items():
+        try:
+            viz.grid_curves(
+                {k: [records.curve(r["name"]) for r in v] for k, v in groups.items()},
+                {k: paper_result(v[0]) for k, v in groups.items()},
+                records.out / f"{name}.png",
+                title=name,
+            )
+        except ModuleNotFoundError as missing:
+            if missing.name != "matplotlib":
+                raise
 
 
 def _line(group: Sequence[Record]) -> tuple[str, ...]:

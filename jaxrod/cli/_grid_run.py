@@ -11,7 +11,7 @@ from typing import Any, TextIO
 from jaxrod.cli import _grid_process
 from jaxrod.cli._grid import CHECKPOINT_SECONDS, Cell
 from jaxrod.cli._grid_records import Record, Records
-from jaxrod.cli._grid_report import write_report
+from jaxrod.cli._grid_report import draw_figures, write_report
 from jaxrod.cli._grid_view import GridView
 from jaxrod.cli._machine import processor
 from jaxrod.training.interruption import Interruption
@@ -148,6 +148,7 @@ def _record(
     names = ("env_steps", "final_score", "wall_s", "flagged_fraction")
     more = ("score_window", "episodes", "evaluation_score", "jax_version", "device")
     record: Record = {
+        "name": cell.name,
         "case": cell.case,
         "algorithm": cell.algorithm.upper(),
         "variant": cell.variant,
@@ -163,6 +164,7 @@ def _record(
     }
     records.add(cell.name, record, folder.progress.read())
     write_report(records, records.out)
+    draw_figures(records)
     shutil.rmtree(folder.checkpoints, ignore_errors=True)
 
 

@@ -5,6 +5,7 @@ Imports NumPy only; matplotlib is imported by the functions that draw with it.
 
 from jaxrod.viz.curves import learning_curve
 from jaxrod.viz.drawing import animation, frame
+from jaxrod.viz.grid_curves import grid_curves
 from jaxrod.viz.page import html, save_html
 from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Replay
@@ -18,6 +19,7 @@ __all__ = [
     "Sphere",
     "animation",
     "frame",
+    "grid_curves",
     "html",
     "learning_curve",
     "paper_result",

@@ -105,6 +105,7 @@ def test_results_stand_beside_the_papers(grid):
     assert curve[0] == "env_steps,wall_s,episode_return_mean"
     assert len(curve) == 201
     assert curve[-1] == "1000,100.0,1000"
+    assert (grid.out / "Case3.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_rows_without_a_record_are_kept(grid):
