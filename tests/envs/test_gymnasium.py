@@ -270,16 +270,5 @@ def test_pictures_are_those_of_the_running_episode():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ids())
-def test_every_id_passes_the_checker_and_is_the_functional_environment(name):
-    check_env(gymnasium.make(name).unwrapped)
-    more = {"episode_length": 4}
-    env = gymnasium.make(name, **more).unwrapped
-    envs = gymnasium.make_vec(name, num_envs=1, **more)
-    assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
-    check_one_is_a_batch_of_one(env, envs, 10)
-    options = dict(envs.spec.kwargs)
-    functional = make(options["task"], variant=options["variant"], **more)
-    _, truncated = check_same(
-        functional, gymnasium.make_vec(name, num_envs=2, **more), 6
-    )
-    assert truncated > 0
+def test_the_checker_has_nothing_to_say_about_any_id(name):
+    check_env(gymnasium.make(name, episode_length=4).unwrapped)
