@@ -3,8 +3,8 @@
 The consistent elastic law, a wall-accurate clamp, damping integrated exactly, and
 couples per metre instead of per element, of the same sum as the published ones. When a
 numerical health flag rises the arm is frozen at its last sound state. Its energy is
-not examined: that takes more than half a control step again and finds nothing else
-(`tests/envs/test_energy.py`).
+not examined: that takes more than half a control step again, and on sound arms raises
+no flag (`tests/envs/test_energy.py`).
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def playing(env, params, examined):
 
 @pytest.mark.slow
 @pytest.mark.default_precision
-def test_examining_energy_costs_much_of_a_control_step_and_finds_nothing(record):
+def test_examining_energy_costs_much_of_a_control_step_and_flags_no_sound_arm(record):
     env = make("tracking", variant="clean")
     params = env.default_params()
     runs = [playing(env, params, examined) for examined in (False, True)]
