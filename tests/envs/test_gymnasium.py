@@ -268,7 +268,23 @@ def test_pictures_are_those_of_the_running_episode():
     assert np.any(first != second)
 
 
+# One program serves both tests of an id.
+SHORT = {"episode_length": 4}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ids())
 def test_the_checker_has_nothing_to_say_about_any_id(name):
-    check_env(gymnasium.make(name, episode_length=4).unwrapped)
+    check_env(gymnasium.make(name, **SHORT).unwrapped)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ids())
+def test_every_id_is_the_functional_environment_to_the_last_bit(name):
+    env = gymnasium.make(name, **SHORT).unwrapped
+    envs = gymnasium.make_vec(name, num_envs=1, **SHORT)
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    check_one_is_a_batch_of_one(env, envs, 10)
+    task, variant = envs.spec.kwargs["task"], envs.spec.kwargs["variant"]
+    _, truncated = check_same(make(task, variant=variant, **SHORT), envs, 6)
+    assert truncated > 0
