@@ -30,7 +30,10 @@ TARGET = np.array([0.4, 0.6, 0.2])
 N_ELEMENTS = 6
 
 
-@pytest.fixture(scope="module", params=["float64", "float32"])
+@pytest.fixture(
+    scope="module",
+    params=["float64", pytest.param("float32", marks=pytest.mark.slow)],
+)
 def found(request):
     with jax.enable_x64(True):
         arm = actuated_arm(N_ELEMENTS, dtype=request.param)
