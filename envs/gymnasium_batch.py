@@ -5,11 +5,11 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import gymnasium  # noqa: TID253  part of the adapter, imported only with it
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium.spaces import Box  # noqa: TID253  see above
+from gymnasium.spaces import Box
 from jaxtyping import Array, Float, Key, UInt8
 
 from jaxrod.envs.protocol import Environment
@@ -66,10 +66,9 @@ class Batch:
         self.action_space = Box(-1, 1, (self.env.action_size,), np.float32)
         self.metadata: dict[str, Any] = {"render_modes": []}
         if drawable(self.env):
-            period: float = self.env.control_period  # type: ignore[attr-defined]  # drawable
             self.metadata = {
                 "render_modes": ["rgb_array"],
-                "render_fps": round(1 / period),
+                "render_fps": round(1 / self.env.control_period),
             }
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
@@ -113,10 +112,17 @@ class Batch:
         return self.state
 
     def picture(self, state: VectorState, index: int) -> UInt8[np.ndarray, "h w 3"]:
-        """What environment number `index` looks like."""
+        """What environment number `index` looks like.
+
+        Raises:
+            ValueError: there is no arm to draw.
+        """
+        env = self.env
+        if not drawable(env):
+            raise ValueError(f"{env.name} has no arm to draw")
         one = jax.tree.map(lambda leaf: leaf[index], state.states)
-        period: float = self.env.control_period  # type: ignore[attr-defined]  # drawable
-        return picture(self.env, self.params, one, int(state.elapsed[index]) * period)
+        seconds = int(state.elapsed[index]) * env.control_period
+        return picture(env, self.params, one, seconds)
 
 
 def observed(observation: Array) -> Float[np.ndarray, "..."]:

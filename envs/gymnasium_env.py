@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium  # noqa: TID253  this module is the adapter
+import gymnasium
 import numpy as np
 
 from jaxrod.envs.gymnasium_batch import Batch, observed
@@ -22,7 +22,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     # What Gymnasium asks of the class before there is an environment.
-    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's declaration
+    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's type: each has its own
         "render_modes": ["rgb_array"],
         "render_fps": 714,
     }

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import gymnasium  # noqa: TID253  this module is the adapter
+import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode  # noqa: TID253  see above
-from gymnasium.vector.utils import batch_space  # noqa: TID253  see above
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
 
 from jaxrod.envs.gymnasium_batch import Batch, observed
 from jaxrod.envs.protocol import Environment
@@ -25,7 +25,7 @@ class GymnasiumVectorEnv(
     the batch with `jax.random.key(s)`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's declaration
+    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's type: each has its own
         "render_modes": ["rgb_array"],
         "render_fps": 714,
         "autoreset_mode": AutoresetMode.SAME_STEP,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol, TypeGuard
 
 import jax
 import numpy as np
@@ -12,7 +12,15 @@ from jaxrod.envs.protocol import Environment
 from jaxrod.viz import Cylinder, Replay, Sphere, frame
 
 
-def drawable(env: Environment) -> bool:
+class Drawable(Environment, Protocol):
+    """An environment with an arm and a target; see `drawable`."""
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+
+
+def drawable(env: Environment) -> TypeGuard[Drawable]:
     """Whether the environment has an arm and a target."""
     if not hasattr(env, "control_period"):
         return False
@@ -37,12 +45,12 @@ def obstacles(env: Environment) -> list[Cylinder]:
 
 
 def picture(
-    env: Environment, params: Any, state: Any, seconds: float
+    env: Drawable, params: Any, state: Any, seconds: float
 ) -> UInt8[np.ndarray, "480 640 3"]:
     """A still of one moment, always seen from the same place.
 
     Args:
-        env: A drawable environment.
+        env: The environment.
         params: Its parameters.
         state: Its state.
         seconds: Time since the episode began [s].

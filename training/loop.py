@@ -181,6 +181,13 @@ def _open_folder(
                 f"resume needs what the run in {str(out)!r} was started with; "
                 f"{', '.join(changed)}"
             )
+        if folder.finished and not any(folder.checkpoints.glob("*")):
+            # Starting over in its place would lose the result.
+            raise ValueError(
+                f"out must hold a checkpoint to resume from, but the run in "
+                f"{str(out)!r} is finished and its checkpoints are gone; "
+                "pass overwrite=True to train anew"
+            )
         return folder
     if folder.exists and not overwrite:
         raise ValueError(

@@ -50,8 +50,9 @@ def write_replay(
     """Plays the policy and writes a page that shows it, where there is an arm."""
     from jaxrod import viz
     from jaxrod.cli import _recording
+    from jaxrod.envs.scenery import drawable
 
-    if not _recording.drawable(run.env):
+    if not drawable(run.env):
         _note(f"no replay: {run.env.name} has no arm to draw")
         return None
     replay = _recording.record(

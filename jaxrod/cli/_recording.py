@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float, Key
 
 from jaxrod._pytree import pytree
 from jaxrod.envs import Environment
-from jaxrod.viz import Cylinder, Replay, Sphere
+from jaxrod.envs.scenery import drawable, obstacles
+from jaxrod.viz import Replay, Sphere
 
 FRAMES_PER_SECOND = 60.0
 
@@ -56,7 +57,7 @@ def record(
         raise ValueError(f"{env.name} has no arm to draw")
     if seconds is not None and not 0 < seconds < float("inf"):
         raise ValueError(f"seconds must be positive and finite, got {seconds} s")
-    period: float = env.control_period  # type: ignore[attr-defined]  # drawable
+    period = env.control_period
     params = env.default_params()
     steps = env.episode_length
     if seconds is not None:
@@ -77,7 +78,7 @@ def record(
         np.asarray(params.rod.radii),
         np.arange(count) * stride * period,
         spheres=[Sphere(frames.target, float(params.target.radius))],
-        cylinders=_obstacles(env),
+        cylinders=obstacles(env),
         readouts={
             "reward": frames.reward,
             "return": np.cumsum(frames.reward, dtype=float) * stride,
@@ -86,30 +87,6 @@ def record(
         title=title,
         up="y",
     )
-
-
-def drawable(env: Environment) -> bool:
-    """Whether the environment has an arm and a target."""
-    if not hasattr(env, "control_period"):
-        return False
-    params = jax.eval_shape(env.default_params)
-    return hasattr(params, "rod") and hasattr(params, "target")
-
-
-def _obstacles(env: Environment) -> list[Cylinder]:
-    """What is in the arm's way, where there is something."""
-    if not hasattr(env, "obstacles"):
-        return []
-    obstacles = env.obstacles()
-    return [
-        Cylinder(start, end, float(radius))
-        for start, end, radius in zip(
-            np.asarray(obstacles.starts).T,
-            np.asarray(obstacles.ends).T,
-            obstacles.radii,
-            strict=True,
-        )
-    ]
 
 
 @partial(jax.jit, static_argnames=("env", "count", "stride"))

@@ -148,6 +148,8 @@ def run(args: argparse.Namespace) -> int:
     if args.nest is not None:
         options["nest"] = None if args.nest == PUBLISHED else args.nest
     env = _runs.make_case(args.case, options)
+    # What is as by default is not told apart from what was not chosen.
+    options = {name: value for name, value in options.items() if value is not None}
     if hasattr(env, "variant"):
         options["variant"] = env.variant
     seed = _chosen(args.seed, stored, "seed", 0)

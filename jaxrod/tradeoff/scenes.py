@@ -56,9 +56,8 @@ def rope() -> Problem:
 def slam() -> Problem:
     """The arm of `swing` let go above a post, which it hits and bends over: 0.6 s.
 
-    The post is a cylinder of 15 cm radius across the plane of motion; the arm meets it
-    at 2 m/s with two thirds of its length. Contact is soft enough to be resolved by
-    few elements.
+    The post is a cylinder of 15 cm radius across the plane of motion, under two thirds
+    of the arm's length. Contact is soft: it is to be resolved by few elements.
     """
 
     def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:

@@ -20,7 +20,9 @@ _RUN_COLOUR, _PAPER_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
 FilePath = str | os.PathLike[str]
 
 
-class _Run(NamedTuple):
+class Curve(NamedTuple):
+    """A run: return of episodes over control steps and wall-clock time [s]."""
+
     steps: np.ndarray
     wall: np.ndarray
     returns: np.ndarray
@@ -57,14 +59,19 @@ def learning_curve(
     paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
     if not paths:
         raise ValueError("progress must name at least one progress.csv, got none")
-    runs = [_read(Path(path)) for path in paths]
+    runs = [read_curve(Path(path)) for path in paths]
     if paper is not None and not isinstance(paper, PaperResult):
         algorithm, case = paper
         paper = paper_result(case, algorithm)
     write_atomically(out, _draw(runs, paper, title, label))
 
 
-def _read(path: Path) -> _Run:
+def read_curve(path: Path) -> Curve:
+    """Reads a progress.csv; rows without a return yet are skipped.
+
+    Raises:
+        ValueError: the file lacks the columns or has no finished episode.
+    """
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         missing = [c for c in _COLUMNS if c not in (reader.fieldnames or ())]
@@ -80,14 +87,16 @@ def _read(path: Path) -> _Run:
     # A resumed run may repeat rows: the last word counts.
     steps, last = np.unique(values[::-1, 0], return_index=True)
     _, wall, returns = values[::-1][last].T
-    return _Run(steps, wall, returns)
+    return Curve(steps, wall, returns)
 
 
 def _number(text: str | None) -> float:
     return float(text) if text else float("nan")
 
 
-def _draw(runs: list[_Run], paper: PaperResult | None, title: str, label: str) -> bytes:
+def _draw(
+    runs: list[Curve], paper: PaperResult | None, title: str, label: str
+) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter, FuncFormatter
@@ -118,7 +127,7 @@ def _draw(runs: list[_Run], paper: PaperResult | None, title: str, label: str) -
             label=None if several else _run_label(label, runs),
         )
     if several:
-        steps = _common_steps(runs)
+        steps = common_steps(runs)
         mean = np.mean([np.interp(steps, r.steps, r.returns) for r in runs], axis=0)
         axes.plot(
             steps, mean, color=_RUN_COLOUR, linewidth=2.2, label=_run_label(label, runs)
@@ -143,7 +152,7 @@ def _draw(runs: list[_Run], paper: PaperResult | None, title: str, label: str) -
     return picture.getvalue()
 
 
-def _clock(axes: Any, runs: list[_Run], last_step: float) -> None:
+def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
     """Adds the axis on top: wall-clock time of the run, mean over the runs."""
     from matplotlib.ticker import MaxNLocator
 
@@ -169,13 +178,14 @@ def _clock(axes: Any, runs: list[_Run], last_step: float) -> None:
     top.spines["top"].set_color(_QUIET)
 
 
-def _common_steps(runs: list[_Run]) -> np.ndarray:
+def common_steps(runs: list[Curve]) -> np.ndarray:
+    """Control steps that all runs have done, shape (400,)."""
     first = max(run.steps[0] for run in runs)
     last = min(run.steps[-1] for run in runs)
     return np.linspace(first, max(first, last), 400)
 
 
-def _run_label(label: str, runs: list[_Run]) -> str:
+def _run_label(label: str, runs: list[Curve]) -> str:
     wall = float(np.mean([run.wall[-1] for run in runs]))
     took = f"{wall:.0f} s" if wall < 120 else f"{wall / 60:.1f} min"
     if wall >= 7200:
@@ -192,6 +202,6 @@ def _paper_label(paper: PaperResult) -> str:
     )
 
 
-def _alt(runs: list[_Run], paper: PaperResult | None) -> str:
+def _alt(runs: list[Curve], paper: PaperResult | None) -> str:
     parts = [_run_label("run", runs)] + ([_paper_label(paper)] if paper else [])
     return "; ".join(parts)

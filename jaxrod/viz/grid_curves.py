@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxrod.viz.curves import FilePath, _common_steps, _read
+from jaxrod.viz.curves import FilePath, common_steps, read_curve
 from jaxrod.viz.files import write_atomically
 from jaxrod.viz.paper import PaperResult
 
@@ -55,11 +55,13 @@ def grid_curves(
     steps_axes, clock_axes = np.ravel(
         np.asarray(figure.subplots(1, 2, sharey=True), dtype=object)
     )
-    runs = {name: [_read(Path(f)) for f in files] for name, files in curves.items()}
+    runs = {
+        name: [read_curve(Path(f)) for f in files] for name, files in curves.items()
+    }
     last = max(run.steps[-1] for some in runs.values() for run in some)
     for k, (name, some) in enumerate(runs.items()):
         colour = _COLOURS.get(name, "#334155")
-        steps = _common_steps(some)
+        steps = common_steps(some)
         values = np.array([np.interp(steps, r.steps, r.returns) for r in some])
         wall = np.mean([np.interp(steps, r.steps, r.wall) for r in some], axis=0)
         mean, spread = values.mean(0), values.std(0)

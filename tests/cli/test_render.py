@@ -14,6 +14,7 @@ import pytest
 from jaxrod._pytree import pytree
 from jaxrod.cli import _recording
 from jaxrod.envs import make
+from jaxrod.envs.scenery import drawable, obstacles
 from jaxrod.training import Policy, save_policy
 from jaxrod.training.normalisation import no_moments
 
@@ -102,16 +103,16 @@ def test_a_broken_arm_is_shown_until_it_breaks():
 
 
 def test_what_has_no_arm_is_not_drawable():
-    assert _recording.drawable(Clock())  # type: ignore[arg-type]  # has no sizes
-    assert _recording.drawable(make("tracking"))
-    assert not _recording.drawable(make("trivial"))
+    assert drawable(Clock())
+    assert drawable(make("tracking"))
+    assert not drawable(make("trivial"))
     with pytest.raises(ValueError, match="trivial has no arm to draw"):
         _recording.record(make("trivial"), idle)
 
 
 def test_obstacles_are_drawn_where_the_task_has_some():
-    assert _recording._obstacles(make("tracking")) == []
-    first, *others = _recording._obstacles(make("structured"))
+    assert obstacles(make("tracking")) == []
+    first, *others = obstacles(make("structured"))
     assert len(others) == 7
     np.testing.assert_allclose(first.start, [-0.6, 0.0, 0.12], rtol=1e-6)
     np.testing.assert_allclose(first.end, [-0.6, 1.0, 0.12], rtol=1e-6)

@@ -97,3 +97,17 @@ def test_a_choice_that_a_task_does_not_have_is_named(words, sentence, run, tmp_p
     assert (code, out) == (2, "")
     assert sentence in err
     assert not (tmp_path / "run").exists()
+
+
+def test_naming_the_default_nest_is_choosing_nothing(run, tmp_path, monkeypatch):
+    asked = []
+
+    def stop(*arguments, env_options, **more):
+        asked.append(env_options)
+        raise FloatingPointError("enough")
+
+    monkeypatch.setattr("jaxrod.training.train", stop)
+    for words in ([], ["--nest", "published"], ["--nest", "7"]):
+        run("train", "unstructured", *words, "--out", tmp_path / "run")
+    assert asked[0] == asked[1] == {"variant": "paper"}
+    assert asked[2] == {"variant": "paper", "nest": 7}

@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -222,6 +223,27 @@ def test_folder_holds_what_scripts_rely_on(whole_run):
     assert [int(row["env_steps"]) for row in rows] == list(range(256, STEPS + 1, 256))
     assert folder.config()["settings"]["num_envs"] == 8
     assert not [path for path in folder.path.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.default_precision
+def test_a_finished_run_whose_checkpoints_are_gone_is_not_begun_anew(
+    tmp_path, whole_run
+):
+    folder = tmp_path / "run"
+    shutil.copytree(whole_run.folder.path, folder)
+    shutil.rmtree(folder / "checkpoints")
+    before = {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+    with pytest.raises(ValueError, match="is finished and its checkpoints are gone"):
+        train(
+            Trivial(),
+            steps=STEPS,
+            config=SMALL,
+            out=folder,
+            chunk_steps=256,
+            resume=True,
+            **QUIET,
+        )
+    assert before == {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
 
 
 def test_final_score_is_the_mean_of_the_last_episodes(whole_run):
