@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from jaxrod import vectors
@@ -270,100 +269,3 @@ def _subtract(a: Vec2, b: Vec2) -> Vec2:
 def _spread(a: Array) -> Array:
     """Difference to the surrounding grid: internal forces on nodes."""
     return vectors.pad(a, 0, 1) - vectors.pad(a, 1, 0)
-
-
-def check_planar(scene: Scene, state: RodState) -> None:
-    """Checks that a rod is in the scene's plane and that nothing takes it out.
-
-    Args:
-        scene: A scene with a plane.
-        state: Its concrete state.
-
-    Raises:
-        ValueError: If positions, velocities, orientations, spins, rest shape or loads
-            have parts out of the plane, or if bending about the normal is not
-            bending about one principal axis.
-    """
-    assert scene.plane is not None
-    a, b, out = PLANES[scene.plane]
-    rod = scene.rod
-    tolerance = float(np.sqrt(np.finfo(np.asarray(rod.radii).dtype).eps))
-    frame = np.asarray(state.directors, np.float64)
-    n1, n2, n3 = frame[0, out], frame[1, out], frame[2, out]
-    stepper = PlanarStepper.create(scene, state, jnp.ones((), rod.radii.dtype))
-    in_space = stepper.in_space(stepper.enter(state))
-    force, couple = _largest_outside(scene, in_space, out, n1, n2)
-
-    def off(values: Array | np.ndarray, scale: float) -> float:
-        return float(np.max(np.abs(np.asarray(values, np.float64)))) / scale
-
-    stiffness = np.asarray(rod.bend_twist_stiffness, np.float64)
-    shear = np.asarray(rod.shear_stretch_stiffness, np.float64)
-    oblique = np.abs(n1 * n2)
-    length = float(np.sum(np.asarray(rod.rest_lengths)))
-    speed = float(np.max(np.abs(np.asarray(state.velocities)))) or 1.0
-    spin = float(np.max(np.abs(np.asarray(state.angular_momenta)))) or 1.0
-    heights = np.asarray(state.positions[out], np.float64)
-    inside = np.asarray(state.angular_momenta)[[a, b]]
-    rest = np.asarray(rod.rest_curvatures, np.float64)
-    rest_strains = np.asarray(rod.rest_strains, np.float64)
-    bent = np.stack([n2[1:] * rest[0] - n1[1:] * rest[1], rest[2]]) * length
-    sheared = n1 * rest_strains[0] + n2 * rest_strains[1]
-    problems = {
-        "node positions": off(heights - heights[0], length),
-        "velocities": off(state.velocities[out], speed),
-        "the directions of elements": off(n3, 1.0),
-        "angular momenta": off(inside, spin),
-        "twist between elements": max(off(np.diff(n1), 1.0), off(np.diff(n2), 1.0)),
-        "rest curvatures": off(bent, 1.0),
-        "rest strains": off(sheared, 1.0),
-        "bending stiffness": off(
-            oblique * (stiffness[0] - stiffness[1]), np.max(stiffness)
-        ),
-        "shear stiffness": off(oblique * (shear[0] - shear[1]), np.max(shear)),
-        "forces of effects": force,
-        "couples of effects": couple,
-        "the surfaces of bodies": _largest_tilt(scene, in_space, out),
-    }
-    for what, size in problems.items():
-        if not size <= tolerance:
-            raise ValueError(
-                f"a scene in the {scene.plane} plane needs {what} in that plane, got "
-                f"{size:.2g} of their size out of it; leave out plane={scene.plane!r} "
-                "for a motion in space"
-            )
-
-
-def _largest_outside(
-    scene: Scene, motion: Motion, out: int, n1: np.ndarray, n2: np.ndarray
-) -> tuple[float, float]:
-    """The out-of-plane share of the forces and couples of all effects."""
-    rod = scene.rod
-    length = float(np.sum(np.asarray(rod.rest_lengths)))
-    # Loads that could not bend the rod by a millionth of a radian are round-off.
-    least_couple = 1e-6 * float(np.max(np.asarray(rod.bend_twist_stiffness))) / length
-    forces, couples = [0.0, 0.0], [0.0, 0.0]
-    for effect in scene.effects:
-        loads = effect.loads(rod, motion)
-        if loads.forces is not None:
-            components = [np.asarray(c, np.float64) for c in loads.forces]
-            forces[0] = max(forces[0], _size(*components))
-            forces[1] = max(forces[1], _size(components[out]))
-        if loads.couples is not None:
-            c1, c2, c3 = (np.asarray(c, np.float64) for c in loads.couples)
-            couples[0] = max(couples[0], _size(c1, c2, c3))
-            couples[1] = max(couples[1], _size(n2 * c1 - n1 * c2, c3))
-    return (
-        forces[1] / max(forces[0], least_couple / length),
-        couples[1] / max(couples[0], least_couple),
-    )
-
-
-def _largest_tilt(scene: Scene, motion: Motion, out: int) -> float:
-    """The out-of-plane component of forces that are still to come, of unit vectors."""
-    listed = [effect.directions(scene.rod, motion) for effect in scene.effects]
-    return max([_size(np.asarray(d[out])) for d in listed if d is not None], default=0)
-
-
-def _size(*components: np.ndarray) -> float:
-    return max(float(np.max(np.abs(c))) for c in components)

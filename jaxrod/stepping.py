@@ -14,7 +14,8 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod._validation import check_array, check_count, is_traced
 from jaxrod.consistent import ConsistentStepper
-from jaxrod.planar import PlanarStepper, check_planar
+from jaxrod.planar import PlanarStepper
+from jaxrod.planar_scenes import check_planar
 from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene

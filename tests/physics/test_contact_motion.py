@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.planar import check_planar
+from jaxrod.planar_scenes import check_planar
 from physics.rods import DENSITY, RADIUS, arm, difference
 from physics.touching import (
     DEPTH,

@@ -1,5 +1,7 @@
 """A planar scene is the three-dimensional one, for less."""
 
+import statistics
+import time
 from dataclasses import replace
 
 import jax
@@ -155,6 +157,22 @@ def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
         flops(replace(scene, plane="zx")) / flops(scene),
         at_most=0.4,
     )
+
+
+def test_a_call_costs_no_more_than_one_in_space():
+    """Checking that a scene is planar once took longer than 100 000 steps."""
+    scene, state = swinging("xy")
+
+    def duration(scene):
+        start = time.perf_counter()
+        jax.block_until_ready(jaxrod.advance(scene, state, 1e-5, 1))
+        return time.perf_counter() - start
+
+    medians = []
+    for kind in (scene, in_space(scene)):
+        duration(kind)
+        medians.append(statistics.median(duration(kind) for _ in range(15)))
+    assert medians[0] < 5 * medians[1]
 
 
 @pytest.mark.parametrize(
