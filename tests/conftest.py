@@ -1,6 +1,5 @@
 """Shared test set-up: strict JAX, both precisions, and what to skip where."""
 
-import importlib.util
 import os
 import shutil
 
@@ -38,9 +37,6 @@ def pytest_collection_modifyitems(items):
     """Skips what this machine cannot run, and says why."""
     missing = {
         "browser": lambda: None if chromium_path() else "no Chromium is installed",
-        "brax": lambda: (
-            None if importlib.util.find_spec("brax") else "brax is not installed"
-        ),
         "gpu": lambda: (
             None if jax.default_backend() != "cpu" else "JAX sees no accelerator"
         ),

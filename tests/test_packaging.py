@@ -117,7 +117,8 @@ def test_importing_jaxrod_loads_only_what_jax_numpy_and_jaxtyping_load():
 
 def test_importing_the_tasks_needs_no_optional_package():
     assert not modules_after("import jaxrod.envs") & {
-        "brax", "flax", "gymnasium", "matplotlib", "optax", "orbax"
+        "brax", "flax", "gymnasium", "matplotlib", "optax", "orbax",
+        "sb3_contrib", "stable_baselines3", "torch",
     }  # fmt: skip
 
 

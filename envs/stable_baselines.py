@@ -1,0 +1,183 @@
+"""A batch of environments as a `VecEnv` of Stable Baselines 3."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as missing:
+    if missing.name != "stable_baselines3":
+        raise
+    raise ModuleNotFoundError(
+        "jaxrod.envs.stable_baselines needs Stable Baselines 3; install it with: "
+        'pip install "jaxrod[sb3]"',
+        name="stable_baselines3",
+    ) from missing
+
+from jaxrod.envs.gymnasium_batch import Batch, observed
+from jaxrod.envs.protocol import Environment
+
+__all__ = ["StableBaselinesVecEnv"]
+
+Indices = None | int | Iterable[int]
+"""Which environments of the batch: None for all."""
+
+
+class StableBaselinesVecEnv(VecEnv):
+    """`jaxrod.envs.VectorEnvironment` as Stable Baselines 3 knows it, to the last bit.
+
+    `seed(s)` before `reset` starts the batch with `jax.random.key(s)`, without it
+    episodes are fresh. The environments of the batch are one pure function: `get_attr`
+    and `env_method` ask it, and nothing of it can be set.
+    """
+
+    metadata: dict[str, Any]
+
+    def __init__(
+        self,
+        task: str | Environment,
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        params: Any = None,
+        **options: Any,
+    ) -> None:
+        """Makes the batch.
+
+        Args:
+            task: a name for `jaxrod.envs.make`, or an environment.
+            num_envs: how many environments, at least 1.
+            render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
+            params: parameters shared by the batch; None for the environment's own.
+            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+
+        Raises:
+            ValueError: an argument does not fit.
+        """
+        self._batch = Batch(task, num_envs, render_mode, params, options)
+        self._render_mode = render_mode
+        self._random = np.random.default_rng()
+        super().__init__(
+            num_envs, self._batch.observation_space, self._batch.action_space
+        )
+        self.metadata = self._batch.metadata | self.metadata
+        self._actions: Any = None
+
+    def reset(self) -> np.ndarray:
+        """Starts all episodes.
+
+        Returns:
+            First observations, shape (num_envs, observation_size).
+
+        Raises:
+            ValueError: `set_options` has set something.
+        """
+        options = sorted({name for each in self._options for name in each})
+        if options:
+            raise ValueError(f"reset takes no options, got {options}")
+        seed = self._seeds[0]
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
+        self._reset_seeds()
+        self._batch.reset(
+            int(self._random.integers(2**32)) if seed is None else int(seed)
+        )
+        return observed(self._batch.started().observation)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Takes the actions of the next step, shape (num_envs, action_size)."""
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """One control step of all environments.
+
+        Returns:
+            Observations (num_envs, observation_size); rewards and ends (num_envs,);
+            and a dictionary each, empty unless the episode ended: the last
+            observation of the episode that ended, whether it was cut short, and the
+            environment's scalars.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+            ValueError: the actions have another shape.
+        """
+        step = self._batch.step(self._actions)
+        done = np.asarray(step.terminated | step.truncated)
+        # One dictionary for all that go on: one each would cost more than the step.
+        nothing: dict[str, Any] = {}
+        infos = [nothing] * self.num_envs
+        for i in np.flatnonzero(done):
+            infos[i] = {name: value[i].item() for name, value in step.info.items()} | {
+                "terminal_observation": observed(step.final_observation[i]),
+                "TimeLimit.truncated": bool(step.truncated[i] & ~step.terminated[i]),
+            }
+        return (
+            observed(step.observation),
+            np.array(step.reward, np.float32),
+            done,
+            infos,
+        )
+
+    def get_images(self) -> Sequence[np.ndarray]:
+        """A picture of every environment, RGB of shape (480, 640, 3).
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        state = self._batch.started()
+        return [self._batch.picture(state, i) for i in range(self.num_envs)]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the environment, once for every one that is asked.
+
+        Raises:
+            AttributeError: it has none of that name.
+        """
+        if attr_name == "render_mode":
+            value = self._render_mode
+        else:
+            value = getattr(self._batch.env, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Refused.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(
+            f"{attr_name} cannot be set: the environments of a batch are one pure "
+            "function; make another batch, with other options or params"
+        )
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: Indices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """What a method of the environment returns, for every one that is asked.
+
+        Raises:
+            AttributeError: it has none of that name.
+        """
+        method = getattr(self._batch.env, method_name)
+        return [
+            method(*method_args, **method_kwargs) for _ in self._get_indices(indices)
+        ]
+
+    def env_is_wrapped(
+        self, wrapper_class: type, indices: Indices = None
+    ) -> list[bool]:
+        """Never: an environment of the batch wears no wrapper of its own."""
+        return [False for _ in self._get_indices(indices)]
