@@ -18,7 +18,8 @@ Variants:
 
 - `"paper"`: the published environment to the detail, so that scores compare. An arm
   that breaks costs 10 000 and ends the episode.
-- `"clean"`: the same arm with the library's own physics, see `jaxrod.envs.clean_arm`.
+- `"clean"`: the same arm with the library's own physics, see `jaxrod.envs.clean_arm`;
+  elements and steps keep the tip within 1 % of the length (docs/clean_settings.md).
   When a numerical health flag rises the arm is frozen and the episode truncated.
 
 Orientations are observed as quaternions (w, x, y, z), w not negative, of the rotation

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 
-from jaxrod._validation import check_array
+from jaxrod._validation import check_array, check_count
 from jaxrod.inertia_scaling import scale_inertia
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
@@ -87,6 +88,7 @@ def tune(
     tolerance: float = 0.01,
     duration: float = 1.0,
     batch: int = 1,
+    elements: Sequence[int] = ELEMENTS,
     seconds: float = 0.3,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
@@ -107,6 +109,7 @@ def tune(
             time of the tip's distance from where it should be.
         duration: How long to simulate [s].
         batch: How many rods at once it shall be fast for.
+        elements: Numbers of elements to choose from, increasing.
         seconds: How long to time each setting [s].
         say: Called with a line of text after every measurement.
 
@@ -114,11 +117,15 @@ def tune(
         The setting with its measured error and cost.
 
     Raises:
-        ValueError: If `tolerance` is not positive, `state` is missing, or the
-            reference is not converged well enough to judge by: then the motion
-            depends on details beyond any resolution, or needs a looser tolerance.
+        ValueError: If `tolerance` is not positive, `elements` do not increase, `state`
+            is missing, or the reference is not converged well enough to judge by:
+            then the motion depends on details beyond any resolution, or needs a
+            looser tolerance.
     """
     check_array("tolerance", tolerance, [()], "", positive=True)
+    elements = tuple(check_count("elements", n, 1) for n in elements)
+    if not elements or any(a >= b for a, b in itertools.pairwise(elements)):
+        raise ValueError(f"elements must increase, got {elements}")
     if isinstance(scene, Problem):
         problem = scene
     elif state is None:
@@ -133,7 +140,7 @@ def tune(
             f"{tolerance:g}: try a tolerance above {exact.error / TRUSTED:.1g}, or a "
             "shorter duration"
         )
-    search = _Search(problem, exact, tolerance, say)
+    search = _Search(problem, exact, tolerance, elements, say)
     found = [
         _timed(problem, one, batch, seconds, say) for one in search.accurate_settings()
     ]
@@ -183,8 +190,10 @@ class _Search:
         problem: Problem,
         exact: Reference,
         tolerance: float,
+        elements: tuple[int, ...],
         say: Callable[[str], None],
     ) -> None:
+        self.elements = elements
         self.problem = problem
         self.exact = exact
         self.tolerance = tolerance
@@ -197,7 +206,7 @@ class _Search:
         if index is None:
             return
         explicit = None
-        for reductions in _kinds(self.problem, ELEMENTS[index]):
+        for reductions in _kinds(self.problem, self.elements[index]):
             best = self._in_some_precision(index, "explicit", reductions, None)
             if best is not None:
                 yield best
@@ -232,21 +241,21 @@ class _Search:
         """Index of the smallest number of elements that is enough in float64."""
 
         def error(index: int) -> float:
-            return self._error(Setting(ELEMENTS[index], dtype="float64"))[1]
+            return self._error(Setting(self.elements[index], dtype="float64"))[1]
 
         # The error falls as one over the square: jump to where it should be enough.
-        index = ELEMENTS.index(10)
+        last = len(self.elements) - 1
+        index = min(int(np.searchsorted(self.elements, 10)), last)
         for _ in range(3):
             size = min(error(index), 1.0)
-            wanted = ELEMENTS[index] * np.sqrt(size / self.tolerance)
-            jump = int(np.searchsorted(ELEMENTS, wanted))
-            jump = min(jump, len(ELEMENTS) - 1)
+            wanted = self.elements[index] * np.sqrt(size / self.tolerance)
+            jump = min(int(np.searchsorted(self.elements, wanted)), last)
             if jump == index:
                 break
             index = jump
         while error(index) > self.tolerance:
             index += 1
-            if index == len(ELEMENTS):
+            if index > last:
                 return None
         while index > 0 and error(index - 1) <= self.tolerance:
             index -= 1
@@ -264,7 +273,7 @@ class _Search:
         Reductions and larger steps have errors of their own, which a few more
         elements may make room for.
         """
-        for n in ELEMENTS[index : index + 3]:
+        for n in self.elements[index : index + 3]:
             for dtype, more in _PRECISIONS:
                 best = self._keeps(
                     Setting(

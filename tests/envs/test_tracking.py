@@ -194,14 +194,14 @@ def test_an_unhealthy_clean_arm_is_truncated_not_punished():
 
 
 def test_clean_arm_is_as_accurate_as_it_says():
-    """1.3 % of the length under bang-bang actions of a trained policy."""
+    """0.55 % of the length under bang-bang actions of a trained policy."""
     problem = tracking_arm()
     exact = reference(problem, 80)
     actions = problem.controls[: len(exact.tips)]
     arm = play(tracking("clean"), jnp.asarray(actions))[0].arm
     error = np.linalg.norm(np.asarray(arm.tip) - exact.tips, axis=1)
     assert exact.error < 1e-3
-    assert 0.009 < np.sqrt(np.mean(error**2)) < 0.016
+    assert 0.004 < np.sqrt(np.mean(error**2)) < 0.008
 
 
 @pytest.mark.parametrize(

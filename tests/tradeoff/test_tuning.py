@@ -1,6 +1,7 @@
 """The cheapest setting that keeps a tolerance."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from jaxrod.tradeoff.scenes import swing
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """A small reference and few settings: enough for tolerances of some per cent."""
+    """A small reference: enough for tolerances of some per cent."""
     monkeypatch.setattr(tuning, "reference", lambda problem: reference(problem, 24))
-    monkeypatch.setattr(tuning, "ELEMENTS", (4, 5, 7, 10))
+
+
+tune = partial(jaxrod.tune, elements=(4, 5, 7, 10), seconds=0.01)
 
 
 def quarter_of_a_swing():
@@ -26,28 +29,23 @@ def quarter_of_a_swing():
 def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
     lines = []
     problem = quarter_of_a_swing()
-    found = jaxrod.tune(problem, tolerance=0.002, seconds=0.01, say=lines.append)
+    found = tune(problem, tolerance=0.002, say=lines.append)
     assert found.met and found.error <= 0.002
     exact = reference(problem, 24)
     again = tip_error(tips_of(problem, found.prepared), exact.tips, exact.length)
     assert again == pytest.approx(found.error, rel=0.01)
-    # With the next fewer elements it is not kept.
-    fewer = [
-        one.error
-        for one in found.tried
-        if one.setting.n_elements < found.setting.n_elements
-    ]
-    assert fewer and min(fewer) > 0.002
+    # Fewer elements were tried and do not keep it; the cheapest may have a few more.
+    accurate = [one for one in found.tried if one.error <= 0.002]
+    assert 4 < min(one.setting.n_elements for one in accurate) <= 7
     timed = [one for one in found.tried if one.wall_s_per_sim_s]
     assert found.wall_s_per_sim_s == min(one.wall_s_per_sim_s[1] for one in timed)
-    assert "planar" in found.setting.reductions
+    assert any("planar" in one.setting.reductions for one in timed)
     assert any("error" in line for line in lines)
     assert str(found).startswith("n = ")
 
 
-def test_it_says_so_when_nothing_keeps_the_tolerance(monkeypatch):
-    monkeypatch.setattr(tuning, "ELEMENTS", (4, 10))
-    found = jaxrod.tune(quarter_of_a_swing(), tolerance=0.0006, seconds=0.01)
+def test_it_says_so_when_nothing_keeps_the_tolerance():
+    found = tune(quarter_of_a_swing(), tolerance=0.0006, elements=(4, 10))
     assert not found.met
     assert found.error > 0.0006
     assert found.error == min(one.error for one in found.tried)
@@ -62,7 +60,7 @@ def test_own_scenes_are_tuned_by_resampling_them():
     scene = jaxrod.make_scene(
         rod, jaxrod.clamp(state), jaxrod.gravity((9.81, 0.0, 0.0))
     )
-    found = jaxrod.tune(scene, state, tolerance=0.03, duration=0.3, seconds=0.01)
+    found = tune(scene, state, tolerance=0.03, duration=0.3)
     assert found.met
     assert found.setting.n_elements < 20
     assert found.prepared.scene.rod.n_elements == found.setting.n_elements
@@ -75,6 +73,8 @@ def test_bad_input_is_refused():
     scene = jaxrod.make_scene(rod)
     with pytest.raises(ValueError, match="tolerance must be positive, got 0"):
         jaxrod.tune(scene, state, tolerance=0.0)
+    with pytest.raises(ValueError, match=r"elements must increase, got \(8, 8\)"):
+        jaxrod.tune(scene, state, elements=(8, 8))
     with pytest.raises(ValueError, match="state must be given"):
         jaxrod.tune(scene)
     with pytest.raises(ValueError, match="too much to judge a tolerance of 1e-06"):
