@@ -122,7 +122,8 @@ def measure(
         exact: The problem's reference.
         batches: How many rods at once to time it with, each under controls of its
             own; on one core if JAX has one device.
-        seconds: How long to time each batch [s]; the median of five windows counts.
+        seconds: How long to time each batch [s]; the median of five windows counts, or
+            a single run that takes longer.
     """
     prepared = prepare(problem, setting)
     error = tip_error(tips_of(problem, prepared), exact.tips, exact.length)
@@ -151,10 +152,13 @@ def cost(
             return time.perf_counter() - start
 
         once()
-        rounds = max(1, int(seconds / WINDOWS / once()))
-        windows = [sum(once() for _ in range(rounds)) for _ in range(WINDOWS)]
+        single = once()
+        rounds = max(1, int(seconds / WINDOWS / single))
+        # A run longer than all windows together needs no repeating.
+        repeats = WINDOWS if single < seconds else 0
+        windows = [sum(once() for _ in range(rounds)) for _ in range(repeats)]
     simulated = rounds * periods * problem.period * batch
-    return statistics.median(windows) / simulated
+    return statistics.median(windows or [single]) / simulated
 
 
 def _repeated(batch: int, leaf: Array) -> Array:
