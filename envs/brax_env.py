@@ -1,0 +1,204 @@
+"""One environment as a `brax.envs.Env`, for brax's wrappers and learners.
+
+Call brax's `train` inside `with patched_jax():`, without which the newest release of
+brax does not run on the releases of JAX that jaxrod needs.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key, UInt32
+
+try:
+    from brax.envs.base import Env, State
+except ModuleNotFoundError as missing:
+    if missing.name != "brax":
+        raise
+    raise ModuleNotFoundError(
+        'jaxrod.envs.brax_env needs brax; install it with: pip install "jaxrod[brax]"',
+        name="brax",
+    ) from missing
+
+from jaxrod._pytree import pytree
+from jaxrod.envs.brax_patch import patched_jax
+from jaxrod.envs.protocol import Environment
+from jaxrod.envs.registry import make
+
+__all__ = ["BraxEnv", "patched_jax"]
+
+
+@pytree
+class Running:
+    """What brax keeps as the state of the physics and puts back at a restart.
+
+    Attributes:
+        state: state of the environment.
+        elapsed: control steps of the running episode.
+    """
+
+    state: Any
+    elapsed: UInt32[Array, ""]
+
+
+class BraxEnv(Env):
+    """An environment as brax knows it.
+
+    Under brax's own training wrappers a batch of it is
+    `jaxrod.envs.VectorEnvironment`, restarts included: environment i has the i-th
+    random key given to `reset`. Three things are said in brax's way:
+
+    - brax's `AutoResetWrapper` replays the first episode for ever. It takes what it
+      restores from `info`, so a fresh start is put there with every step.
+    - brax's `EpisodeWrapper` knows one truncation, its own clock running out, and
+      takes all else for the task's end. So a step truncated before the time limit
+      puts that clock forward instead of being `done`, and at the time limit the
+      clock decides. Without the wrapper both are `done`; `info["time_out"]` marks
+      them with it and without.
+    - The parameters are `sys`: what brax's domain randomisation draws from and sets.
+
+    Attributes:
+        env: the environment.
+        sys: its parameters.
+    """
+
+    def __init__(
+        self, task: str | Environment, *, params: Any = None, **options: Any
+    ) -> None:
+        """Makes the environment.
+
+        Args:
+            task: a name for `jaxrod.envs.make`, or an environment.
+            params: parameters of the environment; None for its own.
+            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+
+        Raises:
+            ValueError: an argument does not fit.
+        """
+        if not isinstance(task, str) and options:
+            raise ValueError(f"an environment takes no options, got {sorted(options)}")
+        self.env = make(task, **options) if isinstance(task, str) else task
+        self.sys = self.env.default_params() if params is None else params
+
+    @property
+    def observation_size(self) -> int:
+        """Length of the observation vector."""
+        return self.env.observation_size
+
+    @property
+    def action_size(self) -> int:
+        """Length of the action vector."""
+        return self.env.action_size
+
+    @property
+    def episode_length(self) -> int:
+        """Control steps of an episode: the most to ask of brax's `EpisodeWrapper`."""
+        return self.env.episode_length
+
+    @property
+    def backend(self) -> str:
+        """The simulator."""
+        return "jaxrod"
+
+    def reset(self, rng: UInt32[Array, "2"]) -> State:
+        """Starts an episode.
+
+        Args:
+            rng: a key of `jax.random.PRNGKey`, as brax passes them.
+
+        Returns:
+            The state. `metrics` holds the environment's scalars, of which brax
+            reports sums over episodes; `info` what a restart leaves alone.
+        """
+        ticks = jnp.zeros((), jnp.uint32)
+        observation, running = self._start(_key(rng, 2 * ticks))
+        nothing = jnp.zeros(())
+        return State(
+            pipeline_state=running,
+            obs=observation,
+            reward=nothing,
+            done=nothing,
+            metrics=dict.fromkeys(self._scalars, nothing),
+            info={"rng": rng, "ticks": ticks, "time_out": nothing},
+        )
+
+    def step(self, state: State, action: Float[Array, " action"]) -> State:
+        """One control step.
+
+        Args:
+            state: state from `reset` or from the step before.
+            action: in [-1, 1], shape (action_size,).
+        """
+        info = dict(state.info)
+        ticks = info["ticks"] + 1
+        observation, following, reward, terminated, truncated, scalars = self.env.step(
+            _key(info["rng"], 2 * ticks),
+            state.pipeline_state.state,
+            action,
+            self._params(),
+        )
+        # As in VectorEnvironment: what is not finite is truncated before it is seen.
+        sound = jnp.isfinite(reward) & jnp.all(jnp.isfinite(observation))
+        observation = jnp.where(sound, observation, state.obs)
+        scalars = scalars | {"flagged": ~sound | scalars.get("flagged", ~sound)}
+        elapsed = state.pipeline_state.elapsed + 1
+        limit = self.env.episode_length
+        done = terminated & sound
+        time_out = (truncated | ~sound | (elapsed >= limit)) & ~done
+        if "truncation" in info:  # An EpisodeWrapper keeps the clock.
+            early = time_out & (elapsed < limit)
+            info["steps"] += jnp.where(early, limit, 0)
+            done = done | (elapsed > limit)
+        else:
+            done = done | time_out
+        if "first_obs" in info:  # An AutoResetWrapper restarts from here.
+            first, running = self._start(_key(info["rng"], 2 * ticks + 1))
+            info |= {"first_obs": first, "first_pipeline_state": running}
+        return state.replace(
+            pipeline_state=Running(following, elapsed),
+            obs=_number(observation, jnp.float32),
+            reward=_number(jnp.where(sound, reward, 0)),
+            done=_number(done),
+            metrics=state.metrics | {k: _number(v) for k, v in scalars.items()},
+            info=info | {"ticks": ticks, "time_out": _number(time_out)},
+        )
+
+    def _start(
+        self, key: Key[Array, ""]
+    ) -> tuple[Float[Array, " observation"], Running]:
+        observation, state = self.env.reset(key, self._params())
+        elapsed = jnp.zeros((), jnp.uint32)
+        return _number(observation, jnp.float32), Running(state, elapsed)
+
+    def _params(self) -> Any:
+        """The parameters, kept from the compiler.
+
+        brax's programs hold them as constants. What XLA computes of constants ahead
+        differs in the last bit from what it computes of arguments.
+        """
+        return jax.lax.optimization_barrier(self.sys)
+
+    @functools.cached_property
+    def _scalars(self) -> tuple[str, ...]:
+        """Names of the scalars that a step returns."""
+
+        def one_step(key: Key[Array, ""]) -> dict[str, Array]:
+            _, state = self.env.reset(key, self.sys)
+            action = jnp.zeros(self.action_size)
+            return self.env.step(key, state, action, self.sys)[-1]
+
+        key = jax.eval_shape(lambda: jax.random.key(0))
+        return (*(jax.eval_shape(one_step, key).keys() | {"flagged"}),)
+
+
+def _key(rng: UInt32[Array, "2"], index: UInt32[Array, ""]) -> Key[Array, ""]:
+    """Key number `index` of an environment."""
+    return jax.random.fold_in(jax.random.wrap_key_data(rng), index)
+
+
+def _number(value: Array, dtype: Any = float) -> Array:
+    """A number of the kind that brax's own are, so that its scans carry it."""
+    return jnp.asarray(value, dtype)

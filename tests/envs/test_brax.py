@@ -1,0 +1,274 @@
+"""brax's wrappers and learners see what the functional environments do, bit for bit."""
+
+import contextlib
+import dataclasses
+import functools
+import importlib
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod.envs import VectorEnvironment, make
+from jaxrod.envs.gym import ids
+from jaxrod.envs.trivial import Trivial
+
+MISSING = {"reason": "the brax extra is not installed"}
+brax = pytest.importorskip("brax.envs", **MISSING)
+adapter = pytest.importorskip("jaxrod.envs.brax_env", **MISSING)
+ppo = pytest.importorskip("brax.training.agents.ppo.train", **MISSING)
+ppo_networks = pytest.importorskip("brax.training.agents.ppo.networks", **MISSING)
+sac = pytest.importorskip("brax.training.agents.sac.train", **MISSING)
+
+pytestmark = pytest.mark.default_precision
+
+
+@functools.lru_cache
+def wrapped(env):
+    """What brax's learners step, compiled: reset and step."""
+    batch = brax.training.wrap(env, env.episode_length)
+    return jax.jit(batch.reset), jax.jit(batch.step)
+
+
+def started(env, num_envs, seed):
+    """A batch as brax's learners start it."""
+    keys = jax.random.split(jax.random.PRNGKey(seed), num_envs)
+    return wrapped(env)[0](keys)
+
+
+def check_same(env, num_envs, steps):
+    """A batch under brax's wrappers is the functional one, restarts included."""
+    batch = VectorEnvironment(env.env)
+    reset, step = jax.jit(batch.reset, static_argnums=1), jax.jit(batch.step)
+    state = reset(jax.random.key(7), num_envs, env.sys)
+    seen = started(env, num_envs, 7)
+    np.testing.assert_array_equal(seen.obs, state.observation)
+    leaning = np.random.default_rng(0).uniform(
+        -0.5, 1.5, (steps, num_envs, env.action_size)
+    )
+    terminations = truncations = 0
+    for actions in np.clip(leaning, -1, 1).astype(np.float32):
+        seen = wrapped(env)[1](seen, actions)
+        state, expected = step(state, actions, env.sys)
+        cut = expected.truncated & ~expected.terminated
+        for got, ours in (
+            (seen.obs, expected.observation),
+            (seen.reward, expected.reward),
+            (seen.done, expected.terminated | expected.truncated),
+            (seen.info["truncation"], cut),
+            (seen.info["time_out"], cut),
+        ):
+            np.testing.assert_array_equal(got, ours)
+        assert seen.metrics.keys() == expected.info.keys()
+        for name, value in expected.info.items():
+            np.testing.assert_array_equal(seen.metrics[name], value)
+        terminations += int(expected.terminated.sum())
+        truncations += int(cut.sum())
+    return terminations, truncations
+
+
+def test_batch_is_the_functional_one_to_the_last_bit_over_many_episodes():
+    assert min(check_same(TRIVIAL, 3, 60)) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ids())
+def test_batch_of_every_task_is_the_functional_one_to_the_last_bit(name):
+    task, variant, _ = name.removeprefix("jaxrod/").split("-")
+    env = adapter.BraxEnv(task, variant=variant, episode_length=4)
+    _, truncations = check_same(env, 2, 6)
+    assert truncations > 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Failing(Trivial):
+    """The point on a line; right of zero the simulator breaks down."""
+
+    def step(self, key, state, action, params):
+        observation, following, reward, *ends, info = super().step(
+            key, state, action, params
+        )
+        broken = following.position > 0
+        observation = jnp.where(broken, jnp.nan, observation)
+        return observation, following, reward, *ends, info
+
+
+TRIVIAL = adapter.BraxEnv("trivial")
+FAILING = adapter.BraxEnv(Failing(episode_length=5))
+
+
+def test_a_failure_is_a_truncation_to_brax_and_never_seen():
+    state = started(FAILING, 3, 0)
+    flagged = 0
+    for _ in range(30):
+        state = wrapped(FAILING)[1](state, jnp.ones((3, 1)))
+        assert np.isfinite(state.obs).all() and np.isfinite(state.reward).all()
+        early = np.asarray(state.metrics["flagged"] == 1)
+        for mark in (state.done, state.info["truncation"], state.info["time_out"]):
+            assert np.all(np.asarray(mark)[early] == 1)
+        flagged += early.sum()
+    assert flagged > 0
+
+
+def test_without_brax_s_clock_the_environment_ends_its_own_episodes():
+    for env, push, flagged in ((TRIVIAL, 0.0, 0), (FAILING, 1.0, 1)):
+        reset, step = jax.jit(env.reset), jax.jit(env.step)
+        state, steps = reset(jax.random.PRNGKey(1)), 0
+        while not state.done:
+            state = step(state, jnp.array([push]))
+            steps += 1
+        assert (steps < env.episode_length) == flagged
+        assert state.info["time_out"] == 1 and state.metrics["flagged"] == flagged
+
+
+def test_an_episode_asked_to_be_longer_than_it_is_ends_all_the_same():
+    batch = brax.training.wrap(TRIVIAL, 1000)
+    state = jax.jit(batch.reset)(jax.random.split(jax.random.PRNGKey(1), 1))
+    step = jax.jit(batch.step)
+    ends = []
+    for _ in range(42):
+        state = step(state, jnp.zeros((1, 1)))
+        ends.append(bool(state.done[0]))
+    assert ends == ([False] * 20 + [True]) * 2
+
+
+def test_parameters_are_what_brax_randomises_per_environment():
+    def strides(params, rng):
+        one_each = jnp.linspace(0, 0.3, rng.shape[0])
+        shared = jax.tree.map(lambda _: None, params)
+        return (
+            dataclasses.replace(params, stride=one_each),
+            dataclasses.replace(shared, stride=0),
+        )
+
+    keys = jax.random.split(jax.random.PRNGKey(0), 4)
+    batch = brax.training.wrap(
+        TRIVIAL, 20, randomization_fn=functools.partial(strides, rng=keys)
+    )
+    before = jax.jit(batch.reset)(keys)
+    moved = jax.jit(batch.step)(before, jnp.ones((4, 1))).obs - before.obs
+    np.testing.assert_allclose(moved[:, 0], [0, 0.1, 0.2, 0.3], atol=1e-6)
+    assert TRIVIAL.sys is not None and jnp.ndim(TRIVIAL.sys.stride) == 0
+
+
+def test_gradients_pass_through_the_adapter():
+    def paid(action):
+        start = TRIVIAL.reset(jax.random.PRNGKey(0))
+        end = TRIVIAL.step(start, action)
+        return end.reward, end.obs[0]
+
+    slope, there = jax.jit(jax.grad(paid, has_aux=True))(jnp.array([0.5]))
+    np.testing.assert_allclose(slope, [-2 * there * 0.2], rtol=1e-5)
+
+
+@contextlib.contextmanager
+def training():
+    """What brax's learners need: the patch, and NumPy's rules for shapes."""
+    with adapter.patched_jax(), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+SMALL = {"episode_length": 20, "num_envs": 4, "num_eval_envs": 4}
+
+
+def test_what_brax_calls_is_there_inside_and_gone_outside():
+    with adapter.patched_jax():
+        with adapter.patched_jax():
+            pass
+        copies = jax.device_put_replicated({"weight": jnp.ones(3)}, jax.devices())
+    assert copies["weight"].shape == (jax.device_count(), 3)
+    assert not hasattr(jax, "device_put_replicated")
+
+
+@pytest.mark.slow
+def test_ppo_of_brax_trains():
+    network = functools.partial(
+        ppo_networks.make_ppo_networks,
+        policy_hidden_layer_sizes=(4,),
+        value_hidden_layer_sizes=(4,),
+    )
+    with training():
+        act, params, metrics = ppo.train(
+            TRIVIAL,
+            400,
+            **SMALL,
+            unroll_length=5,
+            batch_size=4,
+            num_minibatches=2,
+            num_updates_per_batch=1,
+            bootstrap_on_timeout=True,
+            network_factory=network,
+            run_evals=False,
+        )
+        action, _ = jax.jit(act(params))(jnp.zeros((4, 1)), jax.random.PRNGKey(0))
+    assert np.isfinite(metrics["training/total_loss"])
+    assert action.shape == (4, 1)
+
+
+@pytest.mark.slow
+def test_sac_of_brax_trains():
+    with training():
+        _, _, metrics = sac.train(
+            TRIVIAL, 200, **SMALL, batch_size=8, min_replay_size=16
+        )
+    assert np.isfinite(metrics["training/critic_loss"])
+    assert metrics["eval/avg_episode_length"] <= 20
+
+
+@pytest.mark.slow
+def test_ppo_of_brax_improves_on_the_first_case():
+    env = adapter.BraxEnv("tracking", variant="clean", episode_length=250)
+    network = functools.partial(
+        ppo_networks.make_ppo_networks,
+        policy_hidden_layer_sizes=(64, 64),
+        value_hidden_layer_sizes=(64, 64),
+    )
+    returns = []
+    with training():
+        ppo.train(
+            env,
+            400_000,
+            episode_length=env.episode_length,
+            num_envs=64,
+            num_eval_envs=64,
+            num_evals=2,
+            deterministic_eval=True,
+            unroll_length=25,
+            batch_size=64,
+            num_minibatches=8,
+            num_updates_per_batch=4,
+            learning_rate=1e-3,
+            discounting=0.97,
+            entropy_cost=1e-3,
+            normalize_observations=True,
+            network_factory=network,
+            progress_fn=lambda _, m: returns.append(float(m["eval/episode_reward"])),
+        )
+    first, last = returns
+    assert last > 0.75 * first, returns
+    assert first < 0
+
+
+def test_bad_input_is_refused_in_words():
+    with pytest.raises(ValueError, match=r"no options, got .*variant"):
+        adapter.BraxEnv(make("trivial"), variant="clean")
+
+
+class NotInstalled:
+    """Says of brax what Python says of a library that is not there."""
+
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == "brax":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def test_without_brax_a_sentence_says_what_to_install(monkeypatch):
+    for name in {*sys.modules}:
+        if name.startswith(("brax", "jaxrod.envs.brax_env")):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [NotInstalled, *sys.meta_path])
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[brax\]"'):
+        importlib.import_module("jaxrod.envs.brax_env")
