@@ -1,0 +1,114 @@
+"""A rod drawn over a cylinder: tension grows as the capstan equation says."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod._pytree import pytree
+from jaxrod.ends import place
+
+CYLINDER, ROD = 0.1, 0.0015  # radii [m]; thin: bending should not matter
+CENTRELINE = CYLINDER + ROD
+LEG = 0.15  # of the straight parts [m]
+YOUNGS_MODULUS = 2e7  # [Pa]
+LINE = 1000.0 * np.pi * ROD**2  # mass per length [kg/m]
+IMPEDANCE = np.sqrt(
+    YOUNGS_MODULUS * np.pi * ROD**2 * LINE
+)  # of stretching waves [kg/s]
+TENSION = 1.0  # of the end that is drawn along [N]
+SPEED = 1.0  # [m/s]
+
+
+@pytree
+class Winch(jaxrod.Effect):
+    """Draws the last node downwards and swallows the waves that reach it."""
+
+    speed: jax.Array
+    drag: jax.Array
+
+    def pull(self, velocity):
+        return self.drag * (self.speed + velocity)
+
+    def loads(self, rod, motion):
+        pull = self.pull(motion.velocity[1][-1])
+        zero = jnp.zeros_like(rod.node_masses)
+        down = place(-pull, rod.n_elements + 1, "finish")
+        return jaxrod.Loads(forces=(zero, down, zero))
+
+    def resistance(self, rod):
+        return jaxrod.Resistance(
+            node_drag=place(self.drag, rod.n_elements + 1, "finish")
+        )
+
+
+def over_a_cylinder(friction):
+    """Half around, both ends hanging, on the move, but not yet under tension."""
+    arc = np.pi * CENTRELINE
+    s = np.linspace(0, arc + 2 * LEG, 49)
+    angle = np.clip((s - LEG) / CENTRELINE, 0, np.pi)
+    hanging = np.maximum(LEG - s, 0) + np.maximum(s - LEG - arc, 0)
+    x, y = -CENTRELINE * np.cos(angle), CENTRELINE * np.sin(angle) - hanging
+    rod, state = jaxrod.rod_along(
+        np.stack([x, y, np.zeros_like(s)]),
+        radius=ROD,
+        density=1e3,
+        youngs_modulus=YOUNGS_MODULUS,
+    )
+    along = np.stack([np.sin(angle), np.cos(angle), np.zeros_like(s)])
+    winch = SPEED + TENSION * np.exp(friction * np.pi) / IMPEDANCE
+    scene = jaxrod.make_scene(
+        rod,
+        jaxrod.contact(
+            jaxrod.cylinder((0, 0, -1), (0, 0, 1), CYLINDER),
+            stiffness=TENSION / CENTRELINE / (0.02 * ROD),
+            # With little damping the rod flutters and friction carries less.
+            damping=12_000 * LINE,
+            friction=friction,
+            # Far above the friction per speed: what slides feels all of it.
+            friction_drag=40_000 * LINE,
+            points_per_element=2,
+        ),
+        jaxrod.end_load((0, -TENSION, 0), end="start"),
+        Winch(jnp.asarray(winch), jnp.asarray(IMPEDANCE)),
+        jaxrod.exponential_damping(0.0, 20.0),
+    )
+    return scene, jaxrod.RodState(
+        state.positions,
+        state.orientations,
+        jnp.asarray(SPEED * along),
+        state.angular_momenta,
+    )
+
+
+@jax.jit
+def drawn(scene, state, dt):
+    """Mean tension at the winch, and speed there, from 30 to 50 ms later."""
+    steps = (jnp.asarray([0.03, 0.05]) / dt).astype(int)
+    early = jaxrod.advance(scene, state, dt, steps[0])
+    late = jaxrod.advance(scene, early, dt, steps[1] - steps[0])
+    way = (late.positions - early.positions)[1, -1]
+    velocity = way / ((steps[1] - steps[0]) * dt)
+    return scene.effects[2].pull(velocity), -velocity
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.2, 0.4])
+def test_tension_grows_by_the_exponential_of_friction_times_angle(friction, record):
+    """Friction acts at the cylinder's surface, within the centreline: hence R/(R+r).
+
+    What turns the rod's momentum does not press it to the cylinder.
+    """
+    scene, state = over_a_cylinder(friction)
+    tension, speed = drawn(scene, state, jaxrod.stable_dt(scene).dt)
+    assert speed > 0.3 * SPEED
+    turning = LINE * speed**2
+    ratio = (tension - turning) / (TENSION - turning)
+    expected = np.exp(friction * np.pi * CYLINDER / CENTRELINE)
+    record(
+        f"Ratio of tensions of a rod drawn over a cylinder, friction {friction:g}",
+        "capstan equation, exp(friction angle)",
+        abs(float(ratio) / expected - 1),
+        at_most=0.01,
+    )
