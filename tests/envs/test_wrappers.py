@@ -174,7 +174,7 @@ def test_empty_batch_is_refused():
         "tracking",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("reaching", "structured")
+            for name in ("reaching", "structured", "unstructured")
         ),
     ],
 )
