@@ -32,7 +32,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	echo "Setting up $(VENV) with $$("$$found" -V) (a few minutes, once)"; \
 	"$$found" -m venv --clear $(VENV)
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-input \
-	    -e ".[rl,viz,gym,test]" -c constraints.txt
+	    -e ".[rl,viz,gym,brax,test]" -c constraints.txt
 	@touch $@
 
 demo: $(INSTALLED)
