@@ -233,7 +233,7 @@ def test_ppo_of_brax_improves_on_the_first_case():
             episode_length=env.episode_length,
             num_envs=64,
             num_eval_envs=64,
-            num_evals=2,
+            num_evals=3,
             deterministic_eval=True,
             unroll_length=25,
             batch_size=64,
@@ -246,7 +246,7 @@ def test_ppo_of_brax_improves_on_the_first_case():
             network_factory=network,
             progress_fn=lambda _, m: returns.append(float(m["eval/episode_reward"])),
         )
-    first, last = returns
+    first, _, last = returns
     assert last > 0.75 * first, returns
     assert first < 0
 
