@@ -96,26 +96,36 @@ class Checkpoints:
 
 
 def _to_arrays(tree: Any) -> dict[str, np.ndarray]:
-    """The leaves as plain arrays under their numbers; keys as their words."""
+    """The leaves as plain arrays under their numbers; keys as their words.
+
+    Empty ones, which the checkpoint library refuses, hold nothing to remember.
+    """
     return {
-        f"leaf_{i:04d}": np.asarray(
-            jax.random.key_data(leaf) if _is_key(leaf) else leaf
-        )
+        _name(i): np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
         for i, leaf in enumerate(jax.tree.leaves(tree))
+        if leaf.size
     }
 
 
 def _from_arrays(template: Any, arrays: dict[str, np.ndarray]) -> Any:
-    leaves, structure = jax.tree.flatten(template)
-    restored = [
-        jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
-        if _is_key(leaf)
-        else array
-        for leaf, array in zip(
-            leaves, (arrays[f"leaf_{i:04d}"] for i in range(len(leaves))), strict=True
+    def restored(i: int, leaf: Any) -> Any:
+        if not leaf.size:
+            return leaf
+        array = arrays[_name(i)]
+        if not _is_key(leaf):
+            return array
+        return jax.random.wrap_key_data(
+            jnp.asarray(array), impl=jax.random.key_impl(leaf)
         )
-    ]
-    return jax.tree.unflatten(structure, restored)
+
+    leaves, structure = jax.tree.flatten(template)
+    return jax.tree.unflatten(
+        structure, list(map(restored, range(len(leaves)), leaves))
+    )
+
+
+def _name(i: int) -> str:
+    return f"leaf_{i:04d}"
 
 
 def _is_key(leaf: Any) -> bool:
