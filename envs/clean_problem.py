@@ -15,7 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod import RodState, Scene, clamp, control_spline, spline_couples
+from jaxrod import (
+    ElementAverages,
+    RodState,
+    Scene,
+    clamp,
+    control_spline,
+    spline_couples,
+)
 from jaxrod.actuation import ElementCouples
 from jaxrod.envs.clean_arm import CleanArm
 from jaxrod.envs.legacy_arm import LENGTH
@@ -115,8 +122,9 @@ def recorded_actions(task: CleanTask, seed: int = 0) -> np.ndarray:
 
 def _arm(task: CleanTask) -> CleanArm:
     """The arm of a task and all that acts on it, in JAX's default precision."""
-    params = task.default_params()
     if isinstance(task, Tracking):
+        params = task.default_params()
+        assert isinstance(params.spline, ElementAverages)
         return CleanArm(
             rod=params.rod,
             rest=params.rest,
@@ -126,8 +134,9 @@ def _arm(task: CleanTask) -> CleanArm:
             couple_density=params.torque,
             largest_change=None,
         )
-    assert isinstance(params.arm, CleanArm)
-    return params.arm
+    arm = task.default_params().arm
+    assert isinstance(arm, CleanArm)
+    return arm
 
 
 def _controls(arm: CleanArm, actions: np.ndarray) -> np.ndarray:
