@@ -9,6 +9,9 @@ no flag (`tests/envs/test_energy.py`).
 
 from __future__ import annotations
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -17,6 +20,7 @@ from jaxrod import (
     ControlSpline,
     Effect,
     ElementAverages,
+    HealthLimits,
     Rod,
     RodState,
     Scene,
@@ -59,6 +63,8 @@ class CleanArm:
     where they jump."""
     obstacles: tuple[Effect, ...] = ()
     """Contact with what is in the way."""
+    limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
+    """Beyond these the arm is frozen."""
     plane: Plane | None = static(default=None)
     """The plane of motion, where there is one."""
 
@@ -93,7 +99,7 @@ class CleanArm:
             muscles = controls = limit_rate(muscles, controls, self.largest_change)
         scene = self.scene(controls)
         after = advance(scene, state, dt, n_steps)
-        flagged = health(scene, after, dt).flagged
+        flagged = health(scene, after, dt, limits=self.limits).flagged
         return freeze(flagged, state, after), muscles, flagged
 
     def scene(self, controls: Float[Array, "3 n_controls"]) -> Scene:
@@ -116,6 +122,7 @@ def clean_arm(
     published_elements: int,
     largest_rate: float | None = None,
     obstacles: tuple[Effect, ...] = (),
+    largest_stretch: float = 2.5,
     plane: Plane | None = None,
 ) -> CleanArm:
     """The arm at rest.
@@ -129,6 +136,7 @@ def clean_arm(
             are spread over the length.
         largest_rate: The fastest a control value may change [1/s].
         obstacles: Contact with what is in the way.
+        largest_stretch: Beyond this an arm is flagged [1].
         plane: The plane of motion, where there is one.
     """
     rod, rest = modern_arm(n_elements, start, axis)
@@ -147,5 +155,6 @@ def clean_arm(
             None if largest_rate is None else number(largest_rate * CONTROL_PERIOD)
         ),
         obstacles=obstacles,
+        limits=jax.tree.map(number, HealthLimits(largest_stretch=largest_stretch)),
         plane=plane,
     )

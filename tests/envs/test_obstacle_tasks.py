@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxrod
 from jaxrod.envs import make
 from jaxrod.envs.nest import published_nest, random_nest
 from jaxrod.motion import motion_of
@@ -377,3 +378,17 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
 def test_bad_options_are_named(name, options, message):
     with pytest.raises(ValueError, match=message):
         make(name, **options)
+
+
+@NAMES
+def test_an_arm_at_its_largest_stretch_is_stepped_within_its_stability_limit(name):
+    env = make(name, variant="clean")
+    params = env.default_params()
+    arm, rest = params.arm, params.arm.rest
+    scene = arm.scene(jnp.zeros((3, env.n_controls)))
+    # What moves in the plane moves in space.
+    free = dataclasses.replace(scene, effects=scene.effects[:3], plane=None)
+    base = rest.positions[:, :1]
+    stretched = base + arm.limits.largest_stretch * (rest.positions - base)
+    state = dataclasses.replace(rest, positions=stretched)
+    assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)

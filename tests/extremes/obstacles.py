@@ -73,7 +73,7 @@ def episode(index, key, task, params, control_steps):
         scene = arm.scene(muscles)
         course = jaxrod.rollout(scene, state, params.dt, task.substeps)
         after = jax.tree.map(lambda leaf: leaf[-1], course)
-        report = jaxrod.health(scene, after, params.dt)
+        report = jaxrod.health(scene, after, params.dt, limits=arm.limits)
         depth = jnp.max(jax.vmap(lambda at: penetration(arm, at))(course))
         flags = [report.stretch, report.joint_angle, report.speed, report.spin]
         sound = ~outcome.flagged
