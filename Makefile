@@ -1,9 +1,12 @@
-# make setup | demo | test | test-slow | lint | clean        PYTHON=... to choose
+# make setup | demo | test | test-slow | lint | clean      PYTHON=... EXTRAS=... to choose
 SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 PYTEST_FLAGS ?= -n 2
+# What is installed. Where torch comes with CUDA, "sb3" takes gigabytes: its tests are
+# left out without it.
+EXTRAS ?= rl,viz,gym,brax,test
 
 DEMO := runs/demo
 # Enough to learn the task in about two minutes on two cores.
@@ -32,7 +35,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	echo "Setting up $(VENV) with $$("$$found" -V) (a few minutes, once)"; \
 	"$$found" -m venv --clear $(VENV)
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-input \
-	    -e ".[rl,viz,gym,brax,test]" -c constraints.txt
+	    -e ".[$(EXTRAS)]" -c constraints.txt
 	@touch $@
 
 demo: $(INSTALLED)
