@@ -19,8 +19,6 @@ _COLOURS = {
     "TD3": "#a21caf",
     "DDPG": "#5a6676",
 }
-_STRIP = 0.14
-"""Width of the strip for the paper's scores, as a share of the control steps."""
 
 
 def grid_curves(
@@ -33,7 +31,7 @@ def grid_curves(
     """Draws a case into a PNG file: return against steps and against wall-clock.
 
     Left, return over control steps: the mean over seeds and, shaded, its standard
-    deviation; in a strip on the right the paper's final scores with their spread over
+    deviation; across it, dashed, the paper's final scores in bands of their spread over
     its seeds. Right, the same over wall-clock time, with the paper's at their hours.
 
     Args:
@@ -59,7 +57,7 @@ def grid_curves(
         name: [read_curve(Path(f)) for f in files] for name, files in curves.items()
     }
     last = max(run.steps[-1] for some in runs.values() for run in some)
-    for k, (name, some) in enumerate(runs.items()):
+    for name, some in runs.items():
         colour = _COLOURS.get(name, "#334155")
         steps = common_steps(some)
         values = np.array([np.interp(steps, r.steps, r.returns) for r in some])
@@ -72,13 +70,14 @@ def grid_curves(
             )
         paper = papers.get(name)
         if paper is not None:
-            places = last * (1 + _STRIP * (k + 1) / (len(runs) + 1)), paper.wall_hours
-            for axes, x in zip((steps_axes, clock_axes), places, strict=True):
-                y, error = paper.final_mean, paper.final_std
-                axes.errorbar(x, y, error, color=colour, marker="D", capsize=3)
-    steps_axes.axvline(last, color="#5a6676", linewidth=0.8)
-    steps_axes.set_xlim(0, last * (1 + _STRIP))
-    steps_axes.set_xlabel("control steps (right of the line: the paper's final scores)")
+            score, error = paper.final_mean, paper.final_std
+            steps_axes.axhspan(score - error, score + error, color=colour, alpha=0.08)
+            steps_axes.axhline(score, color=colour, linewidth=1, linestyle="--")
+            clock_axes.errorbar(
+                paper.wall_hours, score, error, color=colour, marker="D", capsize=3
+            )
+    steps_axes.set_xlim(0, last)
+    steps_axes.set_xlabel("control steps (dashed: the paper's final scores)")
     steps_axes.set_ylabel("episode return")
     steps_axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
     clock_axes.set_xscale("log")
