@@ -1,0 +1,138 @@
+"""Regenerates docs/environments.md: control steps per second of every task.
+
+    python benchmarks/environments.py
+
+Steps a batch of every task and variant in float32 under random actions, spread over
+all cores as training spreads it, restarts and scores included, without a policy.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Float
+
+import jaxrod
+from jaxrod.cli.benchmark import machine_facts
+from jaxrod.envs import VectorEnvironment, VectorState, make
+from jaxrod.training.algorithm import DEVICE_AXIS
+from jaxrod.training.devices import device_mesh, place
+
+ROOT = Path(__file__).resolve().parent.parent
+TASKS = ("tracking", "reaching", "structured", "unstructured")
+BATCH = 256
+"""Environments per core."""
+STEPS = 20
+"""Control steps of every environment in one timed call."""
+WINDOWS = 5
+WINDOW_SECONDS = 2.0
+HEADER = """\
+# How fast the tasks are
+
+Written by `python benchmarks/environments.py`; do not edit. Control steps (1.4 ms of
+simulated time each) per second, float32, {batch} environments on each of {cores}
+cores, under new random actions in every step; medians of {windows} windows of
+{seconds:g} s, compiling not counted. Elements and simulation steps per control step are
+the tasks' own.
+{machine}.
+
+| task | variant | elements | steps | control steps/s | flagged |
+|---|---|---:|---:|---:|---:|
+"""
+
+
+def row(name: str, variant: str) -> str:
+    """Measures one task."""
+    env = make(name, variant=variant)
+    batch = VectorEnvironment(env)
+    params = env.default_params()
+    mesh = device_mesh(jax.devices())
+    spread, whole = PartitionSpec(DEVICE_AXIS), PartitionSpec()
+
+    @jax.jit
+    @partial(
+        jax.shard_map,
+        mesh=mesh,
+        in_specs=(spread, whole),
+        out_specs=(spread, spread),
+        # Nothing is exchanged between devices.
+        check_vma=False,
+    )
+    def play(
+        state: VectorState, params: Any
+    ) -> tuple[VectorState, Float[Array, " cores"]]:
+        def step(state: VectorState, _: None) -> tuple[VectorState, Array]:
+            draw = jax.vmap(
+                lambda key, tick: jax.random.uniform(
+                    jax.random.fold_in(key, tick), (env.action_size,), minval=-1.0
+                )
+            )
+            state, outcome = batch.step(state, draw(state.keys, state.ticks), params)
+            return state, jnp.mean(outcome.info["flagged"])
+
+        state, flagged = jax.lax.scan(step, state, length=STEPS)
+        return state, jnp.mean(flagged)[None]
+
+    num_envs = BATCH * jax.device_count()
+    state = batch.reset(jax.random.key(0), num_envs, params, spread_phases=True)
+    state = place(state, spread, mesh)
+    shares: list[float] = []
+
+    def timed() -> float:
+        nonlocal state
+        start = time.perf_counter()
+        state, flagged = jax.block_until_ready(play(state, params))
+        wall = time.perf_counter() - start
+        shares.append(float(jnp.mean(flagged)))
+        return wall
+
+    timed()
+    calls = max(1, round(WINDOW_SECONDS / timed()))
+    wall = statistics.median(
+        sum(timed() for _ in range(calls)) / calls for _ in range(WINDOWS)
+    )
+    return (
+        f"| {name} | {variant} | {env.n_elements} | {env.substeps} "
+        f"| {STEPS * num_envs / wall:,.0f} | {statistics.mean(shares):.1e} |"
+    )
+
+
+def main() -> int:
+    """Measures and writes the page."""
+    jaxrod.configure_cpu()
+    facts = machine_facts(os.getloadavg()[0])
+    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
+    page = HEADER.format(
+        machine=f"Measured on: {facts['processor']}; {versions}",
+        cores=jax.device_count(),
+        batch=BATCH,
+        windows=WINDOWS,
+        seconds=WINDOW_SECONDS,
+    )
+    for name in TASKS:
+        for variant in ("clean", "paper"):
+            line = row(name, variant)
+            print(line, flush=True)
+            page += line + "\n"
+    target = ROOT / "docs" / "environments.md"
+    with tempfile.NamedTemporaryFile(
+        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
+    ) as file:
+        file.write(page)
+    os.chmod(file.name, 0o644)
+    os.replace(file.name, target)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
