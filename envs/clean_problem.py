@@ -43,18 +43,21 @@ def clean_problem(
     Args:
         task: A task of the `clean` variant; any number of elements can then be asked
             for.
-        actions: One for every control period.
+        actions: One for every control period; as in the task, not clipped.
 
     Raises:
-        ValueError: If the task is not `clean` or the actions are not of its size.
+        ValueError: If the task is not `clean`, or the actions are not of its size or
+            not finite.
     """
     if task.variant != "clean":
         raise ValueError(f"task must be of the clean variant, got {task.variant!r}")
-    if np.ndim(actions) != 2 or np.shape(actions)[1] != task.action_size:
+    shape = np.shape(actions)
+    if len(shape) != 2 or shape[0] < 1 or shape[1] != task.action_size:
         raise ValueError(
-            f"actions must have shape (periods, {task.action_size}), "
-            f"got {np.shape(actions)}"
+            f"actions must have shape (periods, {task.action_size}), got {shape}"
         )
+    if not np.all(np.isfinite(actions)):
+        raise ValueError("actions must be finite")
     with jax.enable_x64(True):
         arm = _arm(task)
         controls = _controls(arm, np.asarray(actions, np.float64))

@@ -112,10 +112,20 @@ class Contact(Effect):
         return total
 
     def directions(self, rod: Rod, motion: Motion) -> Vec3:
-        """The bodies' normals, whether the rod touches or not."""
+        """The bodies' normals, whether the rod touches or not.
+
+        None from deep inside: no node gets there, and a short post has its nearest
+        face there above or below.
+        """
+        deepest = jnp.max(rod.radii)
+
+        def normals(body: Body) -> Vec3:
+            distance, normal = body.surface(motion.position)
+            return vectors.scale(jnp.where(distance > -deepest, 1, 0), normal)
+
         if self.n_bodies is None:
-            return self.body.surface(motion.position)[1]
-        return jax.vmap(lambda body: body.surface(motion.position)[1])(self.body)
+            return normals(self.body)
+        return jax.vmap(normals)(self.body)
 
     def _summed(self, of_body: Callable[[Any], Any]) -> Any:
         """What a function gives for each body, added up.

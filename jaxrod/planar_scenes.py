@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
+from jaxrod.effects import Effect
+from jaxrod.motion import Motion
 from jaxrod.planar import PlanarStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import PLANES, Scene
@@ -66,19 +70,26 @@ def _shares_outside(scene: Scene, state: RodState) -> Float[Array, " parts"]:
     bent = jnp.stack([n2[1:] * rest[0] - n1[1:] * rest[1], rest[2]]) * length
     heights = state.positions[out]
     spins = state.angular_momenta
+    # A rod this slow, compared with its waves, has come to rest but for rounding.
+    wave_speed = jnp.sqrt(jnp.max(shear[2]) / jnp.min(rod.linear_density))
+    still = 1e-6 * wave_speed
     force, couple, tilt = _shares_of_effects(scene, state, n1, n2)
     shares = {
         "node positions": _largest(heights - heights[0]) / length,
-        "velocities": _share(state.velocities[out], state.velocities),
+        "velocities": _share(state.velocities[out], state.velocities, still),
         "the directions of elements": _largest(n3),
-        "angular momenta": _share(jnp.stack([spins[a], spins[b]]), spins),
+        "angular momenta": _share(
+            jnp.stack([spins[a], spins[b]]),
+            spins,
+            jnp.max(rod.inertias) * still / length,
+        ),
         "twist between elements": jnp.maximum(
             _largest(jnp.diff(n1)), _largest(jnp.diff(n2))
         ),
         "rest curvatures": _largest(bent),
         "rest strains": _largest(n1 * rod.rest_strains[0] + n2 * rod.rest_strains[1]),
-        "bending stiffness": _share(oblique * (bend[0] - bend[1]), bend),
-        "shear stiffness": _share(oblique * (shear[0] - shear[1]), shear),
+        "bending stiffness": _share(oblique * (bend[0] - bend[1]), bend, 0),
+        "shear stiffness": _share(oblique * (shear[0] - shear[1]), shear, 0),
         "forces of effects": force,
         "couples of effects": couple,
         "the surfaces of bodies": tilt,
@@ -96,39 +107,64 @@ def _shares_of_effects(
     stepper = PlanarStepper.create(scene, state, jnp.ones_like(rod.rest_lengths[0]))
     motion = stepper.in_space(stepper.enter(state))
     zero = jnp.zeros_like(rod.rest_lengths[0])
-    force = force_outside = couple = couple_outside = tilt = zero
-    for effect in scene.effects:
-        loads = effect.loads(rod, motion)
-        if loads.forces is not None:
-            force = jnp.maximum(force, _largest(*loads.forces))
-            force_outside = jnp.maximum(force_outside, _largest(loads.forces[out]))
-        if loads.couples is not None:
-            c1, c2, c3 = loads.couples
-            couple = jnp.maximum(couple, _largest(c1, c2, c3))
-            couple_outside = jnp.maximum(
-                couple_outside, _largest(n2 * c1 - n1 * c2, c3)
-            )
-        directions = effect.directions(rod, motion)
-        if directions is not None:
-            tilt = jnp.maximum(tilt, _largest(directions[out]))
     # An element that is held feels couples from the rounding of its own angle.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)
-    bend = jnp.max(rod.bend_twist_stiffness)
-    least_couple = roundings * bend / jnp.min(rod.rest_lengths)
-    # Forces that could not bend the rod by a millionth of a radian count for nothing.
-    least_force = 1e-6 * bend / jnp.sum(rod.rest_lengths) ** 2
-    return (
-        force_outside / jnp.maximum(force, least_force),
-        couple_outside / jnp.maximum(couple, least_couple),
-        tilt,
-    )
+    rounding = roundings * jnp.max(rod.bend_twist_stiffness) / jnp.min(rod.rest_lengths)
+    force = couple = tilt = zero
+    for effect in scene.effects:
+        # Each by itself: a small load must not hide behind a large one.
+        loads = effect.loads(rod, motion)
+        if loads.forces is not None:
+            share = _share(loads.forces[out], jnp.stack(loads.forces), 0)
+            force = jnp.maximum(force, share)
+        if loads.couples is not None:
+            c1, c2, c3 = loads.couples
+            outside = jnp.stack([n2 * c1 - n1 * c2, c3])
+            share = _share(outside, jnp.stack(loads.couples), rounding)
+            couple = jnp.maximum(couple, share)
+        tilt = jnp.maximum(tilt, _tilt(effect, scene, motion, out))
+    return force, couple, tilt
 
 
-def _largest(*components: Array) -> Array:
-    return jnp.max(jnp.stack([jnp.max(jnp.abs(c)) for c in components]))
+def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
+    """How far out of the plane forces of an effect may point, now or elsewhere in it.
+
+    An oblique cylinder is upright where it is seen end-on: it is looked at from
+    places all around the rod, near and far.
+    """
+    rod = scene.rod
+    a, b = (k for k in range(3) if k != out)
+    length = jnp.sum(rod.rest_lengths)
+    # Odd numbers, which hardly hit the middle of a body.
+    turns = 0.07 + jnp.arange(8) * (jnp.pi / 4)
+    reaches = jnp.repeat(jnp.asarray([0.097, 0.31, 1.03]), 8) * length
+    steps_a = jnp.append(reaches * jnp.tile(jnp.cos(turns), 3), 0)
+    steps_b = jnp.append(reaches * jnp.tile(jnp.sin(turns), 3), 0)
+
+    def seen_from(step_a: Array, step_b: Array) -> Array:
+        place = list(motion.position)
+        place[a], place[b] = place[a] + step_a, place[b] + step_b
+        moved = replace(motion, position=(place[0], place[1], place[2]))
+        directions = effect.directions(rod, moved)
+        return (
+            jnp.zeros_like(length) if directions is None else _largest(directions[out])
+        )
+
+    kind = length.dtype
+    return jnp.max(jax.vmap(seen_from)(steps_a.astype(kind), steps_b.astype(kind)))
 
 
-def _share(part: Array, whole: Array) -> Array:
-    """The largest magnitude of a part, relative to that of the whole if not zero."""
-    scale = _largest(whole)
+def _largest(values: Array) -> Array:
+    return jnp.max(jnp.abs(values))
+
+
+def _share(part: Array, whole: Array, least: ArrayLike) -> Array:
+    """The largest magnitude of a part, relative to that of the whole.
+
+    Args:
+        part: Some numbers.
+        whole: All numbers.
+        least: What they are compared with where they are smaller.
+    """
+    scale = jnp.maximum(_largest(whole), least)
     return _largest(part) / jnp.where(scale == 0, 1, scale)

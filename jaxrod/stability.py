@@ -268,7 +268,7 @@ def frequency_bounds(scene: Scene, factors: InertiaFactors) -> Float[Array, "3 n
         twist = jnp.zeros_like(twist)
     across, along = (4 * part / (mass * lengths) for part in (shear, stretch))
     rocking = (1 + rod.rest_strains[2]) ** 2 * shear * lengths / transverse
-    coupling = across * rocking
+    coupling = jnp.sqrt(across) * jnp.sqrt(rocking)
     anchored = _total(scene, "nodes")
     if anchored is not None:
         anchored = anchored / (rod.node_masses * factors[0])
@@ -281,15 +281,20 @@ def frequency_bounds(scene: Scene, factors: InertiaFactors) -> Float[Array, "3 n
     return jnp.sqrt(squares) + tilting[None, :]
 
 
-def _larger_root(first: Array, second: Array, product: Array) -> Array:
+def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
     """Larger eigenvalue of a symmetric matrix of two rows.
 
     Args:
-        first: One diagonal entry.
-        second: The other.
-        product: Square of the entry off the diagonal.
+        first: One diagonal entry, positive.
+        second: The other, positive.
+        coupling: The entry off the diagonal.
     """
-    return 0.5 * (first + second + jnp.sqrt((first - second) ** 2 + 4 * product))
+    # In units of the larger entry: the squares of squared frequencies of small, stiff
+    # rods are beyond float32.
+    unit = jnp.maximum(first, second)
+    half_difference, coupled = 0.5 * (first - second) / unit, coupling / unit
+    root = jnp.sqrt(half_difference * half_difference + coupled * coupled)
+    return 0.5 * (first + second) + unit * root
 
 
 def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Array]:

@@ -101,7 +101,7 @@ def advance(
         scene: The scene.
         state: The initial state.
         dt: Step size [s].
-        n_steps: How many steps, at least 0.
+        n_steps: How many steps, at least 0; an array below 0 counts as 0.
 
     Returns:
         The final state.
@@ -196,16 +196,30 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
     )
 
 
+def check_size(scene: Scene, state: RodState) -> None:
+    """Checks that a state is one of a scene's rod.
+
+    Raises:
+        ValueError: If its numbers of elements and nodes are others.
+    """
+    n = scene.rod.n_elements
+    elements, nodes = state.orientations.shape[-1], state.positions.shape[-1]
+    if elements != n:
+        raise ValueError(
+            f"state must have {n} elements, as the scene's rod has, got {elements}"
+        )
+    if nodes != n + 1:
+        raise ValueError(
+            f"state must have {n + 1} nodes, one more than elements, got {nodes}"
+        )
+
+
 def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
     """Checks the arguments of a run; gives the step the type of the scene."""
     if not isinstance(state, RodState):
         raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
-    n, dtype = scene.rod.n_elements, scene.rod.rest_lengths.dtype
-    if state.orientations.shape[-1] != n:
-        raise ValueError(
-            f"state must have {n} elements, as the scene's rod has, "
-            f"got {state.orientations.shape[-1]}"
-        )
+    dtype = scene.rod.rest_lengths.dtype
+    check_size(scene, state)
     if state.positions.dtype != dtype:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"

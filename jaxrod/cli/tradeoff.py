@@ -111,6 +111,8 @@ def run(args: argparse.Namespace) -> int:
         if any(n < least for n in getattr(args, name) or ()):
             flag = name.replace("_", "-")
             raise ValueError(f"--{flag} must be at least {least} each")
+    if not args.tolerance > 0:
+        raise ValueError(f"--tolerance must be positive, got {args.tolerance:g}")
     out: Path = args.out or Path("runs/tradeoff") / args.scene
     out.mkdir(parents=True, exist_ok=True)
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None

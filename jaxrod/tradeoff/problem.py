@@ -9,9 +9,11 @@ import jax
 import numpy as np
 
 from jaxrod._validation import check_array
+from jaxrod.planar_scenes import check_planar
 from jaxrod.resampling import resampled
 from jaxrod.rod import RodState
 from jaxrod.scene import Mode, Plane, Scene
+from jaxrod.stepping import check_size
 
 Build = Callable[[int, Mode], tuple[Scene, RodState]]
 Act = Callable[[Scene], Callable[[jax.Array], Scene]]
@@ -72,15 +74,26 @@ def problem_of(
         name: What to call it.
 
     Raises:
-        ValueError: If `duration` is not positive, or `scene` is not in consistent
-            mode.
+        ValueError: If `duration` is not positive, `scene` is not in consistent mode,
+            `state` is not of its rod or not finite, or something leaves the plane of
+            a planar scene.
+        TypeError: If `scene` is not a scene or `state` not a state.
     """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a jaxrod.Scene, got {type(scene).__name__}")
+    if not isinstance(state, RodState):
+        raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
+    check_size(scene, state)
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):
+        raise ValueError("state must be finite")
     check_array("duration", duration, [()], "s", positive=True)
     if scene.mode != "consistent":
         raise ValueError(
             "a scene in PyElastica mode has no setting to choose: its clamp and its "
             "law are wrong by more than its steps are"
         )
+    if scene.plane is not None:
+        check_planar(scene, state)
     with jax.enable_x64(True):
         scene, state = jax.tree.map(_double, (scene, state))
         plain = dataclasses.replace(scene, plane=None, implicit=None, twist=True)

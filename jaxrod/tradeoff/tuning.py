@@ -117,15 +117,17 @@ def tune(
         The setting with its measured error and cost.
 
     Raises:
-        ValueError: If `tolerance` is not positive, `elements` do not increase, `state`
-            is missing, or the reference is not converged well enough to judge by:
-            then the motion depends on details beyond any resolution, or needs a
-            looser tolerance.
+        ValueError: If `tolerance`, `batch` or `seconds` is not positive, `elements` do
+            not increase, `state` is missing or does not fit, or the reference is not
+            converged well enough to judge by: then the motion depends on details
+            beyond any resolution, or needs a looser tolerance.
     """
     check_array("tolerance", tolerance, [()], "", positive=True)
-    elements = tuple(check_count("elements", n, 1) for n in elements)
+    check_array("seconds", seconds, [()], "s", positive=True)
+    batch = check_count("batch", batch, 1)
+    elements = tuple(check_count("elements", n, 2) for n in elements)
     if not elements or any(a >= b for a, b in itertools.pairwise(elements)):
-        raise ValueError(f"elements must increase, got {elements}")
+        raise ValueError(f"elements must be some, increasing, got {elements}")
     if isinstance(scene, Problem):
         problem = scene
     elif state is None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.planar_scenes import check_planar
 from jaxrod.stepping import stepper
 from physics.rods import arm
 
@@ -225,6 +226,42 @@ def test_what_leaves_the_plane_is_refused(spoil, word):
     scene, state = spoil(*swinging("xy"))
     with pytest.raises(ValueError, match=rf"xy plane needs.*{word}"):
         jaxrod.advance(scene, state, 1e-4, 5)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_small_parts_out_of_the_plane_do_not_hide(dtype):
+    """Neither behind large ones, nor where the rod is small, nor seen end-on."""
+    rod, state = arm(10, dtype, direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    post = jaxrod.cylinder((1.3, -1.0, -1.0), (1.3, 1.0, 1.0), 0.1)
+    ahead = jaxrod.contact(post, stiffness=1e5)
+    pulled = jaxrod.end_load((1e5, 0.0, 0.0)), jaxrod.end_load((0.0, 0.0, 1.0))
+    for effects, word in [((ahead,), "surfaces of bodies"), (pulled, "forces")]:
+        with pytest.raises(ValueError, match=word):
+            check_planar(jaxrod.make_scene(rod, *effects, plane="xy"), state)
+    tiny, resting = jaxrod.straight_rod(
+        10,
+        length=1e-6,
+        radius=1e-7,
+        density=7800.0,
+        youngs_modulus=1e11,
+        direction=(1.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+        dtype=dtype,
+    )
+    falling = jaxrod.make_scene(tiny, jaxrod.gravity((0.0, 0.0, -9.81)), plane="xy")
+    with pytest.raises(ValueError, match="forces"):
+        check_planar(falling, resting)
+
+
+def test_what_rounding_leaves_out_of_the_plane_is_accepted():
+    """A rod that came to rest in space, and one that hangs in front of a short post."""
+    rod, state = arm(10, direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    noise = 1e-13 * np.random.default_rng(0).normal(size=(3, 11))
+    settled = replace(state, velocities=state.velocities + noise)
+    post = jaxrod.cylinder((0.7, -0.3, -0.1), (0.7, -0.3, 0.1), 0.2)
+    contact = jaxrod.contact(post, stiffness=1e5)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), contact, plane="xy")
+    check_planar(scene, settled)
 
 
 def test_planes_are_named_and_consistent():

@@ -334,3 +334,26 @@ def test_measuring_works_inside_jit_and_vmap():
     assert together.dtype == jnp.float32
     alone = [measure(stretch) for stretch in stretches]
     np.testing.assert_allclose(together, alone, rtol=1e-3)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_steps_of_small_stiff_rods_are_those_of_large_soft_ones_in_float32(measured):
+    """Squares of their squared frequencies are beyond float32."""
+
+    def step(length, youngs_modulus):
+        rod, state = jaxrod.straight_rod(
+            10,
+            length=length,
+            radius=0.05 * length,
+            density=1000.0,
+            youngs_modulus=youngs_modulus,
+            dtype=jnp.float32,
+        )
+        scene = jaxrod.make_scene(rod, jaxrod.clamp(state))
+        return float(jaxrod.stable_dt(scene, state=state if measured else None).dt)
+
+    for length, youngs_modulus in [(1e-6, 1e11), (1e-5, 1e9), (1e3, 1.0)]:
+        scale = length * np.sqrt(1e7 / youngs_modulus)
+        assert step(length, youngs_modulus) == pytest.approx(
+            scale * step(1.0, 1e7), rel=1e-2 if measured else 1e-5
+        )

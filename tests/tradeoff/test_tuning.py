@@ -73,9 +73,26 @@ def test_bad_input_is_refused():
     scene = jaxrod.make_scene(rod)
     with pytest.raises(ValueError, match="tolerance must be positive, got 0"):
         jaxrod.tune(scene, state, tolerance=0.0)
-    with pytest.raises(ValueError, match=r"elements must increase, got \(8, 8\)"):
+    with pytest.raises(
+        ValueError, match=r"elements must be some, increasing, got \(8, 8\)"
+    ):
         jaxrod.tune(scene, state, elements=(8, 8))
     with pytest.raises(ValueError, match="state must be given"):
         jaxrod.tune(scene)
     with pytest.raises(ValueError, match="too much to judge a tolerance of 1e-06"):
         jaxrod.tune(quarter_of_a_swing(), tolerance=1e-6)
+    with pytest.raises(ValueError, match="batch must be at least 1, got 0"):
+        jaxrod.tune(scene, state, batch=0)
+    with pytest.raises(TypeError, match=r"scene must be a jaxrod.Scene, got Rod"):
+        jaxrod.tune(rod, state)
+    _, longer = jaxrod.straight_rod(
+        5, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
+    )
+    with pytest.raises(ValueError, match="state must have 4 elements"):
+        jaxrod.tune(scene, longer)
+    broken = dataclasses.replace(state, velocities=state.velocities * np.nan)
+    with pytest.raises(ValueError, match="state must be finite"):
+        jaxrod.tune(scene, broken)
+    aside = jaxrod.make_scene(rod, jaxrod.gravity((0.0, 9.81, 0.0)), plane="zx")
+    with pytest.raises(ValueError, match="zx plane needs forces of effects"):
+        jaxrod.tune(aside, state)
