@@ -81,7 +81,10 @@ def test_a_busy_machine_is_mentioned(load, pyelastica, instant, run, monkeypatch
 
 @pytest.mark.parametrize(
     ("batch", "dtype", "mode"),
-    [(1, "float32", "consistent"), (3, "float64", "pyelastica")],
+    [
+        (1, "float32", "consistent"),
+        pytest.param(3, "float64", "pyelastica", marks=pytest.mark.slow),
+    ],
 )
 def test_a_row_is_measured_in_the_precision_it_names(batch, dtype, mode):
     row = benchmark.measure(batch, dtype, mode, seconds=0.02)

@@ -13,6 +13,10 @@ from jaxrod.tradeoff.measure import tips_of
 from physics.validation import record as record
 from playing import play
 
+TASKS = pytest.mark.parametrize(
+    "name", ["tracking", "reaching", "structured", "unstructured"]
+)
+
 
 def task_setting(task, problem, dtype):
     """The task's own elements, steps and reductions."""
@@ -22,16 +26,8 @@ def task_setting(task, problem, dtype):
     )
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "tracking",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("reaching", "structured", "unstructured")
-        ),
-    ],
-)
+@pytest.mark.slow
+@TASKS
 def test_a_problem_moves_as_its_task_does(name):
     task = make(name, variant="clean")
     actions = recorded_actions(task)[60:120]
@@ -43,7 +39,7 @@ def test_a_problem_moves_as_its_task_does(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["tracking", "reaching", "structured", "unstructured"])
+@TASKS
 def test_settings_keep_the_tip_within_one_percent(name, record):
     task = make(name, variant="clean")
     problem = clean_problem(task, recorded_actions(task))

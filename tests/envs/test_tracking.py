@@ -51,7 +51,9 @@ def test_paper_arm_moves_as_an_independent_implementation_says():
     np.testing.assert_allclose(states.arm.velocities[-1].T, arm.v, rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("variant", ["paper", "clean"])
+@pytest.mark.parametrize(
+    "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
+)
 def test_positive_normal_action_pushes_to_minus_x_and_binormal_to_plus_z(variant):
     env = make("tracking", variant=variant)
     for action, axis, sign in (
@@ -204,9 +206,8 @@ def test_clean_arm_is_as_accurate_as_it_says():
     assert 0.004 < np.sqrt(np.mean(error**2)) < 0.008
 
 
-@pytest.mark.parametrize(
-    "variant", [pytest.param("paper", marks=pytest.mark.slow), "clean"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["paper", "clean"])
 def test_gradient_of_the_return_is_that_of_finite_differences(variant):
     env = tracking(variant, n_elements=10, substeps=3 if variant == "clean" else 7)
     params = env.default_params()

@@ -53,7 +53,13 @@ def explicit_limit(scene):
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("name", ["free, spinning", "clamped, loaded, damped"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("free, spinning", marks=pytest.mark.slow),
+        "clamped, loaded, damped",
+    ],
+)
 def test_the_implicit_step_is_of_second_order_in_dt(name, radius, record):
     scene = free(radius) if name.startswith("free") else loaded(1.0, 40.0, radius)[0]
     state = moving(scene)

@@ -137,7 +137,9 @@ def test_the_limit_of_well_known_rods(name, record):
     )
 
 
-@pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
+@pytest.mark.parametrize(
+    "mode", ["consistent", pytest.param("pyelastica", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("rates", [(0.0, 0.0), (0.02, 1.0)])
 def test_stable_below_the_measured_limit_and_not_above(mode, rates):
     rod, state = arm(5, radius=0.02)
