@@ -28,6 +28,7 @@ FOLDERS = (
     "tests/physics",
     "tests/extremes",
     "tests/pyelastica/test_side_by_side.py",
+    "tests/envs/test_clean_problem.py",
 )
 HEADER = """\
 # Validation
