@@ -1,5 +1,7 @@
 """The published grid as it is planned: within the paper's budget, and trainable."""
 
+from pathlib import Path
+
 import pytest
 
 from jaxrod.cli import _grid, _runs
@@ -38,3 +40,23 @@ def test_cases_have_the_tasks_names_and_the_papers():
 def test_a_share_of_the_steps_is_rounded_down_to_whole_updates():
     (cell,) = _grid.plan(["Case3"], ["ppo"], [0], fraction=0.1)
     assert cell.steps == 500_000 // 10 // 8192 * 8192
+
+
+def test_the_page_on_algorithms_tells_what_differs_by_case():
+    told = {
+        (case, name): {}
+        for case in GRID
+        if case != "trivial"
+        for name in algorithm_names()
+    }
+    page = Path(__file__).parents[2] / "docs" / "algorithms.md"
+    section = page.read_text().split("## What differs by case")[1]
+    for line in section.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if len(cells) == 4 and cells[2].startswith("`"):
+            for case in cells[0].split(", "):
+                for name in cells[1].split(", "):
+                    told[case, name][cells[2].strip("`")] = cells[3]
+    for (case, name), settings in told.items():
+        planned = {k: str(v) for k, v in GRID[case][name].settings.items()}
+        assert settings == planned, (case, name)
