@@ -8,17 +8,16 @@ recorded actions of three seeds, and asks `jaxrod.tune` what it would take for 1
 
 from __future__ import annotations
 
-import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import jaxrod
-from jaxrod.cli.benchmark import machine_facts
+from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import make, names
 from jaxrod.envs.clean_problem import CleanTask, clean_problem, recorded_actions
 from jaxrod.tradeoff import Reference, Setting, measure, reference, tune
+from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = [name for name in names() if name != "trivial"]
@@ -85,9 +84,7 @@ def choice(name: str) -> str:
 
 def lines() -> Iterator[str]:
     """The page."""
-    facts = machine_facts(os.getloadavg()[0])
-    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
-    machine = f"Measured on: {facts['processor']}; {versions}"
+    machine = f"Measured on: {processor_and_versions()}"
     yield HEADER.format(machine=machine, n=REFERENCE_ELEMENTS)
     yield "| task | seed | elements | steps | error | of the reference |"
     yield "|---|---:|---:|---:|---:|---:|"
@@ -112,12 +109,7 @@ def main() -> int:
         print(line, flush=True)
         page.append(line)
     target = ROOT / "docs" / "clean_settings.md"
-    with tempfile.NamedTemporaryFile(
-        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
-    ) as file:
-        file.write("\n".join(page) + "\n")
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, target)
+    write_atomically(target, ("\n".join(page) + "\n").encode())
     return 0
 
 

@@ -8,10 +8,8 @@ in every way of stepping, and times it on one core: one rod, and 256 at once.
 
 from __future__ import annotations
 
-import os
 import statistics
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -19,10 +17,11 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod.cli.benchmark import machine_facts
+from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stepping import stepper
+from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 N_ELEMENTS = 20
@@ -126,9 +125,7 @@ def time_of_a_step(scene: Scene, state: RodState, batch: int) -> float:
 def main() -> int:
     """Measures and writes the page."""
     jaxrod.configure_cpu(1)
-    facts = machine_facts(os.getloadavg()[0])
-    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
-    machine = f"Measured on: {facts['processor']}; {versions}"
+    machine = f"Measured on: {processor_and_versions()}"
     lines = [
         HEADER.format(machine=machine),
         "| scene | operations | flops | bytes | one rod [us] | of 256 [us] |",
@@ -143,12 +140,7 @@ def main() -> int:
         )
         print(lines[-1], flush=True)
     target = ROOT / "docs" / "costs.md"
-    with tempfile.NamedTemporaryFile(
-        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
-    ) as file:
-        file.write("\n".join(lines) + "\n")
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, target)
+    write_atomically(target, ("\n".join(lines) + "\n").encode())
     return 0
 
 

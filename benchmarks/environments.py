@@ -8,10 +8,8 @@ all cores as training spreads it, restarts and scores included, without a policy
 
 from __future__ import annotations
 
-import os
 import statistics
 import sys
-import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -23,10 +21,11 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
 import jaxrod
-from jaxrod.cli.benchmark import machine_facts
+from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import VectorEnvironment, VectorState, make
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.devices import device_mesh, place
+from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = ("tracking", "reaching", "structured", "unstructured")
@@ -110,10 +109,8 @@ def row(name: str, variant: str) -> str:
 def main() -> int:
     """Measures and writes the page."""
     jaxrod.configure_cpu()
-    facts = machine_facts(os.getloadavg()[0])
-    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
     page = HEADER.format(
-        machine=f"Measured on: {facts['processor']}; {versions}",
+        machine=f"Measured on: {processor_and_versions()}",
         cores=jax.device_count(),
         batch=BATCH,
         windows=WINDOWS,
@@ -125,12 +122,7 @@ def main() -> int:
             print(line, flush=True)
             page += line + "\n"
     target = ROOT / "docs" / "environments.md"
-    with tempfile.NamedTemporaryFile(
-        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
-    ) as file:
-        file.write(page)
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, target)
+    write_atomically(target, page.encode())
     return 0
 
 

@@ -9,9 +9,7 @@ reference, extrapolated from two step sizes, over the distance it travels.
 
 from __future__ import annotations
 
-import os
 import sys
-import tempfile
 import time
 import warnings
 from dataclasses import dataclass, replace
@@ -21,9 +19,10 @@ import jax
 import numpy as np
 
 import jaxrod
-from jaxrod.cli.benchmark import machine_facts
+from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
+from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 SAMPLES = 20
@@ -171,21 +170,14 @@ def main() -> int:
     """Measures and writes the page."""
     jaxrod.configure_cpu(1)
     jax.config.update("jax_enable_x64", True)
-    facts = machine_facts(os.getloadavg()[0])
-    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
-    lines = [HEADER.format(machine=f"{facts['processor']}; {versions}", radius=RADIUS)]
+    lines = [HEADER.format(machine=processor_and_versions(), radius=RADIUS)]
     with warnings.catch_warnings():
         warnings.simplefilter("error", jaxrod.UnstableStepWarning)
         for study in STUDIES:
             lines += [f"## {study.name}\n", "| steps | dt [s] | error | cost [s/s] |"]
             lines += ["|---|---:|---:|---:|", *rows(study), ""]
     target = ROOT / "docs" / "implicit.md"
-    with tempfile.NamedTemporaryFile(
-        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
-    ) as file:
-        file.write("\n".join(lines))
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, target)
+    write_atomically(target, "\n".join(lines).encode())
     return 0
 
 

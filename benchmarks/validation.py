@@ -15,13 +15,14 @@ import os
 import platform
 import re
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
 import pytest
+
+from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = (
@@ -38,7 +39,7 @@ row; do not edit. {outcome}
 
 Unless a row says otherwise: float64, one CPU core. Errors are relative where they have
 no unit. The arm is 1 m long, 5 cm in radius, 10 MPa, 1000 kg/m^3. Measured on
-{machine} with Python {python} and JAX {jax}.
+{machine} with {software}.
 """
 COLUMNS = ("Feature", "Reference", "Measured", "Bar")
 
@@ -51,6 +52,7 @@ class Rows:
         self.rows: dict[str, list[tuple[str, ...]]] = {}
         self.passed = 0
         self.failed: list[str] = []
+        self.read_from_files = False
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Takes the rows of one test."""
@@ -75,11 +77,14 @@ class Rows:
         outcome = f"All {self.passed} tests passed."
         if self.failed:
             outcome = f"**{len(self.failed)} tests failed**: {', '.join(self.failed)}."
+        python = ".".join(platform.python_version_tuple()[:2])
+        here = f"Python {python} and JAX {jax.__version__}"
+        # What is read from files may have run elsewhere.
+        software = "the releases of constraints.txt"
         yield HEADER.format(
             outcome=outcome,
             machine=f"{platform.system()} on {platform.machine()}",
-            python=".".join(platform.python_version_tuple()[:2]),
-            jax=jax.__version__,
+            software=software if self.read_from_files else here,
         )
         for section, rows in self.rows.items():
             title = section.removeprefix("test_").replace("_", " ").capitalize()
@@ -91,6 +96,7 @@ class Rows:
 
     def read(self, results: Path) -> None:
         """Takes the rows of a finished run from its JUnit XML file."""
+        self.read_from_files = True
         folders = tuple(f.removesuffix(".py").replace("/", ".") for f in FOLDERS)
         for case in ElementTree.parse(results).iter("testcase"):
             module = case.get("classname", "")
@@ -123,12 +129,7 @@ def main(arguments: list[str]) -> int:
         code = int(pytest.main(words, plugins=[rows]))
     target = ROOT / "docs" / "validation.md"
     target.parent.mkdir(exist_ok=True)
-    with tempfile.NamedTemporaryFile(
-        "w", dir=target.parent, suffix=".md", delete=False, encoding="utf-8"
-    ) as file:
-        file.write("\n".join(rows.text()))
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, target)
+    write_atomically(target, "\n".join(rows.text()).encode())
     return code
 
 

@@ -65,7 +65,7 @@ tension of 100 kN. Drawn over a cylinder it presses with 1 MN/m, as a first touc
 100 m/s does: 1 to 3 cm of overlap, less than the arm's radius of 5 cm."""
 LARGEST_STRETCH = 3.0
 """Of an element in "clean", before the arm is flagged [1]. Held in a corner of the
-action space the muscles stretch it to 2.5; steps are stable up to 3.7 and beyond."""
+action space the muscles stretch it to 2.5; at 3 steps are far below the stable one."""
 DAMPING = 3e3
 """Of contact in "clean": a twentieth of critical [kg/(m s)]."""
 

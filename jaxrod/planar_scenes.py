@@ -133,8 +133,10 @@ def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
     places all around the rod, near and far.
     """
     rod = scene.rod
-    a, b = (k for k in range(3) if k != out)
     length = jnp.sum(rod.rest_lengths)
+    if effect.directions(rod, motion) is None:
+        return jnp.zeros_like(length)
+    a, b = (k for k in range(3) if k != out)
     # Odd numbers, which hardly hit the middle of a body.
     turns = 0.07 + jnp.arange(8) * (jnp.pi / 4)
     reaches = jnp.repeat(jnp.asarray([0.097, 0.31, 1.03]), 8) * length
@@ -146,9 +148,8 @@ def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
         place[a], place[b] = place[a] + step_a, place[b] + step_b
         moved = replace(motion, position=(place[0], place[1], place[2]))
         directions = effect.directions(rod, moved)
-        return (
-            jnp.zeros_like(length) if directions is None else _largest(directions[out])
-        )
+        assert directions is not None
+        return _largest(directions[out])
 
     kind = length.dtype
     return jnp.max(jax.vmap(seen_from)(steps_a.astype(kind), steps_b.astype(kind)))

@@ -147,6 +147,13 @@ def machine_facts(load: float | None) -> dict[str, Any]:
     }
 
 
+def processor_and_versions() -> str:
+    """The processor and the releases in use, in one line."""
+    facts = machine_facts(None)
+    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
+    return f"{facts['processor']}; {versions}"
+
+
 def _table(report: Report, machine: dict[str, Any]) -> str:
     """The report as a Markdown table, which reads well in a terminal too."""
     versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items())

@@ -11,7 +11,7 @@ import pytest
 
 import jaxrod
 from jaxrod.planar_scenes import check_planar
-from jaxrod.stepping import stepper
+from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm
 
 AXES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
@@ -118,44 +118,14 @@ def test_gradients_are_those_in_space():
 
 
 def test_batches_and_numbers_do_not_recompile():
-    scene, state = swinging("xy")
-    runs = 0
-
-    def height(scene, state, dt, n_steps):
-        nonlocal runs
-        runs += 1
-        return jaxrod.advance(scene, state, dt, n_steps).tip[1]
-
-    compiled = jax.jit(height)
-    alone = [float(compiled(scene, state, dt, 40)) for dt in (1e-4, 2e-4)]
-    stiffer = replace(
-        scene,
-        rod=replace(scene.rod, bend_twist_stiffness=2 * scene.rod.bend_twist_stiffness),
-    )
-    assert float(compiled(stiffer, state, 1e-4, 41)) != alone[0]
-    assert runs == 1
-    together = jax.vmap(height, in_axes=(None, None, 0, None))(
-        scene, state, jnp.array([1e-4, 2e-4]), 40
-    )
-    np.testing.assert_allclose(together, alone, rtol=1e-13)
+    check_one_program(*swinging("xy"), rtol=1e-13)
 
 
 def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
-    rod, state = arm(20)
-    scene = jaxrod.make_scene(
-        rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(1.0)
-    )
-
-    def flops(scene):
-        """Of one step within many."""
-        integrator = stepper(scene, state, jnp.asarray(1e-4))
-        carry = integrator.begin(state)
-        return jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()["flops"]
-
     record(
         "Arithmetic of a planar step over that of a step in space",
         "compiled programs",
-        flops(replace(scene, plane="zx")) / flops(scene),
+        arithmetic_left(plane="zx"),
         at_most=0.4,
     )
 

@@ -13,48 +13,20 @@ from jaxrod.effects import Effect
 from jaxrod.motion import Loads
 from jaxrod.resampling import resampled
 from jaxrod.rotations import directors
-from jaxrod.stepping import stepper
+from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm
 from physics.untwisted import largest_gap, swinging, with_twist
 
 
 def test_batches_and_numbers_do_not_recompile():
-    scene, state = swinging(n=5, sideways=1.0)
-    runs = 0
-
-    def height(scene, state, dt, n_steps):
-        nonlocal runs
-        runs += 1
-        return jaxrod.advance(scene, state, dt, n_steps).tip[1]
-
-    compiled = jax.jit(height)
-    alone = [float(compiled(scene, state, dt, 40)) for dt in (1e-4, 2e-4)]
-    stiffness = 2 * scene.rod.bend_twist_stiffness
-    stiffer = replace(scene, rod=replace(scene.rod, bend_twist_stiffness=stiffness))
-    assert float(compiled(stiffer, state, 1e-4, 41)) != alone[0]
-    assert runs == 1
-    together = jax.jit(jax.vmap(height, in_axes=(None, None, 0, None)))(
-        scene, state, jnp.array([1e-4, 2e-4]), 40
-    )
-    np.testing.assert_allclose(together, alone, rtol=1e-12)
+    check_one_program(*swinging(n=5, sideways=1.0), rtol=1e-12)
 
 
 def test_it_costs_about_half_the_arithmetic(record):
-    rod, state = arm(20)
-    scene = jaxrod.make_scene(
-        rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(1.0)
-    )
-
-    def flops(scene):
-        """Of one step within many."""
-        integrator = stepper(scene, state, jnp.asarray(1e-4))
-        carry = integrator.begin(state)
-        return jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()["flops"]
-
     record(
         "Arithmetic of a step without twist over that of one with it",
         "compiled programs",
-        flops(replace(scene, twist=False)) / flops(scene),
+        arithmetic_left(twist=False),
         at_most=0.55,
     )
 
