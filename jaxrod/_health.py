@@ -22,7 +22,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import joint_rotations
-from jaxrod.rod import RodState, angular_velocities
+from jaxrod.rod import RodState, angular_velocities, check_size
 from jaxrod.rotations import split_quaternion
 from jaxrod.scene import Scene, total_energy
 
@@ -105,7 +105,11 @@ def health(
 
     Returns:
         The flags and the values behind them. Values that are not finite are flagged.
+
+    Raises:
+        ValueError: If the state is not of the scene's rod.
     """
+    check_size(scene.rod, state)
     limits = HealthLimits() if limits is None else limits
     rod = scene.rod
     edges = vectors.inner_difference(vectors.split(state.positions))

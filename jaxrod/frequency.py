@@ -25,7 +25,7 @@ from jaxrod._validation import check_count
 from jaxrod.elasticity import elastic_law, internal_loads
 from jaxrod.motion import Loads, Motion, motion_of
 from jaxrod.pyelastica import PyElasticaStepper
-from jaxrod.rod import Rod, RodState
+from jaxrod.rod import Rod, RodState, check_size
 from jaxrod.rotations import multiply_quaternions, rotation_exp
 from jaxrod.scene import Scene, external_loads, hold_rates
 
@@ -67,8 +67,9 @@ def highest_frequency(
         The angular frequency [rad/s].
 
     Raises:
-        ValueError: If `size` is less than 2.
+        ValueError: If `size` is less than 2, or the state is not of the scene's rod.
     """
+    check_size(scene.rod, state)
     return _measure(scene, state, check_count("size", size, 2)).angular_frequency
 
 

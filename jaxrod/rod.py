@@ -155,3 +155,21 @@ def compensated(state: RodState) -> RodState:
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
     """
     return replace(state, remainders=jnp.zeros_like(state.positions))
+
+
+def check_size(rod: Rod, state: RodState) -> None:
+    """Checks that a state is one of a scene's rod, whether traced or not.
+
+    Raises:
+        ValueError: If its numbers of elements and nodes are others.
+    """
+    n = rod.n_elements
+    elements, nodes = state.orientations.shape[-1], state.positions.shape[-1]
+    if elements != n:
+        raise ValueError(
+            f"state must have {n} elements, as the scene's rod has, got {elements}"
+        )
+    if nodes != n + 1:
+        raise ValueError(
+            f"state must have {n + 1} nodes, one more than elements, got {nodes}"
+        )

@@ -42,7 +42,7 @@ from jaxrod.frequency import (
     fastest_vibration,
     no_damping,
 )
-from jaxrod.rod import Rod, RodState
+from jaxrod.rod import Rod, RodState, check_size
 from jaxrod.scene import Scene, damping_rates
 
 Details = TypeVar("Details")
@@ -89,7 +89,8 @@ def stable_dt(
         The step, and which element and motion limit it.
 
     Raises:
-        ValueError: If `safety` is not in (0, 1].
+        ValueError: If `safety` is not in (0, 1], or the state is not of the scene's
+            rod.
     """
     factor = check_array("safety", safety, [()], "", positive=True)
     if not isinstance(factor, jax.core.Tracer) and factor > 1:
@@ -97,6 +98,7 @@ def stable_dt(
     factor = jnp.asarray(factor, scene.rod.rest_lengths.dtype)
     if state is None:
         return _bounded(scene, factor)
+    check_size(scene.rod, state)
     return _measured(scene, factor, state)
 
 

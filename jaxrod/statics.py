@@ -17,7 +17,7 @@ from jaxrod.effects import Effect
 from jaxrod.elasticity import elastic_law
 from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.newton import default_tolerance, largest, newton
-from jaxrod.rod import RodState
+from jaxrod.rod import RodState, check_size
 from jaxrod.scene import Scene, hold, hold_rates
 
 
@@ -78,12 +78,8 @@ def equilibrium(
         raise ValueError(
             f"equilibrium needs a scene with mode='consistent', got {scene.mode!r}"
         )
-    n, dtype = scene.rod.n_elements, scene.rod.rest_lengths.dtype
-    if state.orientations.shape[-1] != n:
-        raise ValueError(
-            f"state must have {n} elements, as the scene's rod has, "
-            f"got {state.orientations.shape[-1]}"
-        )
+    dtype = scene.rod.rest_lengths.dtype
+    check_size(scene.rod, state)
     max_iterations = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
         tolerance = default_tolerance(dtype)

@@ -17,7 +17,7 @@ from jaxrod.consistent import ConsistentStepper
 from jaxrod.planar import PlanarStepper
 from jaxrod.planar_scenes import check_planar
 from jaxrod.pyelastica import PyElasticaStepper
-from jaxrod.rod import RodState
+from jaxrod.rod import RodState, check_size
 from jaxrod.scene import Scene
 from jaxrod.stability import compression, stable_dt
 from jaxrod.untwisted import UntwistedStepper
@@ -196,30 +196,12 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
     )
 
 
-def check_size(scene: Scene, state: RodState) -> None:
-    """Checks that a state is one of a scene's rod.
-
-    Raises:
-        ValueError: If its numbers of elements and nodes are others.
-    """
-    n = scene.rod.n_elements
-    elements, nodes = state.orientations.shape[-1], state.positions.shape[-1]
-    if elements != n:
-        raise ValueError(
-            f"state must have {n} elements, as the scene's rod has, got {elements}"
-        )
-    if nodes != n + 1:
-        raise ValueError(
-            f"state must have {n + 1} nodes, one more than elements, got {nodes}"
-        )
-
-
 def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
     """Checks the arguments of a run; gives the step the type of the scene."""
     if not isinstance(state, RodState):
         raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
     dtype = scene.rod.rest_lengths.dtype
-    check_size(scene, state)
+    check_size(scene.rod, state)
     if state.positions.dtype != dtype:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"

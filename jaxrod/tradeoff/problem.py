@@ -11,9 +11,8 @@ import numpy as np
 from jaxrod._validation import check_array
 from jaxrod.planar_scenes import check_planar
 from jaxrod.resampling import resampled
-from jaxrod.rod import RodState
+from jaxrod.rod import RodState, check_size
 from jaxrod.scene import Mode, Plane, Scene
-from jaxrod.stepping import check_size
 
 Build = Callable[[int, Mode], tuple[Scene, RodState]]
 Act = Callable[[Scene], Callable[[jax.Array], Scene]]
@@ -83,7 +82,7 @@ def problem_of(
         raise TypeError(f"scene must be a jaxrod.Scene, got {type(scene).__name__}")
     if not isinstance(state, RodState):
         raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
-    check_size(scene, state)
+    check_size(scene.rod, state)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):
         raise ValueError("state must be finite")
     check_array("duration", duration, [()], "s", positive=True)

@@ -154,6 +154,23 @@ def test_no_step_is_made_with_bad_arguments(run, state, dt, message):
         run(SCENE, state, dt, *steps)
 
 
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda state: jaxrod.stable_dt(SCENE, state=state),
+        lambda state: jaxrod.highest_frequency(SCENE, state),
+        lambda state: jaxrod.health(SCENE, state, 1e-4),
+        lambda state: jaxrod.advance(SCENE, state, 1e-4, 1),
+    ],
+)
+def test_a_state_of_another_size_is_refused(ask):
+    with pytest.raises(ValueError, match="state must have 5 elements, as the scene's"):
+        ask(OTHER)
+    short = replace(STATE, positions=STATE.positions[:, :-1])
+    with pytest.raises(ValueError, match="state must have 6 nodes, one more than"):
+        ask(short)
+
+
 @pytest.mark.parametrize("run", [jaxrod.advance, jaxrod.rollout])
 @pytest.mark.parametrize(
     ("steps", "message"),
