@@ -2,7 +2,7 @@
 
 A process per cell, because what JAX compiled and holds for one cell is of no use to
 the next and is given back only by the end of a process; and because a cell that runs
-out of memory then takes nothing else with it. One at a time, on all devices.
+out of memory then takes nothing else with it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-
-from jaxrod.training.interruption import Interruption
 
 POLL_SECONDS = 0.5
 LOCK_SECONDS = 120.0
@@ -56,55 +54,64 @@ def only_one(folder: Path, say: Callable[[str], None]) -> Iterator[int]:
         os.close(lock)
 
 
-def run_process(
-    words: Sequence[str],
-    log: Path,
-    *,
-    lock: int,
-    interruption: Interruption,
-    look: Callable[[], None],
-) -> int:
-    """Runs `jaxrod WORDS` to its end.
+class Child:
+    """`jaxrod WORDS` in a process of its own, beside others."""
 
-    The first Ctrl-C lets it save and stop, a second one kills it.
+    def __init__(
+        self, words: Sequence[str], log: Path, *, lock: int, cores: Collection[int]
+    ) -> None:
+        """Starts it.
 
-    Args:
-        words: the command.
-        log: file that what it says is added to.
-        lock: as `only_one` yields it.
-        interruption: whether to stop.
-        look: called now and then.
+        Args:
+            words: the command.
+            log: file that what it says is added to.
+            lock: as `only_one` yields it.
+            cores: the processor's cores it may use; all if empty.
+        """
+        with log.open("a", encoding="utf-8") as said:
+            said.write(f"$ jaxrod {shlex.join(words)}\n")
+            said.flush()
+            # A session of its own: the terminal's Ctrl-C must come from here, once.
+            self._process = subprocess.Popen(
+                [*LAUNCHER, *words],
+                stdin=subprocess.PIPE,
+                stdout=said,
+                stderr=said,
+                start_new_session=True,
+                pass_fds=(lock,),
+            )
+        if cores:
+            # Python takes longer to start than this: JAX will see these cores only.
+            os.sched_setaffinity(self._process.pid, cores)
 
-    Returns:
-        Its exit code, negative for a signal.
+    def code(self) -> int | None:
+        """Its exit code, negative for a signal; None while it runs."""
+        return self._process.poll()
+
+    def stop(self) -> None:
+        """Lets it save and stop."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+
+    def end(self) -> None:
+        """Ends it at once, if it has not ended; waits until it has."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self.stop()
+        self._process.wait()
+
+
+def shares(jobs: int) -> list[tuple[int, ...]]:
+    """The cores of this process, dealt out to so many jobs.
+
+    One job has them all without being told; so has every job where the system
+    does not let processes be bound, or where there are fewer cores than jobs.
     """
-    with log.open("a", encoding="utf-8") as said:
-        said.write(f"$ jaxrod {shlex.join(words)}\n")
-        said.flush()
-        # A session of its own: the terminal's Ctrl-C must come from here, once.
-        process = subprocess.Popen(
-            [*LAUNCHER, *words],
-            stdin=subprocess.PIPE,
-            stdout=said,
-            stderr=said,
-            start_new_session=True,
-            pass_fds=(lock,),
-        )
-    assert process.stdin is not None
-    told = False
-    try:
-        while process.poll() is None:
-            if interruption.asked and not told:
-                process.stdin.close()
-                told = True
-            look()
-            time.sleep(POLL_SECONDS)
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.stdin.close()
-        process.wait()
-    return process.returncode
+    if jobs == 1 or not hasattr(os, "sched_setaffinity"):
+        return [()] * jobs
+    cores = sorted(os.sched_getaffinity(0))
+    each = len(cores) // jobs
+    return [tuple(cores[k * each : (k + 1) * each]) for k in range(jobs)]
 
 
 def last_words(log: Path) -> str:

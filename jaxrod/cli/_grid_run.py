@@ -1,10 +1,12 @@
-"""Running the cells of a grid, one after the other, and recording how each ended."""
+"""Running the cells of a grid, a few at a time, and recording how each ended."""
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
 import shutil
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -24,7 +26,12 @@ _UNASKED = ("score_window",)
 
 
 def run_grid(
-    cells: list[Cell], records: Records, *, overwrite: bool, stream: TextIO
+    cells: list[Cell],
+    records: Records,
+    *,
+    overwrite: bool,
+    stream: TextIO,
+    jobs: int = 1,
 ) -> int:
     """Runs what has not ended yet.
 
@@ -33,6 +40,7 @@ def run_grid(
         records: what has ended before; gets what ends now.
         overwrite: whether to run again what was run otherwise than now asked.
         stream: where to show progress.
+        jobs: how many cells run side by side, each on its share of the cores.
 
     Returns:
         Exit code: 0 all cells have a score, 1 some failed, 130 interrupted.
@@ -63,10 +71,7 @@ def run_grid(
         failed = [c for c in cells if (r := records.get(c)) and r["error"]]
         broken = [cell for cell in failed if cell not in waiting]
         with Interruption(view.say) as interruption:
-            for cell in waiting:
-                if interruption.asked:
-                    break
-                good = _run(cell, records, view, lock, interruption)
+            for cell, good in _run(waiting, records, view, lock, interruption, jobs):
                 if not good:
                     broken.append(cell)
         if interruption.asked:
@@ -85,56 +90,123 @@ def _changed(cell: Cell, records: Records) -> list[str]:
     return found
 
 
+@dataclasses.dataclass
+class _Running:
+    """A cell whose process runs, on its share of the cores."""
+
+    cell: Cell
+    folder: RunFolder
+    child: _grid_process.Child
+    cores: tuple[int, ...]
+
+
 def _run(
-    cell: Cell,
+    waiting: list[Cell],
     records: Records,
     view: GridView,
     lock: int,
     interruption: Interruption,
-) -> bool:
-    """Runs a cell to its end, from wherever it is; whether it is not broken."""
-    folder = RunFolder(records.out / "runs" / cell.name)
+    jobs: int,
+) -> Iterator[tuple[Cell, bool]]:
+    """Runs cells to their ends; yields each as it ends, and whether it is sound."""
+    waiting, running, told = list(waiting), [], False
+    idle = _grid_process.shares(jobs)
+    try:
+        while running or (waiting and not interruption.asked):
+            while waiting and idle and not interruption.asked:
+                cell = waiting.pop(0)
+                folder = RunFolder(records.out / "runs" / cell.name)
+                if _ready(cell, folder):
+                    yield cell, _ended(cell, folder, 0, records, view, False)
+                    continue
+                child = _start(cell, folder, view, lock, idle[0])
+                running.append(_Running(cell, folder, child, idle.pop(0)))
+            if interruption.asked and not told:
+                told = True
+                for run in running:
+                    run.child.stop()
+            for run in list(running):
+                code = run.child.code()
+                if code is None:
+                    _look(run, view)
+                    continue
+                run.child.end()
+                running.remove(run)
+                idle.append(run.cores)
+                stopped = interruption.asked
+                yield (
+                    run.cell,
+                    _ended(run.cell, run.folder, code, records, view, stopped),
+                )
+            time.sleep(_grid_process.POLL_SECONDS)
+    finally:
+        for run in running:
+            run.child.end()
+
+
+def _ready(cell: Cell, folder: RunFolder) -> bool:
+    """Whether it has run to its end before, but was not recorded."""
     if folder.exists and differences(folder.config(), cell.config, _UNASKED):
         # Otherwise the summary of the run before could be taken for this one's.
         folder.clear()
-    log = folder.path.with_suffix(".log")
-    code = 0
-    if not folder.finished:
-        row = _grid_process.last_row(folder.progress.path)
-        view.start(cell, int(row["env_steps"]) if row and folder.exists else 0)
-        words = cell.command(folder.path)
-        words += ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"]
-        if folder.exists:
-            words.append("--resume")
+    return folder.finished
 
-        def look() -> None:
-            row = _grid_process.last_row(folder.progress.path)
-            if row:
-                score = row["episode_return_mean"]
-                done = int(row["env_steps"])
-                view.running(cell, done, float(score) if score else None)
 
-        code = _grid_process.run_process(
-            words, log, lock=lock, interruption=interruption, look=look
-        )
+def _start(
+    cell: Cell, folder: RunFolder, view: GridView, lock: int, cores: tuple[int, ...]
+) -> _grid_process.Child:
+    """Starts a cell, or goes on with it from wherever it is."""
+    row = _grid_process.last_row(folder.progress.path)
+    view.start(cell, int(row["env_steps"]) if row and folder.exists else 0)
+    words = cell.command(folder.path)
+    words += ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"]
+    if folder.exists:
+        words.append("--resume")
+    return _grid_process.Child(words, _log(folder), lock=lock, cores=cores)
+
+
+def _look(run: _Running, view: GridView) -> None:
+    """Shows how far a cell is."""
+    row = _grid_process.last_row(run.folder.progress.path)
+    if row:
+        score = row["episode_return_mean"]
+        view.running(run.cell, int(row["env_steps"]), float(score) if score else None)
+
+
+def _ended(
+    cell: Cell,
+    folder: RunFolder,
+    code: int,
+    records: Records,
+    view: GridView,
+    stopped: bool,
+) -> bool:
+    """Records a cell whose process has ended; whether the cell is not broken."""
+    row = _grid_process.last_row(folder.progress.path)
     if folder.finished:
         _record(cell, folder, records, folder.summary(), None)
-    elif code == DIVERGED and not interruption.asked:
-        row = _grid_process.last_row(folder.progress.path) or {}
-        _record(cell, folder, records, _so_far(row), _grid_process.last_words(log))
-    elif interruption.asked:
-        row = _grid_process.last_row(folder.progress.path)
+    elif code == DIVERGED and not stopped:
+        said = _grid_process.last_words(_log(folder))
+        _record(cell, folder, records, _so_far(row or {}), said)
+    elif stopped:
         view.stopped(cell, int(row["env_steps"]) if row else 0)
         return True
     else:
         # Not recorded: the next call tries again, from the last checkpoint.
-        how = f"killed by signal {-code}" if code < 0 else _grid_process.last_words(log)
-        view.failed(cell, f"{how} (see {log})")
+        how = f"killed by signal {-code}"
+        if code >= 0:
+            how = _grid_process.last_words(_log(folder))
+        view.failed(cell, f"{how} (see {_log(folder)})")
         return False
     record = records.get(cell)
     assert record is not None
     _show(view, cell, record)
     return not record["error"]
+
+
+def _log(folder: RunFolder) -> Path:
+    """What the process of a cell said."""
+    return folder.path.with_suffix(".log")
 
 
 def _record(

@@ -16,8 +16,8 @@ class GridView:
     """Shows every cell: waiting, running, done or failed.
 
     On a terminal the lines are redrawn in place; where there are more cells than
-    lines, those around the running one are shown. Elsewhere (a log file) a line is
-    printed for every change, and for every tenth of a running cell.
+    lines, those around the one that changed last are shown. Elsewhere (a log file) a
+    line is printed for every change, and for every tenth of a running cell.
     """
 
     def __init__(self, cells: list[Cell], stream: TextIO) -> None:
@@ -28,14 +28,14 @@ class GridView:
         self._width = max(map(len, self._names))
         self._states = ["waiting"] * len(cells)
         self._texts = [""] * len(cells)
-        self._tenths = 0
+        self._tenths: dict[str, int] = {}
+        self._began: dict[str, tuple[float, int]] = {}
         self._drawn = self._at = 0
-        self._began = (0.0, 0)
 
     def start(self, cell: Cell, done: int) -> None:
         """A cell starts, or goes on where it has `done` control steps."""
-        self._began = (time.monotonic(), done)
-        self._tenths = 10 * done // cell.steps
+        self._began[cell.name] = time.monotonic(), done
+        self._tenths[cell.name] = 10 * done // cell.steps
         self._set(cell, "running", f"from {done:,} steps" if done else "")
 
     def running(self, cell: Cell, done: int, score: float | None) -> None:
@@ -44,13 +44,13 @@ class GridView:
         filled = int(share * _BAR)
         text = f"[{'#' * filled}{'-' * (_BAR - filled)}] {share:4.0%}"
         text += f"  score {_score(score)}{against(cell)}"
-        began, before = self._began
+        began, before = self._began[cell.name]
         if done > before:
             left = (time.monotonic() - began) / (done - before) * (cell.steps - done)
             text += f"  {duration(left)} left"
         tenth = 10 * done // cell.steps
-        quiet = not self._live and tenth <= self._tenths
-        self._tenths = max(tenth, self._tenths)
+        quiet = not self._live and tenth <= self._tenths[cell.name]
+        self._tenths[cell.name] = max(tenth, self._tenths[cell.name])
         self._set(cell, "running", text, quiet)
 
     def done(self, cell: Cell, score: float | None, wall: float, quiet: bool) -> None:

@@ -3,7 +3,8 @@
 CASES are `tracking`, `reaching`, `structured` and `unstructured`, or as in the paper
 Case1 to Case4 (default: all four); `trivial` tries things out in a minute. Every cell
 is trained by `jaxrod train` with its control steps and settings of
-training/grid_settings.py, in a process of its own, one after the other.
+training/grid_settings.py, in a process of its own: one after the other on all cores,
+or with --jobs a few side by side, each on its share of them.
 
 OUT gets results.csv (a row per seed), results.md (beside the paper), a figure per
 case, cells/ (how every cell was run) and curves/, all written after every cell and
@@ -74,6 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the grid (default: benchmarks/paper)",
     )
     parser.add_argument(
+        "--jobs",
+        type=_settings.count,
+        default=1,
+        metavar="N",
+        help="cells that run side by side, each on its share of the cores (default: 1)",
+    )
+    parser.add_argument(
         "--overwrite",
         action="store_true",
         help="run again the cells that were run with other settings or steps",
@@ -92,6 +100,8 @@ def run(args: argparse.Namespace) -> int:
     """Runs the grid, or says what it would run."""
     from jaxrod.cli import _grid, _grid_records, _grid_report
 
+    if args.jobs < 1:
+        raise ValueError(f"jobs must be at least 1, got {args.jobs}")
     cells = _grid.plan(
         args.cases,
         args.algorithms,
@@ -106,7 +116,13 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from jaxrod.cli._grid_run import run_grid
 
-    code = run_grid(cells, records, overwrite=args.overwrite, stream=sys.stderr)
+    code = run_grid(
+        cells,
+        records,
+        overwrite=args.overwrite,
+        stream=sys.stderr,
+        jobs=args.jobs,
+    )
     if args.json:
         ended = [record for cell in cells if (record := records.get(cell))]
         print(json.dumps(ended, indent=2))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 import sys
 
@@ -11,7 +12,8 @@ from jaxrod.cli import _grid, _grid_process
 from jaxrod.cli._grid_records import COLUMNS
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
-# score 100 seed + 1, diverges where seed is 7, and is killed where seed is 9.
+# score 100 seed + 1, diverges where seed is 7, and is killed where seed is 9. Where
+# seed is 5 it waits for another to run beside it.
 TRAIN = """
 import json, os, pathlib, sys, time
 words = sys.argv[1:]
@@ -22,6 +24,9 @@ asked = json.loads(os.environ["CONFIGS"])[out.name]
 (out / "checkpoints").mkdir(parents=True, exist_ok=True)
 with open(out.parent / "called", "a") as called:
     called.write(out.name + (" resumed" if resumed else "") + "\\n")
+if hasattr(os, "sched_getaffinity"):
+    with open(out.parent / "cores", "a") as cores:
+        cores.write(json.dumps(sorted(os.sched_getaffinity(0))) + "\\n")
 (out / "config.json").write_text(json.dumps(asked))
 (out / "progress.csv").write_text(
     "env_steps,wall_s,episode_return_mean,flagged_fraction\\n"
@@ -29,6 +34,11 @@ with open(out.parent / "called", "a") as called:
 if seed == 7:
     print("value_loss is not a number after 1,000 steps: learning diverged")
     sys.exit(1)
+until = time.monotonic() + 60
+while seed == 5 and len((out.parent / "called").read_text().splitlines()) < 2:
+    if time.monotonic() > until:
+        sys.exit("alone")
+    time.sleep(0.02)
 if seed == 9 and not resumed:
     os.kill(os.getpid(), 9)
 summary = {"final_score": 100.0 * seed + 1, "env_steps": 1000, "wall_s": 2.5,
@@ -143,6 +153,19 @@ def test_a_cell_that_was_killed_is_not_recorded_and_goes_on_later(grid):
     assert [r["final_score"] for r in rows(grid.out)] == ["1.0", "901.0"]
 
 
+def test_cells_run_side_by_side_each_on_its_share_of_the_cores(grid):
+    code, _, err = grid(5, algorithms=("ppo", "trpo"), words=("--jobs", 2))
+    assert code == 0, err
+    assert [r["final_score"] for r in rows(grid.out)] == ["501.0", "501.0"]
+    if hasattr(os, "sched_getaffinity"):
+        text = (grid.out / "runs" / "cores").read_text()
+        mine, others = map(json.loads, text.splitlines())
+        there = len(os.sched_getaffinity(0))
+        if there > 1:
+            assert len(mine) == len(others) == there // 2
+            assert not set(mine) & set(others)
+
+
 def test_what_was_run_otherwise_is_replaced_only_when_asked(grid):
     assert grid(0, algorithms=("ppo",))[0] == 0
     grid.called()
@@ -179,6 +202,7 @@ def test_a_dry_run_tells_steps_settings_and_the_time_measured(grid, run, run_jso
         (["trivial", "--algorithms", "luck"], "algorithm must be one of ppo"),
         (["trivial", "--seeds", "-1"], "seeds must not be negative"),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
+        (["trivial", "--jobs", "0"], "jobs must be at least 1"),
         (["trivial", "--steps", "3"], "needs at least one update"),
         (["trivial", "--steps-fraction", "2"], "steps-fraction must be in (0, 1]"),
     ],
