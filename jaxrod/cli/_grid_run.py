@@ -109,7 +109,8 @@ def _run(
     jobs: int,
 ) -> Iterator[tuple[Cell, bool]]:
     """Runs cells to their ends; yields each as it ends, and whether it is sound."""
-    waiting, running, told = list(waiting), [], False
+    waiting, told = list(waiting), False
+    running: list[_Running] = []
     idle = _grid_process.shares(jobs)
     try:
         while running or (waiting and not interruption.asked):
