@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import operator
 import time
 from functools import partial
 
@@ -48,8 +49,11 @@ def penetration(arm, state):
     nodes = state.positions
     points = jnp.concatenate([nodes, 0.5 * (nodes[:, 1:] + nodes[:, :-1])], axis=1)
     (touch,) = arm.obstacles
-    surface = jax.vmap(lambda body: body.surface(vectors.split(points))[0])
-    return 1 - jnp.min(surface(touch.body)) / arm.rod.radii[0]
+    nearest = jnp.inf
+    for k in range(touch.n_bodies):
+        body = jax.tree.map(operator.itemgetter(k), touch.body)
+        nearest = jnp.minimum(nearest, body.surface(vectors.split(points))[0])
+    return 1 - jnp.min(nearest) / arm.rod.radii[0]
 
 
 def episode(index, key, task, params, control_steps):
@@ -71,10 +75,15 @@ def episode(index, key, task, params, control_steps):
         controls = jnp.pad(values, ((0, 3 - task.n_directions), (0, 0)))
         muscles = jaxrod.limit_rate(muscles, controls, arm.largest_change)
         scene = arm.scene(muscles)
-        course = jaxrod.rollout(scene, state, params.dt, task.substeps)
-        after = jax.tree.map(lambda leaf: leaf[-1], course)
+
+        def step(_, passed):
+            state, depth = passed
+            state = jaxrod.advance(scene, state, params.dt, 1)
+            return state, jnp.fmax(depth, penetration(arm, state))
+
+        begin = state, jnp.zeros_like(params.dt)
+        after, depth = jax.lax.fori_loop(0, task.substeps, step, begin)
         report = jaxrod.health(scene, after, params.dt, limits=arm.limits)
-        depth = jnp.max(jax.vmap(lambda at: penetration(arm, at))(course))
         flags = [report.stretch, report.joint_angle, report.speed, report.spin]
         sound = ~outcome.flagged
 
@@ -111,7 +120,7 @@ def episodes(indices, task, params, control_steps):
     )
 
 
-def run(name, count, seconds, batch=48, offset=0):
+def run(name, count, seconds, batch=24, offset=0):
     """Runs episodes from number `offset` on; returns what became of them all."""
     task = make(name, variant="clean")
     params = task.default_params()
