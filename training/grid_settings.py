@@ -5,8 +5,8 @@ from the learner's defaults in that case; docs/algorithms.md says what they mean
 why the defaults are what they are. Settings are the same for all seeds and variants.
 
 In Cases 3 and 4 samples are scarce (0.5 and 1 million control steps, episodes of 3571):
-few environments, so that episodes end often, and for the learners with a memory a
-gradient step for every second control step.
+few environments, so that episodes end often, and many gradient steps for a control
+step, above all for the value of states. benchmarks/paper/README.md has what was tried.
 """
 
 from __future__ import annotations
@@ -30,10 +30,32 @@ class Planned:
     settings: Settings = dataclasses.field(default_factory=dict)
 
 
-_SCARCE_ON_POLICY: Settings = {"num_envs": 16, "rollout_steps": 512}
+_PLENTIFUL_TRPO: Settings = {
+    "num_envs": 64,
+    "rollout_steps": 128,
+    "value_minibatches": 32,
+    "value_learning_rate": 5e-4,
+    "max_kl": 0.02,
+    "final_max_kl": 0.002,
+    "discount": 0.98,
+}
+_SCARCE_PPO: Settings = {
+    "num_envs": 8,
+    "rollout_steps": 512,
+    "minibatches": 16,
+    "discount": 0.995,
+    "trace_decay": 0.98,
+}
+_SCARCE_TRPO: Settings = {
+    "num_envs": 8,
+    "rollout_steps": 1024,
+    "value_epochs": 16,
+    "value_minibatches": 64,
+    "value_learning_rate": 3e-4,
+}
 _SCARCE_OFF_POLICY: Settings = {
-    "num_envs": 16,
-    "rollout_steps": 16,
+    "num_envs": 8,
+    "rollout_steps": 32,
     "gradient_steps": 128,
     "buffer_size": 500_000,
 }
@@ -49,28 +71,40 @@ _QUICK_OFF_POLICY: Settings = {
 GRID: Mapping[str, Mapping[str, Planned]] = {
     "tracking": {
         "ppo": Planned(10_000_000),
-        "trpo": Planned(10_000_000),
+        "trpo": Planned(10_000_000, _PLENTIFUL_TRPO),
         "sac": Planned(10_000_000),
         "td3": Planned(10_000_000),
         "ddpg": Planned(10_000_000),
     },
     "reaching": {
         "ppo": Planned(10_000_000),
-        "trpo": Planned(10_000_000),
+        "trpo": Planned(10_000_000, _PLENTIFUL_TRPO),
         "sac": Planned(10_000_000),
         "td3": Planned(10_000_000),
         "ddpg": Planned(10_000_000),
     },
     "structured": {
-        "ppo": Planned(500_000, _SCARCE_ON_POLICY),
-        "trpo": Planned(500_000, _SCARCE_ON_POLICY),
+        "ppo": Planned(
+            500_000,
+            {
+                **_SCARCE_PPO,
+                "learning_rate": 5e-4,
+                "final_learning_rate": 2e-4,
+                "clip": 0.3,
+                "entropy_weight": 0.01,
+            },
+        ),
+        "trpo": Planned(500_000, {**_SCARCE_TRPO, "max_kl": 0.02}),
         "sac": Planned(500_000, _SCARCE_OFF_POLICY),
         "td3": Planned(500_000, _SCARCE_OFF_POLICY),
         "ddpg": Planned(500_000, _SCARCE_OFF_POLICY),
     },
     "unstructured": {
-        "ppo": Planned(1_000_000, _SCARCE_ON_POLICY),
-        "trpo": Planned(1_000_000, _SCARCE_ON_POLICY),
+        "ppo": Planned(
+            1_000_000,
+            {**_SCARCE_PPO, "learning_rate": 3e-4, "final_learning_rate": 1e-4},
+        ),
+        "trpo": Planned(1_000_000, {**_SCARCE_TRPO, "discount": 0.995}),
         "sac": Planned(1_000_000, _SCARCE_OFF_POLICY),
         "td3": Planned(1_000_000, _SCARCE_OFF_POLICY),
         "ddpg": Planned(1_000_000, _SCARCE_OFF_POLICY),

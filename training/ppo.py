@@ -24,6 +24,7 @@ from jaxrod.training.on_policy import (
     Experience,
     OnPolicyState,
     Scalar,
+    along_the_run,
     check_on_policy,
     deterministic_policy,
     gather_experience,
@@ -145,11 +146,11 @@ def update(
     config: PPOConfig = state.config
     state, experience, episodes = gather_experience(state, axis_name)
     optimiser = _optimiser(config.gradient_norm)
-    remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
-    remaining = jnp.clip(remaining, 0, 1).astype(experience.advantage.dtype)
-    learning_rate = (
-        config.final_learning_rate
-        + (config.learning_rate - config.final_learning_rate) * remaining
+    learning_rate = along_the_run(
+        state,
+        config.learning_rate,
+        config.final_learning_rate,
+        experience.advantage.dtype,
     )
 
     def minibatch_step(

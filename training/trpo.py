@@ -24,6 +24,7 @@ from jaxrod.training.on_policy import (
     Experience,
     OnPolicyState,
     Scalar,
+    along_the_run,
     check_on_policy,
     deterministic_policy,
     gather_experience,
@@ -62,8 +63,9 @@ class TRPOConfig:
         line_search_tries: lengths of the step tried before it is given up.
         value_epochs: passes of the value network over the experience of one update.
         value_minibatches: gradient steps of one pass; divides `rollout_steps`.
-        max_kl: the policy changes at most this much in an update, as mean KL
+        max_kl: the policy changes at most this much in the first update, as mean KL
             divergence of the old from the new one.
+        final_max_kl: and this much in the last one; in between the bound goes linearly.
         damping: added to the Fisher matrix times the identity.
         line_search_shrink: factor between one length of the step and the next.
         discount: gamma.
@@ -85,6 +87,7 @@ class TRPOConfig:
     value_epochs: int = static(default=8)
     value_minibatches: int = static(default=8)
     max_kl: Scalar = 0.01
+    final_max_kl: Scalar = 0.01
     damping: Scalar = 0.01
     line_search_shrink: Scalar = 0.5
     discount: Scalar = 0.99
@@ -117,7 +120,8 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
             f"got {config.value_minibatches}"
         )
     check_fractions(config, "line_search_shrink")
-    check_positive(config, "max_kl", "value_learning_rate", "line_search_shrink")
+    check_positive(config, "max_kl", "final_max_kl")
+    check_positive(config, "value_learning_rate", "line_search_shrink")
     check_not_negative(config, "damping", "entropy_weight")
 
 
@@ -140,7 +144,8 @@ def init(
         env: the environment.
         config: settings; `vmap` over their numbers works too.
         env_params: parameters of the environment, None for its own.
-        total_steps: of no consequence: nothing follows a schedule.
+        total_steps: control steps over which the bound on the change goes from its
+            first to its last value.
     """
     updates = -(-total_steps // steps_per_update(config))
     return start(key, env, config, env_params, updates, _value_optimiser())
@@ -205,13 +210,14 @@ def _improve_policy(
         return mean_over_devices(fisher(vector), axis_name) + config.damping * vector
 
     direction = conjugate_gradient(product, gradient, config.conjugate_iterations)
-    step = longest_step(product, direction, config.max_kl)
+    max_kl = along_the_run(state, config.max_kl, config.final_max_kl, gradient.dtype)
+    step = longest_step(product, direction, max_kl)
     before, _ = mean_over_devices(objective(start), axis_name)
 
     def acceptable(parameters: Array) -> Array:
         after, kl = mean_over_devices(objective(parameters), axis_name)
         # False also where something is not a number.
-        return (after > before) & (kl <= config.max_kl)
+        return (after > before) & (kl <= max_kl)
 
     search = backtrack(
         acceptable, start, step, config.line_search_shrink, config.line_search_tries
@@ -225,6 +231,7 @@ def _improve_policy(
         "gradient_norm": jnp.sqrt(jnp.vdot(gradient, gradient)),
         "accepted": search.accepted.astype(after.dtype),
         "backtracks": search.backtracks.astype(after.dtype),
+        "max_kl": max_kl,
     }
 
 

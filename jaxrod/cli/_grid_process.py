@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 POLL_SECONDS = 0.5
-LOCK_SECONDS = 120.0
+LOCK_SECONDS = 300.0
 """How long to wait for a cell whose grid was killed to save and stop [s]."""
 
 LAUNCHER = (sys.executable, "-m", "jaxrod.cli._child")

@@ -40,6 +40,7 @@ QUICK = TRPOConfig(
     trace_decay=0.95,
     value_learning_rate=3e-3,
     max_kl=0.03,
+    final_max_kl=0.01,
 )
 
 
@@ -66,8 +67,13 @@ def test_trivial_task_is_learned_to_its_known_optimum(learned):
 
 @pytest.mark.default_precision
 def test_every_step_keeps_the_bound_and_improves_the_surrogate(learned):
+    bounds = [row["max_kl"] for row in learned.progress]
+    np.testing.assert_allclose(bounds[0], 0.03, rtol=1e-6)
+    # The last update starts a little before the end of the way to 0.01.
+    np.testing.assert_allclose(bounds[-1], 0.01, rtol=2 / len(bounds))
+    np.testing.assert_allclose(np.diff(bounds), (0.01 - 0.03) / len(bounds), rtol=1e-3)
     for row in learned.progress:
-        assert 0 <= row["kl"] <= 0.03 * (1 + 1e-5)
+        assert 0 <= row["kl"] <= row["max_kl"] * (1 + 1e-5)
         if row["accepted"]:
             assert row["policy_gain"] > 0
         else:
@@ -207,6 +213,7 @@ def test_changed_numbers_recompile_nothing_and_float64_stays_float64():
         ("value_minibatches", 3),
         ("value_epochs", 0),
         ("max_kl", 0.0),
+        ("final_max_kl", 0.0),
         ("damping", -1.0),
         ("value_learning_rate", float("nan")),
     ],
