@@ -3,6 +3,7 @@
 if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
+from jaxrod.envs.action_repeat import ActionRepeat
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.wrappers import (
@@ -13,6 +14,7 @@ from jaxrod.envs.wrappers import (
 )
 
 __all__ = [
+    "ActionRepeat",
     "Environment",
     "EpisodeRecord",
     "VectorEnvironment",

@@ -156,7 +156,8 @@ class VectorEnvironment:
     ) -> tuple[VectorState, VectorStep]:
         """Advances every environment by one control step.
 
-        The restart runs in a branch taken only when some episode ends, so it
+        Where its `info` has `"control_steps"` (`jaxrod.envs.ActionRepeat`), by that
+        many. The restart runs in a branch taken only when some episode ends, so it
         costs nothing in between (under an outer `vmap` both branches run).
 
         Args:
@@ -175,7 +176,7 @@ class VectorEnvironment:
         flagged = ~sound | info.get("flagged", ~sound)
         info = info | {"flagged": flagged}
 
-        elapsed = state.elapsed + 1
+        elapsed = state.elapsed + info.get("control_steps", 1)
         terminated = terminated & sound
         truncated = truncated | ~sound | (elapsed >= self.env.episode_length)
         done = terminated | truncated

@@ -1,9 +1,10 @@
 """What SAC, TD3 and DDPG share: everything but the gradient steps.
 
-An update acts for `rollout_steps` control steps in every environment, remembers them,
-and then makes `gradient_steps` gradient steps, each on a batch drawn from all that is
+An update makes `rollout_steps` decisions in every environment, remembers them, and
+then makes `gradient_steps` gradient steps, each on a batch drawn from all that is
 remembered. Its update-to-data ratio is
-`gradient_steps / (num_envs * rollout_steps)` gradient steps per control step.
+`gradient_steps / (num_envs * rollout_steps)` gradient steps per decision; a decision is
+one control step, or `action_repeat` of them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from jaxtyping import Array, Int, Key
 
 from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment, VectorEnvironment, VectorState
+from jaxrod.envs.action_repeat import repeating
 from jaxrod.training.actor_critic import ACTIVATION, Learner
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.networks import layers
@@ -36,7 +38,8 @@ from jaxrod.training.settings import (
 
 OffPolicyConfig = Any
 """A configuration with at least the sizes `num_envs`, `rollout_steps`,
-`gradient_steps`, `batch_size`, `buffer_size`, `hidden_sizes` and `spread_phases`
+`action_repeat`, `gradient_steps`, `batch_size`, `buffer_size`, `hidden_sizes` and
+`spread_phases`
 (static) and the numbers `learning_starts`, `discount`, `target_rate`, `reward_scale`
 and `observation_limit` (traced); see `jaxrod.training.SACConfig` for what they
 mean."""
@@ -87,6 +90,7 @@ def start(
         env_params: parameters of the environment, None for its own.
         make_learner: `(key, config, dtype) -> Learner`.
     """
+    env = repeating(env, config.action_repeat)
     config, env_params, dtype = prepare(key, env, config, env_params)
     keys = jax.random.split(key, 4)
     environments = VectorEnvironment(env).reset(
@@ -144,8 +148,8 @@ def deterministic_policy(state: OffPolicyState) -> Policy:
 
 
 def steps_per_update(config: OffPolicyConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps."""
-    return config.num_envs * config.rollout_steps
+    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
+    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
@@ -157,10 +161,11 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
             f"batch_size must be a multiple of num_envs, {config.num_envs}, "
             f"got {config.batch_size}"
         )
-    if config.buffer_size < steps_per_update(config):
+    decisions = config.num_envs * config.rollout_steps
+    if config.buffer_size < decisions:
         raise ValueError(
-            "buffer_size must be at least the control steps of one update, "
-            f"{steps_per_update(config)}, got {config.buffer_size}"
+            f"buffer_size must be at least the decisions of one update, {decisions}, "
+            f"got {config.buffer_size}"
         )
     check_fractions(config, "discount", "target_rate")
     check_positive(config, "reward_scale", "observation_limit")
@@ -169,4 +174,5 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
 
 def _slots(config: OffPolicyConfig) -> int:
     """Length of the ring: whole rollouts, at most `buffer_size` transitions."""
-    return config.buffer_size // steps_per_update(config) * config.rollout_steps
+    rollouts = config.buffer_size // (config.num_envs * config.rollout_steps)
+    return rollouts * config.rollout_steps

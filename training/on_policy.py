@@ -17,6 +17,7 @@ from jaxtyping import Array, DTypeLike, Float, Int, Key
 
 from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs.action_repeat import repeating
 from jaxrod.training.advantages import generalised_advantages
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron, layers
@@ -42,7 +43,7 @@ Scalar = float | Float[Array, ""]
 
 OnPolicyConfig = Any
 """A configuration with at least the sizes `num_envs`, `rollout_steps`,
-`hidden_sizes` and `spread_phases` (static) and the numbers `discount`,
+`action_repeat`, `hidden_sizes` and `spread_phases` (static) and the numbers `discount`,
 `trace_decay`, `reward_scale`, `observation_limit` and `initial_log_std` (traced);
 see `jaxrod.training.PPOConfig` for what they mean."""
 
@@ -140,6 +141,7 @@ def start(
         total_updates: length of the schedules, in updates.
         optimiser: optax transformation, to make its state.
     """
+    env = repeating(env, config.action_repeat)
     config, env_params, dtype = prepare(key, env, config, env_params)
     keys = jax.random.split(key, 5)
     dummy = jnp.zeros(env.observation_size, dtype)

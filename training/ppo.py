@@ -47,7 +47,8 @@ class PPOConfig:
 
     Attributes:
         num_envs: environments acting side by side.
-        rollout_steps: control steps of each environment in one update.
+        rollout_steps: decisions of each environment in one update.
+        action_repeat: control steps for which every action is held.
         epochs: passes over the experience of one update.
         minibatches: gradient steps of one pass; divides `rollout_steps`.
         hidden_sizes: widths of the hidden layers of both networks.
@@ -68,6 +69,7 @@ class PPOConfig:
 
     num_envs: int = static(default=128)
     rollout_steps: int = static(default=128)
+    action_repeat: int = static(default=1)
     epochs: int = static(default=8)
     minibatches: int = static(default=8)
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
@@ -105,8 +107,8 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
 
 
 def steps_per_update(config: PPOConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps."""
-    return config.num_envs * config.rollout_steps
+    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
+    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def init(

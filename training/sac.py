@@ -42,12 +42,13 @@ from jaxrod.training.squashed_gaussian import split_output, squash
 class SACConfig:
     """Settings of SAC. Numbers are traced: change them, and nothing recompiles.
 
-    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` control
-    steps; by default one for every 16.
+    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
+    by default one for every 16.
 
     Attributes:
         num_envs: environments acting side by side.
-        rollout_steps: control steps of each environment in one update.
+        rollout_steps: decisions of each environment in one update.
+        action_repeat: control steps for which every action is held.
         gradient_steps: gradient steps of one update.
         batch_size: transitions of one gradient step, a multiple of `num_envs`.
         buffer_size: transitions remembered, at most.
@@ -70,6 +71,7 @@ class SACConfig:
 
     num_envs: int = static(default=128)
     rollout_steps: int = static(default=8)
+    action_repeat: int = static(default=1)
     gradient_steps: int = static(default=64)
     batch_size: int = static(default=256)
     buffer_size: int = static(default=1_000_000)

@@ -21,7 +21,7 @@ def check_sizes(config: Settings, num_devices: int) -> None:
     Raises:
         ValueError: with the name and the value of what is wrong.
     """
-    check_counts(config, "num_envs", "rollout_steps")
+    check_counts(config, "num_envs", "rollout_steps", "action_repeat")
     if config.num_envs % num_devices:
         raise ValueError(
             f"num_envs must be a multiple of the number of devices, {num_devices}, "

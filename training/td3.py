@@ -50,12 +50,13 @@ from jaxrod.training.settings import (
 class TD3Config:
     """Settings of TD3. Numbers are traced: change them, and nothing recompiles.
 
-    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` control
-    steps; by default one for every 16.
+    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
+    by default one for every 16.
 
     Attributes:
         num_envs: environments acting side by side.
-        rollout_steps: control steps of each environment in one update.
+        rollout_steps: decisions of each environment in one update.
+        action_repeat: control steps for which every action is held.
         gradient_steps: gradient steps of one update, those of the critics.
         policy_delay: critic steps for one of the policy and the targets; divides
             `gradient_steps`.
@@ -80,6 +81,7 @@ class TD3Config:
 
     num_envs: int = static(default=128)
     rollout_steps: int = static(default=8)
+    action_repeat: int = static(default=1)
     gradient_steps: int = static(default=64)
     policy_delay: int = static(default=2)
     critics: int = static(default=2)

@@ -54,7 +54,8 @@ class TRPOConfig:
 
     Attributes:
         num_envs: environments acting side by side.
-        rollout_steps: control steps of each environment in one update.
+        rollout_steps: decisions of each environment in one update.
+        action_repeat: control steps for which every action is held.
         hidden_sizes: widths of the hidden layers of both networks.
         spread_phases: start the first episodes in mid-course, see
             `jaxrod.envs.VectorEnvironment`.
@@ -79,6 +80,7 @@ class TRPOConfig:
 
     num_envs: int = static(default=128)
     rollout_steps: int = static(default=64)
+    action_repeat: int = static(default=1)
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     spread_phases: bool = static(default=True)
     conjugate_iterations: int = static(default=10)
@@ -126,8 +128,8 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
 
 
 def steps_per_update(config: TRPOConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps."""
-    return config.num_envs * config.rollout_steps
+    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
+    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def init(

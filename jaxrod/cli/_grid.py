@@ -147,7 +147,7 @@ def _cell(
         steps=planned.steps,
         changed=changed,
         settings={
-            field.name: _plain(getattr(config, field.name))
+            field.name: plain(getattr(config, field.name))
             for field in dataclasses.fields(config)
         },
     )
@@ -187,6 +187,6 @@ def _word(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A value as JSON holds it."""
     return list(value) if isinstance(value, tuple) else value

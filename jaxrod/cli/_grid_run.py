@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from jaxrod.cli import _grid_process
-from jaxrod.cli._grid import CHECKPOINT_SECONDS, Cell
+from jaxrod.cli._grid import CHECKPOINT_SECONDS, Cell, plain
 from jaxrod.cli._grid_records import Record, Records
 from jaxrod.cli._grid_report import draw_figures, write_report
 from jaxrod.cli._grid_view import GridView
 from jaxrod.cli._machine import processor
+from jaxrod.training import find_algorithm
 from jaxrod.training.interruption import Interruption
 from jaxrod.training.run_folder import RunFolder, differences
 
@@ -84,10 +85,25 @@ def _changed(cell: Cell, records: Records) -> list[str]:
     """How what was run of a cell, to its end or not, differs from what is asked."""
     record = records.get(cell)
     folder = RunFolder(records.out / "runs" / cell.name)
-    found = differences(record["config"], cell.config, _UNASKED) if record else []
-    if not found and record is None and folder.exists:
-        found = differences(folder.config(), cell.config, _UNASKED)
-    return found
+    if record is not None:
+        return differences(_completed(record["config"]), cell.config, _UNASKED)
+    if folder.exists:
+        return differences(folder.config(), cell.config, _UNASKED)
+    return []
+
+
+def _completed(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A recorded configuration with the settings that learners got since then.
+
+    A new setting's default is what was done before there was a choice.
+    """
+    default = find_algorithm(config["algorithm"]).config_type()
+    new = {
+        field.name: plain(getattr(default, field.name))
+        for field in dataclasses.fields(default)
+        if field.name not in config["settings"]
+    }
+    return {**config, "settings": {**config["settings"], **new}}
 
 
 @dataclasses.dataclass

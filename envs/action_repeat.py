@@ -1,0 +1,103 @@
+"""An environment whose actions are held for several control steps.
+
+Control steps of the benchmark are 1.4 ms, far shorter than an arm takes to answer. An
+agent that decides at every one of them explores with noise that the arm averages out,
+and has to look hundreds of decisions ahead.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from jaxrod.envs.protocol import Environment
+
+
+@dataclasses.dataclass(frozen=True)
+class ActionRepeat:
+    """Every action is held for `times` control steps, whose rewards are added up.
+
+    An episode that ends in between ends there: what the rest of the control steps
+    would bring is not counted. `info` is that of the last step that counts, with
+    `"control_steps"`, how many counted; `VectorEnvironment` keeps its clock by it.
+
+    Attributes:
+        env: the environment.
+        times: control steps of one decision, at least 1.
+    """
+
+    env: Environment
+    times: int
+
+    @property
+    def name(self) -> str:
+        """Name of the task."""
+        return self.env.name
+
+    @property
+    def observation_size(self) -> int:
+        """Length of the observation vector."""
+        return self.env.observation_size
+
+    @property
+    def action_size(self) -> int:
+        """Length of the action vector."""
+        return self.env.action_size
+
+    @property
+    def episode_length(self) -> int:
+        """Control steps after which an episode is truncated."""
+        return self.env.episode_length
+
+    def default_params(self) -> Any:
+        """Those of the environment."""
+        return self.env.default_params()
+
+    def reset(self, key: Key[Array, ""], params: Any) -> tuple[Array, Any]:
+        """Starts an episode."""
+        return self.env.reset(key, params)
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+    ) -> tuple[
+        Float[Array, " observation"],
+        Any,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """Advances by `times` control steps; step k draws from `fold_in(key, k)`."""
+
+        def step(state: Any, number: Array | int) -> Any:
+            return self.env.step(jax.random.fold_in(key, number), state, action, params)
+
+        def again(number: Array, before: Any) -> Any:
+            *_, terminated, truncated, info = before
+            done = terminated | truncated
+            after = _counted(step(before[1], number), info["control_steps"] + 1)
+            kept = jax.tree.map(lambda a, b: jnp.where(done, a, b), before, after)
+            reward = before[2] + jnp.where(done, 0, after[2])
+            return (*kept[:2], reward, *kept[3:])
+
+        first = _counted(step(state, 0), jnp.int32(1))
+        return jax.lax.fori_loop(1, self.times, again, first)
+
+
+def _counted(outcome: Any, control_steps: Array) -> Any:
+    """An environment's step with the number of control steps in its `info`."""
+    *most, info = outcome
+    return (*most, info | {"control_steps": control_steps})
+
+
+def repeating(env: Environment, times: int) -> Environment:
+    """The environment itself, or one whose actions are held for `times` steps."""
+    return env if times == 1 else ActionRepeat(env, times)
