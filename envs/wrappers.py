@@ -89,8 +89,8 @@ class VectorEnvironment:
 
     The batch keeps the clock of every episode and applies the time limit itself,
     beside the environment's own. The two agree, except in the first episodes of
-    a batch with spread phases: those begin as if part of the episode had passed,
-    end early, and are left out of the score.
+    a batch with spread phases and after restarts in mid-course: those begin as if
+    part of the episode had passed, end early, and are left out of the score.
 
     A step that returns a number that is not finite is reported as flagged, pays
     nothing and truncates there, with the observation before it as the final one. One
@@ -110,6 +110,7 @@ class VectorEnvironment:
         params: Any,
         *,
         spread_phases: bool = False,
+        phase: Int[Array, ""] | int = 0,
     ) -> VectorState:
         """Starts the batch.
 
@@ -118,8 +119,9 @@ class VectorEnvironment:
             num_envs: number of environments, at least 1.
             params: traced parameters of the environment, shared by the batch.
             spread_phases: let the elapsed step count of every environment start
-                uniformly in [0, episode_length), so that the episodes of the
+                uniformly in [phase, episode_length), so that the episodes of the
                 batch end at different times.
+            phase: where the elapsed step count starts otherwise.
 
         Raises:
             ValueError: `num_envs` is below 1.
@@ -131,11 +133,11 @@ class VectorEnvironment:
         observation, states = jax.vmap(self.env.reset, in_axes=(0, None))(
             _randomness(keys, 2 * ticks), params
         )
-        elapsed = jnp.zeros(num_envs, jnp.int32)
+        elapsed = jnp.full(num_envs, phase, jnp.int32)
         if spread_phases:
             elapsed = jax.vmap(
                 lambda k: jax.random.randint(
-                    k, (), 0, self.env.episode_length, jnp.int32
+                    k, (), phase, self.env.episode_length, jnp.int32
                 )
             )(_randomness(keys, 2 * ticks + 1))
         return VectorState(
@@ -153,6 +155,8 @@ class VectorEnvironment:
         state: VectorState,
         action: Float[Array, "num_envs action"],
         params: Any,
+        *,
+        restart_phase: Int[Array, ""] | int = 0,
     ) -> tuple[VectorState, VectorStep]:
         """Advances every environment by one control step.
 
@@ -164,6 +168,8 @@ class VectorEnvironment:
             state: state of the batch.
             action: in [-1, 1], shape (num_envs, action_size).
             params: traced parameters of the environment.
+            restart_phase: where the elapsed step count of episodes that start now
+                starts. Above 0 they end that much earlier and do not count.
         """
         ticks = state.ticks + 1
         observation, states, reward, terminated, truncated, info = jax.vmap(
@@ -202,9 +208,9 @@ class VectorEnvironment:
             ticks=ticks,
             states=states,
             observation=shown,
-            elapsed=jnp.where(done, 0, elapsed),
+            elapsed=jnp.where(done, restart_phase, elapsed),
             episode_return=jnp.where(done, 0, episode_return),
-            partial=state.partial & ~done,
+            partial=jnp.where(done, restart_phase > 0, state.partial),
         )
         step = VectorStep(
             observation=shown,

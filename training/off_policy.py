@@ -35,14 +35,14 @@ from jaxrod.training.settings import (
     check_positive,
     check_sizes,
 )
+from jaxrod.training.short_episodes import restart_phase
 
 OffPolicyConfig = Any
 """A configuration with at least the sizes `num_envs`, `rollout_steps`,
 `action_repeat`, `gradient_steps`, `batch_size`, `buffer_size`, `hidden_sizes` and
-`spread_phases`
-(static) and the numbers `learning_starts`, `discount`, `target_rate`, `reward_scale`
-and `observation_limit` (traced); see `jaxrod.training.SACConfig` for what they
-mean."""
+`spread_phases` (static) and the numbers `learning_starts`, `discount`, `target_rate`,
+`reward_scale`, `observation_limit`, `short_steps` and `short_length` (traced); see
+`jaxrod.training.SACConfig` for what they mean."""
 
 
 @pytree
@@ -94,7 +94,11 @@ def start(
     config, env_params, dtype = prepare(key, env, config, env_params)
     keys = jax.random.split(key, 4)
     environments = VectorEnvironment(env).reset(
-        keys[1], config.num_envs, env_params, spread_phases=config.spread_phases
+        keys[1],
+        config.num_envs,
+        env_params,
+        spread_phases=config.spread_phases,
+        phase=restart_phase(env, config, 0, steps_per_update(config)),
     )
     return OffPolicyState(
         env=env,

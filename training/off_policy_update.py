@@ -22,6 +22,7 @@ from jaxrod.training.off_policy import (
     steps_per_update,
 )
 from jaxrod.training.replay import Transition, draw_times, recall, remember
+from jaxrod.training.short_episodes import restart_phase
 
 
 @pytree
@@ -56,6 +57,8 @@ def act_and_remember(
     config: OffPolicyConfig = state.config
     environment = VectorEnvironment(state.env)
     warming_up = ~_may_learn(state)
+    per_update = steps_per_update(config)
+    phase = restart_phase(state.env, config, state.updates, per_update)
 
     def step(
         environments: VectorState, noise: Float[Array, "num_envs action"]
@@ -67,7 +70,9 @@ def act_and_remember(
             normalise(state.moments, observation, config.observation_limit), noise
         )
         action = jnp.clip(jnp.where(warming_up, blind, action), -1, 1)
-        environments, outcome = environment.step(environments, action, state.env_params)
+        environments, outcome = environment.step(
+            environments, action, state.env_params, restart_phase=phase
+        )
         return environments, (
             Transition(
                 observation=observation,

@@ -37,6 +37,7 @@ from jaxrod.training.settings import (
     check_positive,
     check_sizes,
 )
+from jaxrod.training.short_episodes import restart_phase
 
 Scalar = float | Float[Array, ""]
 
@@ -44,8 +45,8 @@ Scalar = float | Float[Array, ""]
 OnPolicyConfig = Any
 """A configuration with at least the sizes `num_envs`, `rollout_steps`,
 `action_repeat`, `hidden_sizes` and `spread_phases` (static) and the numbers `discount`,
-`trace_decay`, `reward_scale`, `observation_limit` and `initial_log_std` (traced);
-see `jaxrod.training.PPOConfig` for what they mean."""
+`trace_decay`, `reward_scale`, `observation_limit`, `initial_log_std`, `short_steps` and
+`short_length` (traced); see `jaxrod.training.PPOConfig` for what they mean."""
 
 
 @pytree
@@ -150,7 +151,11 @@ def start(
         "value": value_network(config, dtype).init(keys[1], dummy)["params"],
     }
     environments = VectorEnvironment(env).reset(
-        keys[2], config.num_envs, env_params, spread_phases=config.spread_phases
+        keys[2],
+        config.num_envs,
+        env_params,
+        spread_phases=config.spread_phases,
+        phase=restart_phase(env, config, 0, steps_per_update(config)),
     )
     return OnPolicyState(
         env=env,
@@ -203,6 +208,7 @@ def gather_experience(
         act,
         lambda observation: value(normalised(observation)),
         noise,
+        restart_phase(state.env, config, state.updates, steps_per_update(config)),
     )
     observation = normalised(rollout.observation)
     predicted = value(observation)
@@ -262,6 +268,11 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
         activation="tanh",
         output="clip",
     )
+
+
+def steps_per_update(config: OnPolicyConfig) -> int:
+    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
+    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:

@@ -32,6 +32,7 @@ from jaxrod.training.on_policy import (
     partition,
     policy_network,
     start,
+    steps_per_update,
     value_network,
 )
 from jaxrod.training.settings import (
@@ -54,6 +55,9 @@ class PPOConfig:
         hidden_sizes: widths of the hidden layers of both networks.
         spread_phases: start the first episodes in mid-course, see
             `jaxrod.envs.VectorEnvironment`.
+        short_steps: control steps of the run in which episodes are cut short, see
+            `jaxrod.training.short_episodes`.
+        short_length: control steps of such an episode.
         learning_rate: step size of Adam at the start.
         final_learning_rate: step size at the end, reached linearly.
         clip: the probability ratio is of no more use outside 1 +- this.
@@ -85,6 +89,8 @@ class PPOConfig:
     gradient_norm: Scalar = 0.5
     initial_log_std: Scalar = 0.0
     observation_limit: Scalar = 10.0
+    short_steps: Scalar = 0.0
+    short_length: Scalar = 500.0
 
 
 def validate(config: PPOConfig, num_devices: int = 1) -> None:
@@ -104,11 +110,6 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
         config, "learning_rate", "final_learning_rate", "clip", "gradient_norm"
     )
     check_not_negative(config, "value_weight", "entropy_weight")
-
-
-def steps_per_update(config: PPOConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
-    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def init(

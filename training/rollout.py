@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod._pytree import pytree
 from jaxrod.envs import EpisodeRecord, VectorEnvironment, VectorState
@@ -44,6 +44,7 @@ def collect(
     act: Callable[[Array, Array], Array],
     value: Callable[[Array], Array],
     noise: Float[Array, "steps num_envs action"],
+    restart_phase: Int[Array, ""] | int = 0,
 ) -> tuple[VectorState, Rollout]:
     """Acts for `steps` steps.
 
@@ -55,6 +56,7 @@ def collect(
         value: observation -> value, on a batch. Called only in steps in which an
             episode is cut short.
         noise: the randomness of the actions, standard normal.
+        restart_phase: as in `jaxrod.envs.VectorEnvironment.step`.
     """
 
     def step(
@@ -62,7 +64,10 @@ def collect(
     ) -> tuple[VectorState, Rollout]:
         action = act(state.observation, noise)
         following, outcome = environment.step(
-            state, jnp.clip(action, -1, 1), env_params
+            state,
+            jnp.clip(action, -1, 1),
+            env_params,
+            restart_phase=restart_phase,
         )
         cut_short = outcome.truncated & ~outcome.terminated
         final_value = jax.lax.cond(

@@ -55,6 +55,9 @@ class SACConfig:
         hidden_sizes: widths of the hidden layers of all networks.
         spread_phases: start the first episodes in mid-course, see
             `jaxrod.envs.VectorEnvironment`.
+        short_steps: control steps of the run in which episodes are cut short, see
+            `jaxrod.training.short_episodes`.
+        short_length: control steps of such an episode.
         learning_starts: control steps acted at random before anything is learned.
         policy_learning_rate: step size of Adam for the policy.
         critic_learning_rate: step size of Adam for the critics.
@@ -87,6 +90,8 @@ class SACConfig:
     entropy_per_action: Scalar = -1.0
     reward_scale: Scalar = 0.1
     observation_limit: Scalar = 10.0
+    short_steps: Scalar = 0.0
+    short_length: Scalar = 500.0
 
 
 def validate(config: SACConfig, num_devices: int = 1) -> None:

@@ -22,6 +22,8 @@ def check_sizes(config: Settings, num_devices: int) -> None:
         ValueError: with the name and the value of what is wrong.
     """
     check_counts(config, "num_envs", "rollout_steps", "action_repeat")
+    check_not_negative(config, "short_steps")
+    check_positive(config, "short_length")
     if config.num_envs % num_devices:
         raise ValueError(
             f"num_envs must be a multiple of the number of devices, {num_devices}, "

@@ -66,6 +66,9 @@ class TD3Config:
         hidden_sizes: widths of the hidden layers of all networks.
         spread_phases: start the first episodes in mid-course, see
             `jaxrod.envs.VectorEnvironment`.
+        short_steps: control steps of the run in which episodes are cut short, see
+            `jaxrod.training.short_episodes`.
+        short_length: control steps of such an episode.
         learning_starts: control steps acted at random before anything is learned.
         policy_learning_rate: step size of Adam for the policy.
         critic_learning_rate: step size of Adam for the critics.
@@ -99,6 +102,8 @@ class TD3Config:
     target_noise_limit: Scalar = 0.5
     reward_scale: Scalar = 0.1
     observation_limit: Scalar = 10.0
+    short_steps: Scalar = 0.0
+    short_length: Scalar = 500.0
 
 
 def validate(config: TD3Config, num_devices: int = 1) -> None:

@@ -32,6 +32,7 @@ from jaxrod.training.on_policy import (
     partition,
     policy_network,
     start,
+    steps_per_update,
     value_network,
 )
 from jaxrod.training.settings import (
@@ -59,6 +60,9 @@ class TRPOConfig:
         hidden_sizes: widths of the hidden layers of both networks.
         spread_phases: start the first episodes in mid-course, see
             `jaxrod.envs.VectorEnvironment`.
+        short_steps: control steps of the run in which episodes are cut short, see
+            `jaxrod.training.short_episodes`.
+        short_length: control steps of such an episode.
         conjugate_iterations: products with the Fisher matrix in one update.
         fisher_stride: the Fisher matrix is that of every so many-th time step.
         line_search_tries: lengths of the step tried before it is given up.
@@ -99,6 +103,8 @@ class TRPOConfig:
     value_learning_rate: Scalar = 1e-3
     initial_log_std: Scalar = 0.0
     observation_limit: Scalar = 10.0
+    short_steps: Scalar = 0.0
+    short_length: Scalar = 500.0
 
 
 def validate(config: TRPOConfig, num_devices: int = 1) -> None:
@@ -125,11 +131,6 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
     check_positive(config, "max_kl", "final_max_kl")
     check_positive(config, "value_learning_rate", "line_search_shrink")
     check_not_negative(config, "damping", "entropy_weight")
-
-
-def steps_per_update(config: TRPOConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
-    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def init(

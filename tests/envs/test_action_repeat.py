@@ -14,7 +14,7 @@ def play(env, actions, key):
     """Steps one environment; its key in step t is `fold_in(key, t)`."""
     params = env.default_params()
     step = jax.jit(env.step)
-    observation, state = env.reset(key, params)
+    _, state = env.reset(key, params)
     outcomes = []
     for number, action in enumerate(actions):
         outcome = step(jax.random.fold_in(key, number), state, action, params)

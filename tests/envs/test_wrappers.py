@@ -197,7 +197,7 @@ def test_a_bad_arm_in_4096_is_flagged_and_the_others_are_the_same_to_the_last_bi
         return jax.lax.scan(lambda s, a: batch.step(s, a, params), state, actions)
 
     sound_end, sound = play(0.0)
-    end, steps = play(500.0)
+    end, steps = play(2000.0)
     others = np.arange(num_envs) != bad
     assert not np.asarray(sound.info["flagged"]).any()
     np.testing.assert_array_equal(np.flatnonzero(steps.info["flagged"][0]), [bad])
@@ -218,3 +218,20 @@ def test_what_an_environment_breaks_is_always_among_its_scalars():
     state = batch.reset(jax.random.key(4), 2, params)
     _, steps = run(batch, state, actions_for(6, 2), params)
     np.testing.assert_array_equal(steps.info["flagged"], steps.episodes.flagged)
+
+
+def test_episodes_that_start_in_mid_course_end_earlier_and_do_not_count():
+    env = Trivial(episode_length=10)
+    batch, params = VectorEnvironment(env), env.default_params()
+    still = jnp.zeros((2, env.action_size))
+    state = batch.reset(jax.random.key(0), 2, params, phase=7)
+    step = jax.jit(batch.step)
+    lengths, phase, since = [], 6, 0
+    for _ in range(3 + 4 + 10):
+        state, outcome = step(state, still, params, restart_phase=phase)
+        since += 1
+        if bool(outcome.truncated[0]):
+            lengths.append((since, bool(outcome.episodes.finished[0])))
+            # What starts from now on is whole.
+            since, phase = 0, 0 if len(lengths) else phase
+    assert lengths == [(3, False), (4, False), (10, True)]
