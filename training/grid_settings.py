@@ -85,7 +85,7 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
     },
     "structured": {
         "ppo": Planned(
-            500_000,
+            470_000,
             {
                 "num_envs": 8,
                 "action_repeat": 3,
@@ -97,7 +97,7 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
             },
         ),
         "trpo": Planned(
-            500_000,
+            470_000,
             {
                 "num_envs": 8,
                 "action_repeat": 3,
@@ -106,10 +106,13 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
                 "value_epochs": 12,
                 "value_minibatches": 10,
                 "value_learning_rate": 5e-4,
+                "initial_log_std": -0.4,
                 "max_kl": 0.02,
-                "final_max_kl": 0.003,
+                "final_max_kl": 0.002,
                 "discount": 0.985,
                 "trace_decay": 0.96,
+                "short_steps": 300_000.0,
+                "short_length": 500.0,
             },
         ),
         "sac": Planned(500_000, _SCARCE_OFF_POLICY),
