@@ -27,11 +27,19 @@ class ActionRepeat:
 
     Attributes:
         env: the environment.
-        times: control steps of one decision, at least 1.
+        times: control steps of one decision.
+
+    Raises:
+        ValueError: If `times` is below 1.
     """
 
     env: Environment
     times: int
+
+    def __post_init__(self) -> None:
+        """Checks the number."""
+        if self.times < 1:
+            raise ValueError(f"times must be at least 1, got {self.times}")
 
     @property
     def name(self) -> str:

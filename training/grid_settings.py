@@ -85,7 +85,7 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
     },
     "structured": {
         "ppo": Planned(
-            470_000,
+            440_000,
             {
                 "num_envs": 8,
                 "action_repeat": 3,
@@ -97,7 +97,7 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
             },
         ),
         "trpo": Planned(
-            470_000,
+            440_000,
             {
                 "num_envs": 8,
                 "action_repeat": 3,
@@ -111,7 +111,7 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
                 "final_max_kl": 0.002,
                 "discount": 0.985,
                 "trace_decay": 0.96,
-                "short_steps": 300_000.0,
+                "short_steps": 370_000.0,
                 "short_length": 500.0,
             },
         ),

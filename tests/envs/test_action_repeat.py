@@ -1,5 +1,7 @@
 """Actions held for several control steps: the same steps, the same score and clock."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from jaxrod.envs import ActionRepeat, VectorEnvironment, make
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import train
+from jaxrod.training import find_algorithm, train
 
 
 def play(env, actions, key):
@@ -61,17 +63,18 @@ def test_a_batch_keeps_its_clock_in_control_steps():
     assert float(seen[2].episode_return[0]) == float(seen[5].episode_return[0])
 
 
+def test_an_action_is_held_at_least_once():
+    with pytest.raises(ValueError, match="times must be at least 1, got 0"):
+        ActionRepeat(make("tracking"), 0)
+
+
 @pytest.mark.default_precision
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_a_run_counts_control_steps(algorithm):
-    from jaxrod.training import find_algorithm
-
     config = find_algorithm(algorithm).config_type()
     sizes = {"num_envs": 8, "rollout_steps": 8, "action_repeat": 2}
     if algorithm == "sac":
         sizes |= {"buffer_size": 512, "gradient_steps": 2}
-    import dataclasses
-
     with jax.enable_x64(False):
         found = train(
             Trivial(),
