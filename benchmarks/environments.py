@@ -30,8 +30,7 @@ from jaxrod.viz.files import write_atomically
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = ("tracking", "reaching", "structured", "unstructured")
 BATCHES = (16, 64, 256)
-"""Environments per core: whatever is alive fits the first cache of a core, or the
-second, or neither."""
+"""Environments per core."""
 STEPS = 5120
 """Control steps of a core's environments in one timed call."""
 WINDOWS = 5
@@ -43,8 +42,7 @@ Written by `python benchmarks/environments.py`; do not edit. Control steps (1.4 
 simulated time each) per second, float32, with {batches} environments
 on each of {cores} cores, under new random actions in every step; medians of {windows}
 windows of {seconds:g} s, compiling not counted. Elements and simulation steps per
-control step are the tasks' own. A large batch is not always the fastest on a CPU: what
-a step of it needs must come from a slower cache.
+control step are the tasks' own. A large batch is not always the fastest on a CPU.
 {machine}.
 
 | task | variant | elements | steps | {columns} | flagged |

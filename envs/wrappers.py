@@ -121,7 +121,7 @@ class VectorEnvironment:
             spread_phases: let the elapsed step count of every environment start
                 uniformly in [phase, episode_length), so that the episodes of the
                 batch end at different times.
-            phase: where the elapsed step count starts otherwise.
+            phase: where the elapsed step count starts otherwise [control steps].
 
         Raises:
             ValueError: `num_envs` is below 1.
@@ -169,7 +169,8 @@ class VectorEnvironment:
             action: in [-1, 1], shape (num_envs, action_size).
             params: traced parameters of the environment.
             restart_phase: where the elapsed step count of episodes that start now
-                starts. Above 0 they end that much earlier and do not count.
+                starts [control steps]. Above 0 they end that much earlier and do not
+                count.
         """
         ticks = state.ticks + 1
         observation, states, reward, terminated, truncated, info = jax.vmap(

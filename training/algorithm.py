@@ -31,6 +31,11 @@ class Metrics:
     episodes: EpisodeRecord
 
 
+def steps_per_update(config: Any) -> int:
+    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
+    return config.num_envs * config.rollout_steps * config.action_repeat
+
+
 @dataclass(frozen=True)
 class Algorithm:
     """A learner as a record of pure functions.

@@ -6,7 +6,7 @@ why the defaults are what they are. Settings are the same for all seeds and vari
 
 In Cases 3 and 4 samples are scarce (0.5 and 1 million control steps, episodes of 3571):
 few environments, so that episodes end often, and many gradient steps for a control
-step, above all for the value of states. benchmarks/paper/README.md has what was tried.
+step, above all for the value of states. benchmarks/paper/tried.md has what was tried.
 """
 
 from __future__ import annotations
@@ -38,20 +38,6 @@ _PLENTIFUL_TRPO: Settings = {
     "max_kl": 0.02,
     "final_max_kl": 0.002,
     "discount": 0.98,
-}
-_SCARCE_PPO: Settings = {
-    "num_envs": 8,
-    "rollout_steps": 512,
-    "minibatches": 16,
-    "discount": 0.995,
-    "trace_decay": 0.98,
-}
-_SCARCE_TRPO: Settings = {
-    "num_envs": 8,
-    "rollout_steps": 1024,
-    "value_epochs": 16,
-    "value_minibatches": 64,
-    "value_learning_rate": 3e-4,
 }
 _SCARCE_OFF_POLICY: Settings = {
     "num_envs": 8,
@@ -122,9 +108,27 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
     "unstructured": {
         "ppo": Planned(
             1_000_000,
-            {**_SCARCE_PPO, "learning_rate": 3e-4, "final_learning_rate": 1e-4},
+            {
+                "num_envs": 8,
+                "rollout_steps": 512,
+                "minibatches": 16,
+                "discount": 0.995,
+                "trace_decay": 0.98,
+                "learning_rate": 3e-4,
+                "final_learning_rate": 1e-4,
+            },
         ),
-        "trpo": Planned(1_000_000, {**_SCARCE_TRPO, "discount": 0.995}),
+        "trpo": Planned(
+            1_000_000,
+            {
+                "num_envs": 8,
+                "rollout_steps": 1024,
+                "value_epochs": 16,
+                "value_minibatches": 64,
+                "value_learning_rate": 3e-4,
+                "discount": 0.995,
+            },
+        ),
         "sac": Planned(1_000_000, _SCARCE_OFF_POLICY),
         "td3": Planned(1_000_000, _SCARCE_OFF_POLICY),
         "ddpg": Planned(1_000_000, _SCARCE_OFF_POLICY),

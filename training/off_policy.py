@@ -98,7 +98,7 @@ def start(
         config.num_envs,
         env_params,
         spread_phases=config.spread_phases,
-        phase=restart_phase(env, config, 0, steps_per_update(config)),
+        phase=restart_phase(env, config, 0),
     )
     return OffPolicyState(
         env=env,
@@ -149,11 +149,6 @@ def deterministic_policy(state: OffPolicyState) -> Policy:
         activation=ACTIVATION,
         output="tanh",
     )
-
-
-def steps_per_update(config: OffPolicyConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
-    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:

@@ -13,13 +13,12 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrod._pytree import pytree
 from jaxrod.envs import EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.training.actor_critic import Learner
-from jaxrod.training.algorithm import Metrics
+from jaxrod.training.algorithm import Metrics, steps_per_update
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.normalisation import batch_moments, merge_moments, normalise
 from jaxrod.training.off_policy import (
     OffPolicyConfig,
     OffPolicyState,
-    steps_per_update,
 )
 from jaxrod.training.replay import Transition, draw_times, recall, remember
 from jaxrod.training.short_episodes import restart_phase
@@ -57,8 +56,7 @@ def act_and_remember(
     config: OffPolicyConfig = state.config
     environment = VectorEnvironment(state.env)
     warming_up = ~_may_learn(state)
-    per_update = steps_per_update(config)
-    phase = restart_phase(state.env, config, state.updates, per_update)
+    phase = restart_phase(state.env, config, state.updates)
 
     def step(
         environments: VectorState, noise: Float[Array, "num_envs action"]

@@ -155,7 +155,7 @@ def start(
         config.num_envs,
         env_params,
         spread_phases=config.spread_phases,
-        phase=restart_phase(env, config, 0, steps_per_update(config)),
+        phase=restart_phase(env, config, 0),
     )
     return OnPolicyState(
         env=env,
@@ -208,7 +208,7 @@ def gather_experience(
         act,
         lambda observation: value(normalised(observation)),
         noise,
-        restart_phase(state.env, config, state.updates, steps_per_update(config)),
+        restart_phase(state.env, config, state.updates),
     )
     observation = normalised(rollout.observation)
     predicted = value(observation)
@@ -268,11 +268,6 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
         activation="tanh",
         output="clip",
     )
-
-
-def steps_per_update(config: OnPolicyConfig) -> int:
-    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
-    return config.num_envs * config.rollout_steps * config.action_repeat
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment
 from jaxrod.training.advantages import standardised
-from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.on_policy import (
     Experience,
@@ -32,7 +32,6 @@ from jaxrod.training.on_policy import (
     partition,
     policy_network,
     start,
-    steps_per_update,
     value_network,
 )
 from jaxrod.training.settings import (

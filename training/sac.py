@@ -24,14 +24,13 @@ from jaxrod.training.actor_critic import (
     optimiser,
     policy_network,
 )
-from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.off_policy import (
     OffPolicyState,
     check_off_policy,
     deterministic_policy,
     partition,
     start,
-    steps_per_update,
 )
 from jaxrod.training.off_policy_update import Batch, act_and_remember, learn
 from jaxrod.training.settings import check_finite, check_positive

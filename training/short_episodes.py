@@ -14,10 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxrod.envs import Environment
+from jaxrod.training.algorithm import steps_per_update
 
 
 def restart_phase(
-    env: Environment, config: Any, updates: Int[Array, ""] | int, per_update: int
+    env: Environment, config: Any, updates: Int[Array, ""] | int
 ) -> Int[Array, ""]:
     """Where the clock of episodes starts [control steps] that start now.
 
@@ -26,9 +27,8 @@ def restart_phase(
         config: a configuration with the numbers `short_length`, the control steps of a
             short episode, and `short_steps`, until when episodes are short.
         updates: updates of the run so far.
-        per_update: control steps of an update.
     """
     phase = jnp.maximum(env.episode_length - config.short_length, 0)
     # Updates are compared, not control steps: these outgrow their integers.
-    short = updates < config.short_steps / per_update
+    short = updates < config.short_steps / steps_per_update(config)
     return jnp.where(short, phase, 0).astype(jnp.int32)

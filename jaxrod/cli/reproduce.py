@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=_settings.count,
         metavar="N",
-        help="control steps of every cell (default: the paper's of its case)",
+        help="control steps of every cell (default: the paper's of its case or fewer)",
     )
     length.add_argument(
         "--steps-fraction",

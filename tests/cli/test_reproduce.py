@@ -4,7 +4,10 @@ import csv
 import json
 import os
 import shutil
+import signal
 import sys
+import threading
+import time
 
 import pytest
 
@@ -13,7 +16,7 @@ from jaxrod.cli._grid_records import COLUMNS
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
 # score 100 seed + 1, diverges where seed is 7, and is killed where seed is 9. Where
-# seed is 5 it waits for another to run beside it.
+# seed is 5 it waits for another to run beside it, where it is 3 to be told to stop.
 TRAIN = """
 import json, os, pathlib, sys, time
 words = sys.argv[1:]
@@ -39,6 +42,9 @@ while seed == 5 and len((out.parent / "called").read_text().splitlines()) < 2:
     if time.monotonic() > until:
         sys.exit("alone")
     time.sleep(0.02)
+if seed == 3:
+    sys.stdin.buffer.read()
+    sys.exit(0)
 if seed == 9 and not resumed:
     os.kill(os.getpid(), 9)
 summary = {"final_score": 100.0 * seed + 1, "env_steps": 1000, "wall_s": 2.5,
@@ -164,6 +170,36 @@ def test_cells_run_side_by_side_each_on_its_share_of_the_cores(grid):
         if there > 1:
             assert len(mine) == len(others) == there // 2
             assert not set(mine) & set(others)
+
+
+def test_ctrl_c_stops_all_cells_that_run_and_starts_no_other(grid):
+    def interrupt():
+        until = time.monotonic() + 60
+        called = grid.out / "runs" / "called"
+        while time.monotonic() < until:
+            if called.exists() and called.read_text().count("\n") == 2:
+                break
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    algorithms = ("ppo", "trpo", "sac")
+    code, _, err = grid(3, algorithms=algorithms, words=("--jobs", 2))
+    assert code == 130
+    assert "2 stopped, 1 waiting" in err
+    assert len(grid.called()) == 2
+    assert not (grid.out / "results.csv").exists()
+
+
+def test_a_record_without_a_setting_that_came_later_is_still_good(grid):
+    assert grid(0, algorithms=("ppo",))[0] == 0
+    grid.called()
+    file = grid.out / "cells" / "trivial-PPO-0.json"
+    record = json.loads(file.read_text())
+    del record["config"]["settings"]["action_repeat"]
+    file.write_text(json.dumps(record))
+    assert grid(0, algorithms=("ppo",))[0] == 0
+    assert grid.called() == []
 
 
 def test_what_was_run_otherwise_is_replaced_only_when_asked(grid):

@@ -235,3 +235,12 @@ def test_episodes_that_start_in_mid_course_end_earlier_and_do_not_count():
             # What starts from now on is whole.
             since, phase = 0, 0 if len(lengths) else phase
     assert lengths == [(3, False), (4, False), (10, True)]
+
+
+def test_first_episodes_are_spread_over_what_is_left_of_them():
+    env = Trivial(episode_length=10)
+    state = VectorEnvironment(env).reset(
+        jax.random.key(0), 64, env.default_params(), spread_phases=True, phase=7
+    )
+    assert set(np.asarray(state.elapsed).tolist()) == {7, 8, 9}
+    assert np.asarray(state.partial).all()

@@ -33,9 +33,11 @@ def test_only_whole_episodes_are_scored(algorithm):
 
 def test_episodes_are_short_until_so_many_control_steps_are_done():
     env = Trivial(episode_length=20)
-    config = find_algorithm("sac").config_type(short_steps=1000.0, short_length=5.0)
-    assert [int(restart_phase(env, config, k, 100)) for k in (0, 9, 10)] == [15, 15, 0]
+    config = find_algorithm("sac").config_type(
+        num_envs=10, rollout_steps=5, action_repeat=2, short_steps=1000, short_length=5
+    )
+    assert [int(restart_phase(env, config, k)) for k in (0, 9, 10)] == [15, 15, 0]
     longer = dataclasses.replace(config, short_length=50.0)
-    assert int(restart_phase(env, longer, 0, 100)) == 0
+    assert int(restart_phase(env, longer, 0)) == 0
     # More control steps than 32 bits count.
-    assert int(restart_phase(env, config, 2**30, 100)) == 0
+    assert int(restart_phase(env, config, 2**30)) == 0
