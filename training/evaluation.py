@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs.action_repeat import repeating
+from jaxrod.training.policy import held_for
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,9 @@ def evaluate(
 
     Args:
         env: the environment.
-        policy: observations (episodes, observation_size) -> actions; a `Policy`
-            or any other function of that kind.
+        policy: observations (episodes, observation_size) -> actions; a `Policy`,
+            whose actions are held for its `action_repeat` control steps, or any
+            other function of that kind, called at every control step.
         episodes: number of episodes.
         seed: seed of their randomness.
         env_params: parameters of the environment, None for its own.
@@ -69,6 +72,7 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     params = env.default_params() if env_params is None else env_params
+    env = repeating(env, held_for(policy))
     if not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0]):
         # A plain function: part of the program. A `Policy` is an argument of it.
         policy = jax.tree_util.Partial(policy)

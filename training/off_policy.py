@@ -148,6 +148,7 @@ def deterministic_policy(state: OffPolicyState) -> Policy:
         layers=(*hidden, (kernel[:, :size], bias[:size])),
         activation=ACTIVATION,
         output="tanh",
+        action_repeat=state.config.action_repeat,
     )
 
 

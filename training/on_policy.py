@@ -267,6 +267,7 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
         layers=layers(state.weights["policy"]["mean"]),
         activation="tanh",
         output="clip",
+        action_repeat=state.config.action_repeat,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ class Policy:
         layers: (kernel, bias) of each layer, kernel of shape (inputs, outputs).
         activation: "tanh", "relu" or "elu", between the layers.
         output: what bounds the action: "clip" or "tanh".
+        action_repeat: control steps for which an action is to be held, as in
+            training. Evaluations and replays do so; a policy called by hand cannot.
     """
 
     moments: RunningMoments
@@ -47,6 +49,7 @@ class Policy:
     layers: tuple[tuple[Array, Array], ...]
     activation: str = static(default="tanh")
     output: str = static(default="clip")
+    action_repeat: int = static(default=1)
 
     def __call__(
         self, observation: Float[Array, "*batch observation"]
@@ -85,6 +88,7 @@ def save_policy(
         "format": FORMAT,
         "activation": policy.activation,
         "output": policy.output,
+        "action_repeat": policy.action_repeat,
         "layers": len(policy.layers),
         "observation_size": int(policy.layers[0][0].shape[0]),
         "action_size": int(policy.layers[-1][1].shape[0]),
@@ -134,4 +138,11 @@ def load_policy(folder: str | Path) -> Policy:
         ),
         activation=description["activation"],
         output=description["output"],
+        # Policies written before it was told decided at every control step.
+        action_repeat=description.get("action_repeat", 1),
     )
+
+
+def held_for(policy: Callable[[Array], Array]) -> int:
+    """Control steps for which an action of a policy is to be held: 1 if not told."""
+    return getattr(policy, "action_repeat", 1)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Key
 from jaxrod._pytree import pytree
 from jaxrod.envs import Environment
 from jaxrod.envs.scenery import drawable, obstacles
+from jaxrod.training.policy import held_for
 from jaxrod.viz import Replay, Sphere
 
 FRAMES_PER_SECOND = 60.0
@@ -45,7 +46,8 @@ def record(
 
     Args:
         env: the environment.
-        policy: observation -> action, a pytree.
+        policy: observation -> action, a pytree; its actions are held for its
+            `action_repeat` control steps, if it has one.
         seconds: how long to play [s]; None for a whole episode, which also ends it.
         seed: seed of the episode.
         title: heading of the replay.
@@ -103,8 +105,9 @@ def _play(
     observation, start = env.reset(start_key, params)
 
     def step(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Array]:
-        observation, state, running = carry
-        action = jnp.clip(policy(observation), -1, 1)
+        observation, state, action, running = carry
+        decided = jnp.clip(policy(observation), -1, 1)
+        action = jnp.where(index % held_for(policy) == 0, decided, action)
         seen, moved, reward, terminated, truncated, _ = env.step(
             jax.random.fold_in(step_key, index), state, action, params
         )
@@ -114,7 +117,8 @@ def _play(
             (observation, state),
         )
         reward = jnp.where(running, reward, 0)
-        return (observation, state, running & ~terminated & ~truncated), reward
+        running = running & ~terminated & ~truncated
+        return (observation, state, action, running), reward
 
     def frame(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Frame]:
         running = carry[-1]
@@ -126,6 +130,7 @@ def _play(
         )
 
     running = jnp.ones((), bool)
-    _, frames = jax.lax.scan(frame, (observation, start, running), jnp.arange(count))
+    carry = observation, start, policy(observation), running
+    _, frames = jax.lax.scan(frame, carry, jnp.arange(count))
     reward = jnp.zeros_like(frames.reward[0])
     return Frame(start.arm.positions, start.target.position, reward, running), frames

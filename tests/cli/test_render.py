@@ -85,6 +85,29 @@ def test_frames_are_states_of_the_episode_at_no_more_than_60_hz():
     assert replay.readouts["return"][-1] == pytest.approx(sum(range(101)))
 
 
+@dataclasses.dataclass(frozen=True)
+class Echo(Clock):
+    """A clock that shows how many steps it has done, and is paid its action."""
+
+    def step(self, key, state, action, params):
+        _, after, _, *rest = super().step(key, state, action, params)
+        return 0.01 * after.steps[None].astype(float), after, action[0], *rest
+
+
+def test_actions_are_held_as_the_policy_says():
+    policy = Policy(
+        moments=no_moments(1, jnp.float64),
+        limit=jnp.asarray(10.0),
+        layers=((jnp.ones((1, 1)), jnp.zeros(1)),),
+        action_repeat=3,
+    )
+    replay = _recording.record(Echo(), policy)
+    acted = 0.01 * (np.arange(100) // 3 * 3)
+    np.testing.assert_allclose(
+        replay.readouts["reward"][1:], acted.reshape(25, 4).mean(axis=1)
+    )
+
+
 def test_seconds_shorten_the_recording():
     assert _recording.record(Clock(), idle, seconds=0.1).times[-1] == pytest.approx(0.1)
     assert _recording.record(Clock(), idle, seconds=99).times[-1] == pytest.approx(0.5)

@@ -17,6 +17,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxrod.envs import VectorEnvironment
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import PPOConfig, RunFolder, evaluate, load_policy, train
 from jaxrod.training.progress import ProgressBar, progress_line
@@ -269,6 +270,23 @@ def test_evaluation_of_a_plain_function_counts_whole_episodes():
     away = evaluate(env, lambda observation: 0 * observation + 1, episodes=5)
     assert np.all(away.lengths < env.episode_length)
     assert still.flagged_fraction == 0
+
+
+@pytest.mark.default_precision
+def test_evaluation_holds_actions_as_the_policy_says(whole_run):
+    policy = dataclasses.replace(whole_run.policy, action_repeat=3)
+    found = evaluate(Trivial(), policy, episodes=5, seed=4)
+    start = VectorEnvironment(Trivial()).reset(
+        jax.random.key(4), 5, Trivial().default_params()
+    )
+    position, returns = np.asarray(start.observation), np.zeros(5)
+    for step in range(20):
+        if step % 3 == 0:
+            action = np.clip(policy(position), -1, 1)
+        position = position + 0.2 * action
+        returns += 1 - position[:, 0] ** 2
+    np.testing.assert_allclose(found.returns, returns, rtol=1e-5)
+    np.testing.assert_array_equal(found.lengths, 20)
 
 
 @pytest.mark.default_precision

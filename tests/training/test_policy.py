@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import PPOConfig, load_policy, ppo, save_policy
+from jaxrod.training import PPOConfig, SACConfig, load_policy, ppo, sac, save_policy
 from jaxrod.training.normalisation import RunningMoments, normalise
 from jaxrod.training.on_policy import policy_network
 
@@ -47,6 +47,7 @@ def test_files_hold_exactly_the_policy(tmp_path, activation, output):
         ),
         activation=activation,
         output=output,
+        action_repeat=3,
     )
     save_policy(policy, tmp_path / "policy", {"case": "none"})
     loaded = load_policy(tmp_path / "policy")
@@ -57,6 +58,25 @@ def test_files_hold_exactly_the_policy(tmp_path, activation, output):
     description = json.loads((tmp_path / "policy" / "policy.json").read_text())
     assert description["about"] == {"case": "none"}
     assert (description["observation_size"], description["action_size"]) == (3, 2)
+    assert loaded.action_repeat == 3
+
+
+def test_policy_of_before_actions_were_held_decides_at_every_step(tmp_path):
+    save_policy(ppo.PPO.policy(some_state()), tmp_path)
+    description = json.loads((tmp_path / "policy.json").read_text())
+    del description["action_repeat"]
+    (tmp_path / "policy.json").write_text(json.dumps(description))
+    assert load_policy(tmp_path).action_repeat == 1
+
+
+@pytest.mark.parametrize(
+    ("learner", "init", "settings"),
+    [(ppo.PPO, ppo.init, PPOConfig), (sac.SAC, sac.init, SACConfig)],
+)
+def test_policy_tells_for_how_long_its_actions_were_held(learner, init, settings):
+    config = settings(num_envs=4, action_repeat=3, hidden_sizes=(8, 8))
+    state = init(jax.random.key(0), Trivial(), config)
+    assert learner.policy(state).action_repeat == 3
 
 
 def test_folder_without_a_policy_is_refused(tmp_path):
