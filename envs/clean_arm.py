@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
     Clamp,
+    Contact,
     ControlSpline,
     Effect,
     ElementAverages,
@@ -29,6 +30,7 @@ from jaxrod import (
     freeze,
     health,
     limit_rate,
+    near_contact,
     spline_couples,
 )
 from jaxrod._pytree import pytree, static
@@ -61,12 +63,15 @@ class CleanArm:
     largest_change: Float[Array, ""] | None
     """The most a control value may change from one control step to the next; `None`
     where they jump."""
-    obstacles: tuple[Effect, ...] = ()
+    obstacles: tuple[Contact, ...] = ()
     """Contact with what is in the way."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
     """Beyond these the arm is frozen."""
     plane: Plane | None = static(default=None)
     """The plane of motion, where there is one."""
+    nearest: int | None = static(default=None)
+    """How many obstacles each point of the arm looks at in a control step; `None` for
+    all."""
 
     def relaxed(self) -> Array | None:
         """Control values at the start of an episode, where they are remembered."""
@@ -97,18 +102,31 @@ class CleanArm:
         """
         if self.largest_change is not None and muscles is not None:
             muscles = controls = limit_rate(muscles, controls, self.largest_change)
-        scene = self.scene(controls)
+        scene = self.scene(controls, state)
         after = advance(scene, state, dt, n_steps)
         flagged = health(scene, after, dt, limits=self.limits).flagged
         return freeze(flagged, state, after), muscles, flagged
 
-    def scene(self, controls: Float[Array, "3 n_controls"]) -> Scene:
-        """What acts on the arm under these control values."""
+    def scene(
+        self, controls: Float[Array, "3 n_controls"], near: RodState | None = None
+    ) -> Scene:
+        """What acts on the arm under these control values.
+
+        Args:
+            controls: Control values [1].
+            near: Where the arm is about to move from, if obstacles may be left out
+                that are not among the `nearest` ones there.
+        """
+        obstacles = self.obstacles
+        if near is not None and self.nearest is not None:
+            obstacles = tuple(
+                near_contact(touch, self.rod, near, self.nearest) for touch in obstacles
+            )
         effects: tuple[Effect, ...] = (
             self.held,
             viscous_damping(self.rod, self.viscosity),
             spline_couples(self.rod, self.spline, controls, self.couple_density),
-            *self.obstacles,
+            *obstacles,
         )
         return Scene(self.rod, effects, plane=self.plane)
 
@@ -121,7 +139,8 @@ def clean_arm(
     *,
     published_elements: int,
     largest_rate: float | None = None,
-    obstacles: tuple[Effect, ...] = (),
+    obstacles: tuple[Contact, ...] = (),
+    nearest: int | None = None,
     largest_stretch: float = 2.5,
     plane: Plane | None = None,
 ) -> CleanArm:
@@ -136,6 +155,7 @@ def clean_arm(
             are spread over the length.
         largest_rate: The fastest a control value may change [1/s].
         obstacles: Contact with what is in the way.
+        nearest: How many obstacles each point looks at in a control step.
         largest_stretch: Beyond this an arm is flagged [1].
         plane: The plane of motion, where there is one.
     """
@@ -157,4 +177,5 @@ def clean_arm(
         obstacles=obstacles,
         limits=jax.tree.map(number, HealthLimits(largest_stretch=largest_stretch)),
         plane=plane,
+        nearest=nearest,
     )

@@ -136,6 +136,9 @@ class ObstacleTask:
     """The plane of motion, where there is one."""
     contact_points: ClassVar[int]
     """Where contact is looked for, per element ("clean")."""
+    nearest_obstacles: ClassVar[int | None]
+    """How many obstacles each of those looks at in a control step ("clean"); `None`
+    for all."""
 
     @property
     @abstractmethod
@@ -208,6 +211,7 @@ class ObstacleTask:
                 published_elements=PUBLISHED_ELEMENTS,
                 largest_rate=LARGEST_RATE,
                 obstacles=(touch,),
+                nearest=self.nearest_obstacles,
                 largest_stretch=LARGEST_STRETCH,
                 plane=self.plane,
             )

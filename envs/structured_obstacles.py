@@ -60,6 +60,9 @@ class StructuredObstacles(ObstacleTask):
     target_position = (-0.8, 0.5, 0.15)
     plane = "zx"
     contact_points = 1
+    nearest_obstacles = 3
+    """No place is nearer than 10 cm to a fourth: within reach of the arm's radius only
+    if it moves 5 cm in a control step."""
 
     @property
     def name(self) -> str:

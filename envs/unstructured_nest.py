@@ -51,6 +51,9 @@ class UnstructuredNest(ObstacleTask):
     contact_points = 2
     """Stretched twofold the arm's nodes are 5 cm apart, and a thin cylinder that gets
     between two of them would push them further apart."""
+    nearest_obstacles = 4
+    """A fifth is within the arm's radius only in places that four others leave no arm
+    to be in, or if it moves several centimetres in a control step."""
 
     @property
     def name(self) -> str:

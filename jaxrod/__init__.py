@@ -29,6 +29,7 @@ _NAMES = {
     "_contact": ("Contact", "contact"),
     "_health": ("Health", "HealthLimits", "freeze", "health"),
     "_implicit": ("Implicit", "implicit"),
+    "_near_contact": ("near_contact",),
     "actuation": (
         "ControlSpline",
         "ElementAverages",

@@ -14,6 +14,7 @@ from jaxrod._health import freeze as freeze
 from jaxrod._health import health as health
 from jaxrod._implicit import Implicit as Implicit
 from jaxrod._implicit import implicit as implicit
+from jaxrod._near_contact import near_contact as near_contact
 from jaxrod.actuation import ControlSpline as ControlSpline
 from jaxrod.actuation import ElementAverages as ElementAverages
 from jaxrod.actuation import ElementCouples as ElementCouples

@@ -25,8 +25,11 @@ exists. Its couple $-r n\times F_t$ on the section makes rods roll.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import operator
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -47,7 +50,10 @@ from jaxrod.vectors import Vec3
 
 @pytree
 class Contact(Effect):
-    """A rod against one fixed body, or against several of a kind. See `contact`."""
+    """A rod against one fixed body, or against several of a kind.
+
+    See `contact`, and `near_contact` for one that looks at the nearest of them only.
+    """
 
     body: Body
     """The body; of several, their numbers have a leading axis."""
@@ -63,22 +69,26 @@ class Contact(Effect):
     """The most that friction resists per length of rod and speed [kg/(m s)]."""
     n_bodies: int | None = static(default=None)
     """How many bodies, if their numbers have a leading axis."""
+    near: tuple[Body, ...] | None = None
+    """For each of `contact_points`, the bodies it looks at in place of all."""
+    n_near: int | None = static(default=None)
+    """How many those are."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Normal forces, and what friction does."""
         loads = Loads()
-        for points in contact_points(rod, self.points_per_element):
-            loads = self._add_loads(loads, rod, motion, points)
+        for points, bodies in self._in_view(rod):
+            loads = self._add_loads(loads, rod, motion, points, bodies)
         if loads.couples is None:
             return loads
         frame = directors(motion.orientation)
         return Loads(loads.forces, to_material(frame, loads.couples))
 
     def resistance(self, rod: Rod) -> Resistance:
-        """As if every point touched every body."""
-        count = 1 if self.n_bodies is None else self.n_bodies
+        """As if every point touched every body that it looks at."""
+        count = self.n_near or self.n_bodies or 1
         halves = 0.5 * count * rod.rest_lengths
         lengths = vectors.pad(halves, 0, 1) + vectors.pad(halves, 1, 0)
         stiffness = self.stiffness * lengths
@@ -107,8 +117,8 @@ class Contact(Effect):
         """Energy of the springs [J]."""
         position = motion_of(state).position
         total = jnp.zeros((), state.positions.dtype)
-        for points in contact_points(rod, self.points_per_element):
-            total = total + self._energy_at(rod, position, points)
+        for points, bodies in self._in_view(rod):
+            total = total + self._energy_at(rod, position, points, bodies)
         return total
 
     def directions(self, rod: Rod, motion: Motion) -> Vec3:
@@ -127,21 +137,24 @@ class Contact(Effect):
             return normals(self.body)
         return jax.vmap(normals)(self.body)
 
-    def _summed(self, of_body: Callable[[Any], Any]) -> Any:
-        """What a function gives for each body, added up.
+    def resampled(self, rod: Rod, new_rod: Rod) -> Contact:
+        """Looks at all bodies again: there are other points."""
+        return dataclasses.replace(self, near=None, n_near=None)
 
-        Body by body in the program, not along an axis of the arrays: that takes two
-        thirds of the time on CPUs.
-        """
-        if self.n_bodies is None:
-            return of_body(self.body)
-        total = None
-        for k in range(self.n_bodies):
-            part = of_body(jax.tree.map(operator.itemgetter(k), self.body))
-            total = part if total is None else jax.tree.map(jnp.add, total, part)
-        return total
+    def _in_view(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
+        """The contact points, and the bodies they look at one by one."""
+        points = contact_points(rod, self.points_per_element)
+        if self.near is None:
+            everything = _one_by_one(self.body, self.n_bodies)
+            return [(some, everything) for some in points]
+        return [
+            (some, _one_by_one(bodies, self.n_near))
+            for some, bodies in zip(points, self.near, strict=True)
+        ]
 
-    def _energy_at(self, rod: Rod, position: Vec3, points: Points) -> Array:
+    def _energy_at(
+        self, rod: Rod, position: Vec3, points: Points, bodies: list[Body]
+    ) -> Array:
         """Energy of the springs at some contact points [J]."""
         radii = points.of_elements(rod.radii)
         place = points.of_nodes(position)
@@ -151,10 +164,15 @@ class Contact(Effect):
             density = self._energy_density(radii - distance, self.onset * radii)
             return jnp.sum(points.lengths * density)
 
-        return self._summed(of_body)
+        return _summed(of_body, bodies)
 
     def _add_loads(
-        self, loads: Loads, rod: Rod, motion: Motion, points: Points
+        self,
+        loads: Loads,
+        rod: Rod,
+        motion: Motion,
+        points: Points,
+        bodies: list[Body],
     ) -> Loads:
         """Adds forces, and couples in the world frame, of some contact points."""
         position = points.of_nodes(motion.position)
@@ -178,7 +196,7 @@ class Contact(Effect):
             drag = self._friction_force(push, along)
             return vectors.add(force, drag), vectors.cross(arm, drag)
 
-        force, couple = self._summed(of_body)
+        force, couple = _summed(of_body, bodies)
         forces = points.to_nodes(vectors.scale(points.lengths, force))
         if loads.forces is not None:
             forces = accumulate(forces, loads.forces)
@@ -222,6 +240,23 @@ class Contact(Effect):
         return jnp.where(touches, self.stiffness * energy, 0)
 
 
+def _one_by_one(body: Body, count: int | None) -> list[Body]:
+    """Several bodies with a leading axis as a list; a single one as a list of one."""
+    if count is None:
+        return [body]
+    return [jax.tree.map(operator.itemgetter(k), body) for k in range(count)]
+
+
+def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
+    """What a function gives for each body, added up.
+
+    Body by body in the program, not along an axis of the arrays: that takes two
+    thirds of the time on CPUs.
+    """
+    first, *others = [of_body(body) for body in bodies]
+    return functools.reduce(partial(jax.tree.map, jnp.add), others, first)
+
+
 def _started(depth: Array, width: Array) -> tuple[Array, Array]:
     """Whether contact has begun, and how deep from there on [m]; safe where not.
 
@@ -256,7 +291,8 @@ def contact(
         bodies: A body from `jaxrod.sphere`, `capsule`, `cylinder`, `plane`, `box` or
             `signed_distance`; several of the same kind as a sequence, or as one whose
             numbers have a leading axis (from `jax.vmap` of a factory). Each adds to
-            the program, a nest of a dozen more than the rod itself.
+            the program, a nest of a dozen more than the rod itself; then see
+            `jaxrod.near_contact`.
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length of rod and normal speed [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].

@@ -340,13 +340,8 @@ def test_an_unhealthy_clean_arm_is_frozen_and_truncated_not_punished(name):
     np.testing.assert_array_equal(after.arm.positions, state.arm.positions)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "towards"), [("structured", 0.052), ("unstructured", 0.288)]
-)
-def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
-    """Over 50 control steps, the obstacles moved until one touches the arm."""
-    env = make(name, variant="clean", n_elements=20, substeps=5)
+def touching_at_rest(env, towards):
+    """Numbers of a task whose obstacles are moved until one touches the arm."""
     params = env.default_params()
     (touch,) = params.arm.obstacles
     nearer = [
@@ -358,7 +353,45 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
     arm = dataclasses.replace(params.arm, obstacles=(touch,))
     loads = touch.loads(arm.rod, motion_of(arm.rest))
     assert max(float(jnp.max(jnp.abs(c))) for c in loads.forces) > 1.0
-    params = dataclasses.replace(params, arm=arm)
+    return dataclasses.replace(params, arm=arm)
+
+
+TOUCHING = pytest.mark.parametrize(
+    ("name", "towards"),
+    [
+        ("structured", 0.052),
+        pytest.param("unstructured", 0.288, marks=pytest.mark.slow),
+    ],
+)
+
+
+@TOUCHING
+def test_an_arm_that_looks_at_the_nearest_obstacles_moves_as_if_at_all(name, towards):
+    env = make(name, variant="clean")
+    params = touching_at_rest(env, towards)
+    assert params.arm.nearest < env.n_obstacles
+    careful = dataclasses.replace(params.arm, nearest=None)
+    actions = smooth_actions(50, env.action_size, 1.0)
+
+    @jax.jit
+    def tips(params):
+        def body(state, action):
+            _, state, *_ = env.step(KEY, state, action, params)
+            return state, state.arm.tip
+
+        return jax.lax.scan(body, env.reset(KEY, params)[1], actions)[1]
+
+    found, wanted = tips(params), tips(dataclasses.replace(params, arm=careful))
+    assert jnp.max(jnp.abs(wanted - wanted[:1])) > 0.05
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.slow
+@TOUCHING
+def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
+    """Over 50 control steps."""
+    env = make(name, variant="clean", n_elements=20, substeps=5)
+    params = touching_at_rest(env, towards)
     actions = smooth_actions(50, env.action_size, 0.5)
     check_gradient(env, actions, rtol=1e-5, params=params)
 

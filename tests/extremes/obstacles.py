@@ -74,7 +74,7 @@ def episode(index, key, task, params, control_steps):
         values = jnp.reshape(wanted, (task.n_directions, task.n_controls))
         controls = jnp.pad(values, ((0, 3 - task.n_directions), (0, 0)))
         muscles = jaxrod.limit_rate(muscles, controls, arm.largest_change)
-        scene = arm.scene(muscles)
+        scene = arm.scene(muscles, state)
 
         def step(_, passed):
             state, depth = passed
