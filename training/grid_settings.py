@@ -58,9 +58,9 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
     "tracking": {
         "ppo": Planned(10_000_000),
         "trpo": Planned(10_000_000, _PLENTIFUL_TRPO),
-        "sac": Planned(10_000_000),
-        "td3": Planned(10_000_000),
-        "ddpg": Planned(10_000_000),
+        "sac": Planned(4_000_000),
+        "td3": Planned(4_000_000),
+        "ddpg": Planned(4_000_000),
     },
     "reaching": {
         "ppo": Planned(10_000_000),
