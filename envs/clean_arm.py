@@ -141,6 +141,7 @@ def clean_arm(
     largest_rate: float | None = None,
     obstacles: tuple[Contact, ...] = (),
     nearest: int | None = None,
+    smallest_stretch: float = 0.3,
     largest_stretch: float = 2.5,
     plane: Plane | None = None,
 ) -> CleanArm:
@@ -156,6 +157,7 @@ def clean_arm(
         largest_rate: The fastest a control value may change [1/s].
         obstacles: Contact with what is in the way.
         nearest: How many obstacles each point looks at in a control step.
+        smallest_stretch: Below this an arm is flagged [1].
         largest_stretch: Beyond this an arm is flagged [1].
         plane: The plane of motion, where there is one.
     """
@@ -175,7 +177,12 @@ def clean_arm(
             None if largest_rate is None else number(largest_rate * CONTROL_PERIOD)
         ),
         obstacles=obstacles,
-        limits=jax.tree.map(number, HealthLimits(largest_stretch=largest_stretch)),
+        limits=jax.tree.map(
+            number,
+            HealthLimits(
+                smallest_stretch=smallest_stretch, largest_stretch=largest_stretch
+            ),
+        ),
         plane=plane,
         nearest=nearest,
     )

@@ -414,7 +414,8 @@ def test_bad_options_are_named(name, options, message):
 
 
 @NAMES
-def test_an_arm_at_its_largest_stretch_is_stepped_within_its_stability_limit(name):
+@pytest.mark.parametrize("limit", ["smallest_stretch", "largest_stretch"])
+def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     env = make(name, variant="clean")
     params = env.default_params()
     arm, rest = params.arm, params.arm.rest
@@ -422,6 +423,6 @@ def test_an_arm_at_its_largest_stretch_is_stepped_within_its_stability_limit(nam
     # What moves in the plane moves in space.
     free = dataclasses.replace(scene, effects=scene.effects[:3], plane=None)
     base = rest.positions[:, :1]
-    stretched = base + arm.limits.largest_stretch * (rest.positions - base)
+    stretched = base + getattr(arm.limits, limit) * (rest.positions - base)
     state = dataclasses.replace(rest, positions=stretched)
     assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)
