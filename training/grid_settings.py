@@ -43,6 +43,7 @@ _SCARCE_OFF_POLICY: Settings = {
     "num_envs": 8,
     "rollout_steps": 32,
     "gradient_steps": 128,
+    "batch_size": 128,
     "buffer_size": 500_000,
 }
 _QUICK_ON_POLICY: Settings = {"num_envs": 8, "rollout_steps": 32, "hidden_sizes": (16,)}
