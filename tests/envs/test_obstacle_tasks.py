@@ -357,14 +357,11 @@ def touching_at_rest(env, towards):
 
 
 TOUCHING = pytest.mark.parametrize(
-    ("name", "towards"),
-    [
-        ("structured", 0.052),
-        pytest.param("unstructured", 0.288, marks=pytest.mark.slow),
-    ],
+    ("name", "towards"), [("structured", 0.052), ("unstructured", 0.288)]
 )
 
 
+@pytest.mark.slow
 @TOUCHING
 def test_an_arm_that_looks_at_the_nearest_obstacles_moves_as_if_at_all(name, towards):
     env = make(name, variant="clean")
