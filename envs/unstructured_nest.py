@@ -52,8 +52,8 @@ class UnstructuredNest(ObstacleTask):
     """Stretched twofold the arm's nodes are 5 cm apart, and a thin cylinder that gets
     between two of them would push them further apart."""
     nearest_obstacles = 4
-    """A fifth is within the arm's radius only in places that four others leave no arm
-    to be in, or if it moves several centimetres in a control step."""
+    """Few places have a fifth within the arm's radius. An arm that gets there, or moves
+    several centimetres in a control step, may meet one by a control step too late."""
 
     @property
     def name(self) -> str:

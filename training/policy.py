@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod._pytree import pytree, static
+from jaxrod._validation import check_count
 from jaxrod.training.files import write_atomically
 from jaxrod.training.normalisation import RunningMoments, normalise
 
@@ -109,7 +110,8 @@ def load_policy(folder: str | Path) -> Policy:
     """Reads a policy written by `save_policy`.
 
     Raises:
-        ValueError: the folder holds no policy, or one of another format.
+        ValueError: the folder holds no policy, or one of another format, or one
+            whose `action_repeat` is not a count.
     """
     folder = Path(folder)
     try:
@@ -139,7 +141,9 @@ def load_policy(folder: str | Path) -> Policy:
         activation=description["activation"],
         output=description["output"],
         # Policies written before it was told decided at every control step.
-        action_repeat=description.get("action_repeat", 1),
+        action_repeat=check_count(
+            "action_repeat", description.get("action_repeat", 1), 1
+        ),
     )
 
 

@@ -7,27 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import jaxrod
 from jaxrod.envs import make
 from jaxrod.envs.nest import published_nest, random_nest
-from jaxrod.motion import motion_of
 from legacy_oracle import ALONG_Z, LegacyArm, Obstacle
 from playing import (
     KEY,
-    check_gradient,
     check_vmap_is_a_loop,
     play,
-    smooth_actions,
     start,
     stepping,
 )
 
 VARIANTS = pytest.mark.parametrize("variant", ["paper", "clean"])
 NAMES = pytest.mark.parametrize("name", ["structured", "unstructured"])
-# The nest's dozen bodies take long to compile; what the maze shows holds for both.
-MAZE_FIRST = pytest.mark.parametrize(
-    "name", ["structured", pytest.param("unstructured", marks=pytest.mark.slow)]
-)
 SCORES = [("structured", 4866), ("unstructured", 3794)]
 MAZE = [
     (-0.6, 0.12),
@@ -289,110 +281,6 @@ def test_vmap_is_a_loop_numbers_are_single_and_nothing_recompiles(name, variant)
     check_vmap_is_a_loop(make(name, variant=variant))
 
 
-@MAZE_FIRST
-def test_clean_arm_is_pushed_the_published_way_at_a_limited_rate(name):
-    env = make(name, variant="clean")
-    params, state = start(env)
-    action = jnp.zeros(env.action_size).at[0].set(0.3)
-    for _ in range(25):
-        _, state, reward, terminated, truncated, info = stepping(env)(
-            KEY, state, action, params
-        )
-    assert state.arm.tip[0] > 1e-3  # a positive normal action pushes towards +x
-    np.testing.assert_allclose(state.arm.positions[1], 0.5, atol=1e-9)
-    np.testing.assert_allclose(state.muscles[0], [0.3, 0], atol=1e-12)
-    assert not terminated and not truncated and not info["flagged"]
-    np.testing.assert_allclose(
-        reward, -jnp.sum((state.arm.tip - state.target.position) ** 2)
-    )
-
-
-@NAMES
-def test_clean_obstacles_are_where_they_are_seen(name):
-    env = make(name, variant="clean")
-    params, state = start(env)
-    obs = env.observe(state, params)
-    points = np.asarray(obs[40:]).reshape(env.n_obstacles, 5, 3)
-    obstacles = env.obstacles()
-    np.testing.assert_allclose(points[:, 0], obstacles.starts.T, atol=1e-12)
-    np.testing.assert_allclose(points[:, 4], obstacles.ends.T, atol=1e-12)
-    (touch,) = params.arm.obstacles
-    for j in range(env.n_obstacles):
-        body = jax.tree.map(lambda leaf, j=j: leaf[j], touch.body)
-        middle = tuple(jnp.asarray([c]) for c in points[j, 2])
-        depth, _ = body.surface(middle)
-        np.testing.assert_allclose(depth, -obstacles.radii[j], rtol=1e-5)
-
-
-@MAZE_FIRST
-def test_an_unhealthy_clean_arm_is_frozen_and_truncated_not_punished(name):
-    env = make(name, variant="clean")
-    params, state = start(env)
-    fast = dataclasses.replace(
-        state.arm, velocities=state.arm.velocities.at[0, -1].set(5000.0)
-    )
-    state = dataclasses.replace(state, arm=fast)
-    nothing = jnp.zeros(env.action_size)
-    _, after, reward, terminated, truncated, info = stepping(env)(
-        KEY, state, nothing, params
-    )
-    assert truncated and not terminated and info["flagged"] and reward > -10
-    np.testing.assert_array_equal(after.arm.positions, state.arm.positions)
-
-
-def touching_at_rest(env, towards):
-    """Numbers of a task whose obstacles are moved until one touches the arm."""
-    params = env.default_params()
-    (touch,) = params.arm.obstacles
-    nearer = [
-        leaf.at[:, 0].add(towards) if leaf.ndim == 2 else leaf
-        for leaf in jax.tree.leaves(touch.body)
-    ]
-    body = jax.tree.unflatten(jax.tree.structure(touch.body), nearer)
-    touch = dataclasses.replace(touch, body=body)
-    arm = dataclasses.replace(params.arm, obstacles=(touch,))
-    loads = touch.loads(arm.rod, motion_of(arm.rest))
-    assert max(float(jnp.max(jnp.abs(c))) for c in loads.forces) > 1.0
-    return dataclasses.replace(params, arm=arm)
-
-
-TOUCHING = pytest.mark.parametrize(
-    ("name", "towards"), [("structured", 0.052), ("unstructured", 0.288)]
-)
-
-
-@pytest.mark.slow
-@TOUCHING
-def test_an_arm_that_looks_at_the_nearest_obstacles_moves_as_if_at_all(name, towards):
-    env = make(name, variant="clean")
-    params = touching_at_rest(env, towards)
-    assert params.arm.nearest < env.n_obstacles
-    careful = dataclasses.replace(params.arm, nearest=None)
-    actions = smooth_actions(50, env.action_size, 1.0)
-
-    @jax.jit
-    def tips(params):
-        def body(state, action):
-            _, state, *_ = env.step(KEY, state, action, params)
-            return state, state.arm.tip
-
-        return jax.lax.scan(body, env.reset(KEY, params)[1], actions)[1]
-
-    found, wanted = tips(params), tips(dataclasses.replace(params, arm=careful))
-    assert jnp.max(jnp.abs(wanted - wanted[:1])) > 0.05
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
-
-
-@pytest.mark.slow
-@TOUCHING
-def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
-    """Over 50 control steps."""
-    env = make(name, variant="clean", n_elements=20, substeps=5)
-    params = touching_at_rest(env, towards)
-    actions = smooth_actions(50, env.action_size, 0.5)
-    check_gradient(env, actions, rtol=1e-5, params=params)
-
-
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
@@ -408,18 +296,3 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
 def test_bad_options_are_named(name, options, message):
     with pytest.raises(ValueError, match=message):
         make(name, **options)
-
-
-@NAMES
-@pytest.mark.parametrize("limit", ["smallest_stretch", "largest_stretch"])
-def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
-    env = make(name, variant="clean")
-    params = env.default_params()
-    arm, rest = params.arm, params.arm.rest
-    scene = arm.scene(jnp.zeros((3, env.n_controls)))
-    # What moves in the plane moves in space.
-    free = dataclasses.replace(scene, effects=scene.effects[:3], plane=None)
-    base = rest.positions[:, :1]
-    stretched = base + getattr(arm.limits, limit) * (rest.positions - base)
-    state = dataclasses.replace(rest, positions=stretched)
-    assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)

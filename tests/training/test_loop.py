@@ -274,7 +274,9 @@ def test_evaluation_of_a_plain_function_counts_whole_episodes():
 
 @pytest.mark.default_precision
 def test_evaluation_holds_actions_as_the_policy_says(whole_run):
-    policy = dataclasses.replace(whole_run.policy, action_repeat=3)
+    # Straight back towards zero, so that acting late makes a difference.
+    back = (np.full((1, 1), -1.0, np.float32), np.zeros(1, np.float32))
+    policy = dataclasses.replace(whole_run.policy, layers=(back,), action_repeat=3)
     found = evaluate(Trivial(), policy, episodes=5, seed=4)
     start = VectorEnvironment(Trivial()).reset(
         jax.random.key(4), 5, Trivial().default_params()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import jax
@@ -67,6 +68,13 @@ def test_policy_of_before_actions_were_held_decides_at_every_step(tmp_path):
     del description["action_repeat"]
     (tmp_path / "policy.json").write_text(json.dumps(description))
     assert load_policy(tmp_path).action_repeat == 1
+
+
+def test_impossible_action_repeat_is_refused_where_it_is_read(tmp_path):
+    policy = ppo.PPO.policy(some_state())
+    save_policy(dataclasses.replace(policy, action_repeat=0), tmp_path)
+    with pytest.raises(ValueError, match="action_repeat must be at least 1, got 0"):
+        load_policy(tmp_path)
 
 
 @pytest.mark.parametrize(
