@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment, VectorEnvironment, VectorState
@@ -40,9 +40,9 @@ from jaxrod.training.short_episodes import restart_phase
 OffPolicyConfig = Any
 """A configuration with at least the sizes `num_envs`, `rollout_steps`,
 `action_repeat`, `gradient_steps`, `batch_size`, `buffer_size`, `hidden_sizes` and
-`spread_phases` (static) and the numbers `learning_starts`, `discount`, `target_rate`,
-`reward_scale`, `observation_limit`, `short_steps` and `short_length` (traced); see
-`jaxrod.training.SACConfig` for what they mean."""
+`spread_phases` (static) and the numbers `learning_starts`, `noise_correlation`,
+`discount`, `target_rate`, `reward_scale`, `observation_limit`, `short_steps` and
+`short_length` (traced); see `jaxrod.training.SACConfig` for what they mean."""
 
 
 @pytree
@@ -58,6 +58,7 @@ class OffPolicyState:
         environments: the batch.
         replay: what is remembered.
         action_keys: one key for every environment, for the noise of its actions.
+        action_noise: that of the last decision, standard normal.
         replay_keys: one key for every environment, for what is recalled of it.
         updates: updates done.
     """
@@ -70,6 +71,7 @@ class OffPolicyState:
     environments: VectorState
     replay: Replay
     action_keys: Key[Array, " num_envs"]
+    action_noise: Float[Array, "num_envs action"]
     replay_keys: Key[Array, " num_envs"]
     updates: Int[Array, ""]
 
@@ -100,6 +102,7 @@ def start(
         spread_phases=config.spread_phases,
         phase=restart_phase(env, config, 0),
     )
+    action_keys = jax.random.split(keys[2], config.num_envs)
     return OffPolicyState(
         env=env,
         config=config,
@@ -114,7 +117,10 @@ def start(
             env.action_size,
             dtype,
         ),
-        action_keys=jax.random.split(keys[2], config.num_envs),
+        action_keys=action_keys,
+        action_noise=jax.vmap(
+            lambda key: jax.random.normal(key, (env.action_size,), dtype)
+        )(action_keys),
         replay_keys=jax.random.split(keys[3], config.num_envs),
         updates=jnp.zeros((), jnp.int32),
     )
@@ -133,6 +139,7 @@ def partition(state: OffPolicyState) -> OffPolicyState:
         "environments": spread,
         "replay": Replay(memory, repeated),  # type: ignore[arg-type]  # a tree prefix
         "action_keys": spread,
+        "action_noise": spread,
         "replay_keys": spread,
     }
     return dataclasses.replace(state, **specs)
@@ -167,7 +174,7 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
             f"buffer_size must be at least the decisions of one update, {decisions}, "
             f"got {config.buffer_size}"
         )
-    check_fractions(config, "discount", "target_rate")
+    check_fractions(config, "discount", "target_rate", "noise_correlation")
     check_positive(config, "reward_scale", "observation_limit")
     check_not_negative(config, "learning_starts")
 

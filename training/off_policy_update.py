@@ -44,6 +44,10 @@ def act_and_remember(
 ) -> tuple[OffPolicyState, Metrics]:
     """Acts with the newest policy; before `learning_starts` uniformly at random.
 
+    In each environment the noise is an autoregressive process,
+    z <- c z + sqrt(1 - c^2) white, with c the `noise_correlation`: at every decision
+    standard normal, but slow enough to carry an arm somewhere.
+
     Args:
         state: the train state.
         act: (normalised observation, standard normal noise) -> action, on a batch.
@@ -59,8 +63,11 @@ def act_and_remember(
     phase = restart_phase(state.env, config, state.updates)
 
     def step(
-        environments: VectorState, noise: Float[Array, "num_envs action"]
-    ) -> tuple[VectorState, tuple[Transition, EpisodeRecord]]:
+        carry: tuple[VectorState, Array], white: Float[Array, "num_envs action"]
+    ) -> tuple[tuple[VectorState, Array], tuple[Transition, EpisodeRecord]]:
+        environments, noise = carry
+        kept = config.noise_correlation
+        noise = kept * noise + jnp.sqrt(1 - kept**2) * white
         observation = environments.observation
         # The distribution function of the normal makes uniform noise of it.
         blind = jax.scipy.special.erf(noise * 0.5**0.5)
@@ -71,7 +78,7 @@ def act_and_remember(
         environments, outcome = environment.step(
             environments, action, state.env_params, restart_phase=phase
         )
-        return environments, (
+        return (environments, noise), (
             Transition(
                 observation=observation,
                 action=action,
@@ -83,14 +90,15 @@ def act_and_remember(
         )
 
     shape = (config.rollout_steps, state.env.action_size)
-    noise = _normal(_keys_of_update(state.action_keys, state), state, shape)
-    environments, (steps, episodes) = jax.lax.scan(
-        step, state.environments, jnp.swapaxes(noise, 0, 1)
+    white = _normal(_keys_of_update(state.action_keys, state), state, shape)
+    (environments, noise), (steps, episodes) = jax.lax.scan(
+        step, (state.environments, state.action_noise), jnp.swapaxes(white, 0, 1)
     )
     seen = steps.observation.reshape(-1, steps.observation.shape[-1])
     state = dataclasses.replace(
         state,
         environments=environments,
+        action_noise=noise,
         replay=remember(state.replay, steps),
         moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
     )

@@ -69,6 +69,8 @@ class TD3Config:
             `jaxrod.training.short_episodes`.
         short_length: control steps of such an episode.
         learning_starts: control steps acted at random before anything is learned.
+        noise_correlation: of the noise of actions from one decision to the next, at
+            random and then: at 0 white, near 1 slow, and then it explores further.
         policy_learning_rate: step size of Adam for the policy.
         critic_learning_rate: step size of Adam for the critics.
         discount: gamma.
@@ -92,6 +94,7 @@ class TD3Config:
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     spread_phases: bool = static(default=True)
     learning_starts: Scalar = 10_000.0
+    noise_correlation: Scalar = 0.0
     policy_learning_rate: Scalar = 1e-3
     critic_learning_rate: Scalar = 1e-3
     discount: Scalar = 0.99

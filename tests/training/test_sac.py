@@ -276,6 +276,34 @@ def test_policy_is_tanh_of_the_mean(six_updates):
     )
 
 
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_noise_stays_as_similar_as_was_asked_for(correlation):
+    config = dataclasses.replace(
+        SMALL,
+        num_envs=64,
+        rollout_steps=30,
+        batch_size=64,
+        buffer_size=64 * 60,
+        learning_starts=1e6,
+        noise_correlation=correlation,
+    )
+    state = sac.init(jax.random.key(0), Trivial(), config)
+    for _ in range(2):
+        state, _ = UPDATE(state)
+    # Acting at random is the distribution function of the noise.
+    action = np.asarray(state.replay.transitions.action)[..., 0]
+    noise = np.asarray(jax.scipy.special.erfinv(action)) * 2**0.5
+    np.testing.assert_allclose(noise[-1], state.action_noise[:, 0], rtol=1e-6)
+    # Standard errors of what follows: 0.03 and less, of one decision's 64 0.09.
+    assert noise.std() == pytest.approx(1, abs=0.1)
+    fresh = (noise[1:] - correlation * noise[:-1]) / (1 - correlation**2) ** 0.5
+    assert fresh.std() == pytest.approx(1, abs=0.05)
+    assert np.mean(noise[:-1] * fresh) == pytest.approx(0, abs=0.06)
+    # The same from the first update to the second.
+    assert fresh[29].std() == pytest.approx(1, abs=0.3)
+    assert np.mean(noise[29] * fresh[29]) == pytest.approx(0, abs=0.4)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -285,6 +313,7 @@ def test_policy_is_tanh_of_the_mean(six_updates):
         ("buffer_size", 15),
         ("learning_starts", -1.0),
         ("target_rate", 1.5),
+        ("noise_correlation", -0.1),
         ("initial_temperature", 0.0),
         ("policy_learning_rate", -1e-3),
         ("critic_learning_rate", float("nan")),
