@@ -70,6 +70,28 @@ def test_an_unhealthy_clean_arm_is_frozen_and_truncated_not_punished(name):
     np.testing.assert_array_equal(after.arm.positions, state.arm.positions)
 
 
+# The arm's radius is 5 cm. In the maze it cannot touch an obstacle it does not look at;
+# in the nest only where it overlaps with five at once, by some two centimetres.
+@pytest.mark.parametrize(
+    ("name", "clearance"), [("structured", 0.10), ("unstructured", 0.03)]
+)
+def test_obstacles_an_arm_does_not_look_at_are_out_of_its_way(name, clearance):
+    env = make(name, variant="clean")
+    params = env.default_params()
+    (touch,) = params.arm.obstacles
+    rng = np.random.default_rng(0)
+    reached = rng.uniform(-1.2, 1.2, (3, 300_000)) + np.reshape([0, 0.5, 0], (3, 1))
+    if name == "structured":
+        reached[1] = 0.5
+    points = tuple(jnp.asarray(c) for c in reached)
+    distances = jax.vmap(lambda body: body.surface(points)[0])(touch.body)
+    ordered = jnp.sort(distances, axis=0)
+    ordered = ordered[:, ordered[0] > 0]  # the centreline stays out of obstacles
+    nearest = params.arm.nearest
+    assert jnp.min(ordered[nearest]) > clearance
+    assert jnp.min(ordered[1]) < 0.05  # it can touch two
+
+
 def touching_at_rest(env, towards):
     """Numbers of a task whose obstacles are moved until one touches the arm."""
     params = env.default_params()
