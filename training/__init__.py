@@ -15,12 +15,15 @@ from jaxrod.training.algorithm import (
 from jaxrod.training.ddpg import DDPG, DDPGConfig
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.loop import train
+from jaxrod.training.off_policy import OffPolicyConfig
+from jaxrod.training.on_policy import OnPolicyConfig
 from jaxrod.training.policy import Policy, load_policy, save_policy
 from jaxrod.training.ppo import PPO, PPOConfig
 from jaxrod.training.run import Result
 from jaxrod.training.run_folder import RunFolder
 from jaxrod.training.sac import SAC, SACConfig
 from jaxrod.training.seeds import train_seeds
+from jaxrod.training.settings import LearnerConfig
 from jaxrod.training.td3 import TD3, TD3Config
 from jaxrod.training.trajectory_optimisation import (
     UnreachableTargetWarning,
@@ -39,7 +42,10 @@ __all__ = [
     "Algorithm",
     "DDPGConfig",
     "Evaluation",
+    "LearnerConfig",
     "Metrics",
+    "OffPolicyConfig",
+    "OnPolicyConfig",
     "PPOConfig",
     "Policy",
     "Result",

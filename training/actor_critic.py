@@ -15,8 +15,7 @@ from jaxrod.envs import Environment
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.networks import MultilayerPerceptron
 from jaxrod.training.replay import Transition
-
-Scalar = float | Float[Array, ""]
+from jaxrod.training.settings import Scalar
 
 ACTIVATION = "relu"
 """Of all hidden layers, as in the reference implementation."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 
 from jaxrod._pytree import pytree, static
-from jaxrod.training.actor_critic import Scalar
+from jaxrod.training.settings import Scalar
 from jaxrod.training.td3 import TD3, TD3Config
 
 

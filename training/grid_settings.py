@@ -66,9 +66,9 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
     "reaching": {
         "ppo": Planned(10_000_000),
         "trpo": Planned(10_000_000, _PLENTIFUL_TRPO),
-        "sac": Planned(10_000_000),
-        "td3": Planned(10_000_000),
-        "ddpg": Planned(10_000_000),
+        "sac": Planned(3_000_000),
+        "td3": Planned(3_000_000),
+        "ddpg": Planned(3_000_000),
     },
     "structured": {
         "ppo": Planned(

@@ -29,20 +29,46 @@ from jaxrod.training.policy import Policy
 from jaxrod.training.preparation import prepare, strong
 from jaxrod.training.replay import Replay, empty_replay
 from jaxrod.training.settings import (
+    LearnerConfig,
+    Scalar,
     check_counts,
     check_fractions,
+    check_learner,
     check_not_negative,
     check_positive,
-    check_sizes,
 )
 from jaxrod.training.short_episodes import restart_phase
 
-OffPolicyConfig = Any
-"""A configuration with at least the sizes `num_envs`, `rollout_steps`,
-`action_repeat`, `gradient_steps`, `batch_size`, `buffer_size`, `hidden_sizes` and
-`spread_phases` (static) and the numbers `learning_starts`, `noise_correlation`,
-`discount`, `target_rate`, `reward_scale`, `observation_limit`, `short_steps` and
-`short_length` (traced); see `jaxrod.training.SACConfig` for what they mean."""
+
+@pytree
+class OffPolicyConfig(LearnerConfig):
+    """What SAC, TD3 and DDPG can all be told, beside `LearnerConfig`.
+
+    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
+    by default one for every 16.
+
+    Attributes:
+        gradient_steps: gradient steps of one update, those of the critics.
+        batch_size: transitions of one gradient step, a multiple of `num_envs`.
+        buffer_size: transitions remembered, at most.
+        learning_starts: control steps acted at random before anything is learned.
+        noise_correlation: of the noise of actions from one decision to the next, at
+            random and then: at 0 white, near 1 slow, and then it explores further.
+        policy_learning_rate: step size of Adam for the policy.
+        critic_learning_rate: step size of Adam for the critics.
+        target_rate: the targets go this part of the way to what they follow each
+            time they move.
+    """
+
+    rollout_steps: int = static(default=8)
+    gradient_steps: int = static(default=64)
+    batch_size: int = static(default=256)
+    buffer_size: int = static(default=1_000_000)
+    learning_starts: Scalar = 10_000.0
+    noise_correlation: Scalar = 0.0
+    policy_learning_rate: Scalar = 1e-3
+    critic_learning_rate: Scalar = 1e-3
+    target_rate: Scalar = 0.005
 
 
 @pytree
@@ -81,14 +107,14 @@ def start(
     env: Environment,
     config: OffPolicyConfig,
     env_params: Any,
-    make_learner: Callable[[Key[Array, ""], OffPolicyConfig, Any], Learner],
+    make_learner: Callable[[Key[Array, ""], Any, Any], Learner],
 ) -> OffPolicyState:
     """The train state before the first update.
 
     Args:
         key: typed random key; all randomness of the run comes from it.
         env: the environment.
-        config: an `OffPolicyConfig`.
+        config: of the learner that is made.
         env_params: parameters of the environment, None for its own.
         make_learner: `(key, config, dtype) -> Learner`.
     """
@@ -161,7 +187,7 @@ def deterministic_policy(state: OffPolicyState) -> Policy:
 
 def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
     """Raises ValueError if a size or number does not make sense."""
-    check_sizes(config, num_devices)
+    check_learner(config, num_devices)
     check_counts(config, "gradient_steps", "batch_size")
     if config.batch_size % config.num_envs:
         raise ValueError(
@@ -174,8 +200,8 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
             f"buffer_size must be at least the decisions of one update, {decisions}, "
             f"got {config.buffer_size}"
         )
-    check_fractions(config, "discount", "target_rate", "noise_correlation")
-    check_positive(config, "reward_scale", "observation_limit")
+    check_fractions(config, "target_rate", "noise_correlation")
+    check_positive(config, "policy_learning_rate", "critic_learning_rate")
     check_not_negative(config, "learning_starts")
 
 

@@ -32,21 +32,29 @@ from jaxrod.training.policy import Policy
 from jaxrod.training.preparation import prepare, strong
 from jaxrod.training.rollout import collect
 from jaxrod.training.settings import (
+    LearnerConfig,
+    Scalar,
     check_finite,
     check_fractions,
-    check_positive,
-    check_sizes,
+    check_learner,
+    check_not_negative,
 )
 from jaxrod.training.short_episodes import restart_phase
 
-Scalar = float | Float[Array, ""]
 
+@pytree
+class OnPolicyConfig(LearnerConfig):
+    """What PPO and TRPO can both be told, beside `LearnerConfig`.
 
-OnPolicyConfig = Any
-"""A configuration with at least the sizes `num_envs`, `rollout_steps`,
-`action_repeat`, `hidden_sizes` and `spread_phases` (static) and the numbers `discount`,
-`trace_decay`, `reward_scale`, `observation_limit`, `initial_log_std`, `short_steps` and
-`short_length` (traced); see `jaxrod.training.PPOConfig` for what they mean."""
+    Attributes:
+        trace_decay: lambda of the advantage estimate.
+        entropy_weight: weight of the entropy bonus.
+        initial_log_std: log of the standard deviation of the first actions.
+    """
+
+    trace_decay: Scalar = 0.95
+    entropy_weight: Scalar = 0.0
+    initial_log_std: Scalar = 0.0
 
 
 @pytree
@@ -273,9 +281,9 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     """Raises ValueError if a size or number does not make sense."""
-    check_sizes(config, num_devices)
-    check_fractions(config, "discount", "trace_decay")
-    check_positive(config, "reward_scale", "observation_limit")
+    check_learner(config, num_devices)
+    check_fractions(config, "trace_decay")
+    check_not_negative(config, "entropy_weight")
     check_finite(config, "initial_log_std")
 
 

@@ -22,8 +22,8 @@ from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.on_policy import (
     Experience,
+    OnPolicyConfig,
     OnPolicyState,
-    Scalar,
     along_the_run,
     check_on_policy,
     deterministic_policy,
@@ -35,6 +35,7 @@ from jaxrod.training.on_policy import (
     value_network,
 )
 from jaxrod.training.settings import (
+    Scalar,
     check_counts,
     check_not_negative,
     check_positive,
@@ -42,54 +43,27 @@ from jaxrod.training.settings import (
 
 
 @pytree
-class PPOConfig:
-    """Settings of PPO. Numbers are traced: change them, and nothing recompiles.
+class PPOConfig(OnPolicyConfig):
+    """Settings of PPO: these, those of `OnPolicyConfig` and those of `LearnerConfig`.
 
     Attributes:
-        num_envs: environments acting side by side.
-        rollout_steps: decisions of each environment in one update.
-        action_repeat: control steps for which every action is held.
         epochs: passes over the experience of one update.
         minibatches: gradient steps of one pass; divides `rollout_steps`.
-        hidden_sizes: widths of the hidden layers of both networks.
-        spread_phases: start the first episodes in mid-course, see
-            `jaxrod.envs.VectorEnvironment`.
-        short_steps: control steps of the run in which episodes are cut short, see
-            `jaxrod.training.short_episodes`.
-        short_length: control steps of such an episode.
         learning_rate: step size of Adam at the start.
         final_learning_rate: step size at the end, reached linearly.
         clip: the probability ratio is of no more use outside 1 +- this.
-        discount: gamma.
-        trace_decay: lambda of the advantage estimate.
-        reward_scale: rewards are multiplied by this before they are learned.
         value_weight: weight of the value loss.
-        entropy_weight: weight of the entropy bonus.
         gradient_norm: the gradient is scaled down to this norm.
-        initial_log_std: log of the standard deviation of the first actions.
-        observation_limit: normalised observations are clipped to +- this.
     """
 
-    num_envs: int = static(default=128)
-    rollout_steps: int = static(default=128)
-    action_repeat: int = static(default=1)
     epochs: int = static(default=8)
     minibatches: int = static(default=8)
-    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    spread_phases: bool = static(default=True)
     learning_rate: Scalar = 1e-3
     final_learning_rate: Scalar = 5e-5
     clip: Scalar = 0.2
     discount: Scalar = 0.98
-    trace_decay: Scalar = 0.95
-    reward_scale: Scalar = 0.1
     value_weight: Scalar = 0.5
-    entropy_weight: Scalar = 0.0
     gradient_norm: Scalar = 0.5
-    initial_log_std: Scalar = 0.0
-    observation_limit: Scalar = 10.0
-    short_steps: Scalar = 0.0
-    short_length: Scalar = 500.0
 
 
 def validate(config: PPOConfig, num_devices: int = 1) -> None:
@@ -108,7 +82,7 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
     check_positive(
         config, "learning_rate", "final_learning_rate", "clip", "gradient_norm"
     )
-    check_not_negative(config, "value_weight", "entropy_weight")
+    check_not_negative(config, "value_weight")
 
 
 def init(

@@ -11,11 +11,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
-from jaxrod._pytree import pytree, static
+from jaxrod._pytree import pytree
 from jaxrod.envs import Environment
 from jaxrod.training.actor_critic import (
     Learner,
-    Scalar,
     critic_loss,
     critic_values,
     descend,
@@ -26,6 +25,7 @@ from jaxrod.training.actor_critic import (
 )
 from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.off_policy import (
+    OffPolicyConfig,
     OffPolicyState,
     check_off_policy,
     deterministic_policy,
@@ -33,67 +33,24 @@ from jaxrod.training.off_policy import (
     start,
 )
 from jaxrod.training.off_policy_update import Batch, act_and_remember, learn
-from jaxrod.training.settings import check_finite, check_positive
+from jaxrod.training.settings import Scalar, check_finite, check_positive
 from jaxrod.training.squashed_gaussian import split_output, squash
 
 
 @pytree
-class SACConfig:
-    """Settings of SAC. Numbers are traced: change them, and nothing recompiles.
-
-    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
-    by default one for every 16.
+class SACConfig(OffPolicyConfig):
+    """Settings of SAC: these, those of `OffPolicyConfig` and those of `LearnerConfig`.
 
     Attributes:
-        num_envs: environments acting side by side.
-        rollout_steps: decisions of each environment in one update.
-        action_repeat: control steps for which every action is held.
-        gradient_steps: gradient steps of one update.
-        batch_size: transitions of one gradient step, a multiple of `num_envs`.
-        buffer_size: transitions remembered, at most.
-        hidden_sizes: widths of the hidden layers of all networks.
-        spread_phases: start the first episodes in mid-course, see
-            `jaxrod.envs.VectorEnvironment`.
-        short_steps: control steps of the run in which episodes are cut short, see
-            `jaxrod.training.short_episodes`.
-        short_length: control steps of such an episode.
-        learning_starts: control steps acted at random before anything is learned.
-        noise_correlation: of the noise of actions from one decision to the next, at
-            random and then: at 0 white, near 1 slow, and then it explores further.
-        policy_learning_rate: step size of Adam for the policy.
-        critic_learning_rate: step size of Adam for the critics.
         temperature_learning_rate: step size of Adam for the temperature.
-        discount: gamma.
-        target_rate: the target critics go this part of the way to the critics in
-            every gradient step.
         initial_temperature: weight of the entropy at the start.
         entropy_per_action: the temperature is moved until the policy's entropy is
             this number times the number of actions.
-        reward_scale: rewards are multiplied by this before they are learned.
-        observation_limit: normalised observations are clipped to +- this.
     """
 
-    num_envs: int = static(default=128)
-    rollout_steps: int = static(default=8)
-    action_repeat: int = static(default=1)
-    gradient_steps: int = static(default=64)
-    batch_size: int = static(default=256)
-    buffer_size: int = static(default=1_000_000)
-    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    spread_phases: bool = static(default=True)
-    learning_starts: Scalar = 10_000.0
-    noise_correlation: Scalar = 0.0
-    policy_learning_rate: Scalar = 1e-3
-    critic_learning_rate: Scalar = 1e-3
     temperature_learning_rate: Scalar = 3e-3
-    discount: Scalar = 0.99
-    target_rate: Scalar = 0.005
     initial_temperature: Scalar = 0.02
     entropy_per_action: Scalar = -1.0
-    reward_scale: Scalar = 0.1
-    observation_limit: Scalar = 10.0
-    short_steps: Scalar = 0.0
-    short_length: Scalar = 500.0
 
 
 def validate(config: SACConfig, num_devices: int = 1) -> None:
@@ -103,13 +60,7 @@ def validate(config: SACConfig, num_devices: int = 1) -> None:
         ValueError: with the name and the value of what is wrong.
     """
     check_off_policy(config, num_devices)
-    check_positive(
-        config,
-        "policy_learning_rate",
-        "critic_learning_rate",
-        "temperature_learning_rate",
-        "initial_temperature",
-    )
+    check_positive(config, "temperature_learning_rate", "initial_temperature")
     check_finite(config, "entropy_per_action")
 
 

@@ -1,11 +1,54 @@
-"""Checks of a learner's settings, on the host, before anything is compiled."""
+"""The settings that all learners have, and the checks of settings.
+
+Checks run on the host, before anything is compiled.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+from jaxtyping import Array, Float
+
+from jaxrod._pytree import pytree, static
+
+Scalar = float | Float[Array, ""]
+"""A number of a configuration, before and after it is traced."""
+
 Settings = Any
 """A configuration: a pytree with the fields that are named."""
+
+
+@pytree
+class LearnerConfig:
+    """What every learner can be told. Numbers are traced: to change them is free.
+
+    Learners have defaults of their own for some of these.
+
+    Attributes:
+        num_envs: environments acting side by side.
+        rollout_steps: decisions of each environment in one update.
+        action_repeat: control steps for which every action is held.
+        hidden_sizes: widths of the hidden layers of all networks.
+        spread_phases: start the first episodes in mid-course, see
+            `jaxrod.envs.VectorEnvironment`.
+        discount: gamma.
+        reward_scale: rewards are multiplied by this before they are learned.
+        observation_limit: normalised observations are clipped to +- this.
+        short_steps: control steps of the run in which episodes are cut short, see
+            `jaxrod.training.short_episodes`.
+        short_length: control steps of such an episode.
+    """
+
+    num_envs: int = static(default=128)
+    rollout_steps: int = static(default=128)
+    action_repeat: int = static(default=1)
+    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
+    spread_phases: bool = static(default=True)
+    discount: Scalar = 0.99
+    reward_scale: Scalar = 0.1
+    observation_limit: Scalar = 10.0
+    short_steps: Scalar = 0.0
+    short_length: Scalar = 500.0
 
 
 def check_counts(config: Settings, *names: str) -> None:
@@ -15,15 +58,16 @@ def check_counts(config: Settings, *names: str) -> None:
             raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
 
 
-def check_sizes(config: Settings, num_devices: int) -> None:
-    """Checks what every learner has: a batch, a rollout, networks.
+def check_learner(config: LearnerConfig, num_devices: int) -> None:
+    """Checks what every learner has.
 
     Raises:
         ValueError: with the name and the value of what is wrong.
     """
     check_counts(config, "num_envs", "rollout_steps", "action_repeat")
+    check_fractions(config, "discount")
     check_not_negative(config, "short_steps")
-    check_positive(config, "short_length")
+    check_positive(config, "reward_scale", "observation_limit", "short_length")
     if config.num_envs % num_devices:
         raise ValueError(
             f"num_envs must be a multiple of the number of devices, {num_devices}, "

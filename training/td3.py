@@ -20,7 +20,6 @@ from jaxrod._pytree import pytree, static
 from jaxrod.envs import Environment
 from jaxrod.training.actor_critic import (
     Learner,
-    Scalar,
     critic_loss,
     critic_values,
     descend,
@@ -31,6 +30,7 @@ from jaxrod.training.actor_critic import (
 )
 from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.off_policy import (
+    OffPolicyConfig,
     OffPolicyState,
     check_off_policy,
     deterministic_policy,
@@ -39,73 +39,30 @@ from jaxrod.training.off_policy import (
 )
 from jaxrod.training.off_policy_update import Batch, act_and_remember, learn
 from jaxrod.training.settings import (
+    Scalar,
     check_counts,
     check_not_negative,
-    check_positive,
 )
 
 
 @pytree
-class TD3Config:
-    """Settings of TD3. Numbers are traced: change them, and nothing recompiles.
-
-    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
-    by default one for every 16.
+class TD3Config(OffPolicyConfig):
+    """Settings of TD3: these, those of `OffPolicyConfig` and those of `LearnerConfig`.
 
     Attributes:
-        num_envs: environments acting side by side.
-        rollout_steps: decisions of each environment in one update.
-        action_repeat: control steps for which every action is held.
-        gradient_steps: gradient steps of one update, those of the critics.
         policy_delay: critic steps for one of the policy and the targets; divides
             `gradient_steps`.
         critics: number of critics; the smallest value is believed.
-        batch_size: transitions of one gradient step, a multiple of `num_envs`.
-        buffer_size: transitions remembered, at most.
-        hidden_sizes: widths of the hidden layers of all networks.
-        spread_phases: start the first episodes in mid-course, see
-            `jaxrod.envs.VectorEnvironment`.
-        short_steps: control steps of the run in which episodes are cut short, see
-            `jaxrod.training.short_episodes`.
-        short_length: control steps of such an episode.
-        learning_starts: control steps acted at random before anything is learned.
-        noise_correlation: of the noise of actions from one decision to the next, at
-            random and then: at 0 white, near 1 slow, and then it explores further.
-        policy_learning_rate: step size of Adam for the policy.
-        critic_learning_rate: step size of Adam for the critics.
-        discount: gamma.
-        target_rate: the targets go this part of the way to what they follow each
-            time the policy moves.
         exploration_noise: standard deviation of what is added to actions.
         target_noise: standard deviation of the blur of the actions that follow.
         target_noise_limit: that blur is clipped to +- this.
-        reward_scale: rewards are multiplied by this before they are learned.
-        observation_limit: normalised observations are clipped to +- this.
     """
 
-    num_envs: int = static(default=128)
-    rollout_steps: int = static(default=8)
-    action_repeat: int = static(default=1)
-    gradient_steps: int = static(default=64)
     policy_delay: int = static(default=2)
     critics: int = static(default=2)
-    batch_size: int = static(default=256)
-    buffer_size: int = static(default=1_000_000)
-    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    spread_phases: bool = static(default=True)
-    learning_starts: Scalar = 10_000.0
-    noise_correlation: Scalar = 0.0
-    policy_learning_rate: Scalar = 1e-3
-    critic_learning_rate: Scalar = 1e-3
-    discount: Scalar = 0.99
-    target_rate: Scalar = 0.005
     exploration_noise: Scalar = 0.1
     target_noise: Scalar = 0.2
     target_noise_limit: Scalar = 0.5
-    reward_scale: Scalar = 0.1
-    observation_limit: Scalar = 10.0
-    short_steps: Scalar = 0.0
-    short_length: Scalar = 500.0
 
 
 def validate(config: TD3Config, num_devices: int = 1) -> None:
@@ -121,7 +78,6 @@ def validate(config: TD3Config, num_devices: int = 1) -> None:
             f"policy_delay must divide gradient_steps, {config.gradient_steps}, "
             f"got {config.policy_delay}"
         )
-    check_positive(config, "policy_learning_rate", "critic_learning_rate")
     check_not_negative(
         config, "exploration_noise", "target_noise", "target_noise_limit"
     )

@@ -22,8 +22,8 @@ from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.device_mean import mean_over_devices
 from jaxrod.training.on_policy import (
     Experience,
+    OnPolicyConfig,
     OnPolicyState,
-    Scalar,
     along_the_run,
     check_on_policy,
     deterministic_policy,
@@ -35,6 +35,7 @@ from jaxrod.training.on_policy import (
     value_network,
 )
 from jaxrod.training.settings import (
+    Scalar,
     check_counts,
     check_fractions,
     check_not_negative,
@@ -49,19 +50,10 @@ from jaxrod.training.trust_region import (
 
 
 @pytree
-class TRPOConfig:
-    """Settings of TRPO. Numbers are traced: change them, and nothing recompiles.
+class TRPOConfig(OnPolicyConfig):
+    """Settings of TRPO: these, those of `OnPolicyConfig` and those of `LearnerConfig`.
 
     Attributes:
-        num_envs: environments acting side by side.
-        rollout_steps: decisions of each environment in one update.
-        action_repeat: control steps for which every action is held.
-        hidden_sizes: widths of the hidden layers of both networks.
-        spread_phases: start the first episodes in mid-course, see
-            `jaxrod.envs.VectorEnvironment`.
-        short_steps: control steps of the run in which episodes are cut short, see
-            `jaxrod.training.short_episodes`.
-        short_length: control steps of such an episode.
         conjugate_iterations: products with the Fisher matrix in one update.
         fisher_stride: the Fisher matrix is that of every so many-th time step.
         line_search_tries: lengths of the step tried before it is given up.
@@ -72,20 +64,10 @@ class TRPOConfig:
         final_max_kl: and this much in the last one; in between the bound goes linearly.
         damping: added to the Fisher matrix times the identity.
         line_search_shrink: factor between one length of the step and the next.
-        discount: gamma.
-        trace_decay: lambda of the advantage estimate.
-        reward_scale: rewards are multiplied by this before they are learned.
-        entropy_weight: weight of the entropy bonus.
         value_learning_rate: step size of Adam for the value network.
-        initial_log_std: log of the standard deviation of the first actions.
-        observation_limit: normalised observations are clipped to +- this.
     """
 
-    num_envs: int = static(default=128)
     rollout_steps: int = static(default=64)
-    action_repeat: int = static(default=1)
-    hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    spread_phases: bool = static(default=True)
     conjugate_iterations: int = static(default=10)
     fisher_stride: int = static(default=5)
     line_search_tries: int = static(default=10)
@@ -95,15 +77,8 @@ class TRPOConfig:
     final_max_kl: Scalar = 0.01
     damping: Scalar = 0.01
     line_search_shrink: Scalar = 0.5
-    discount: Scalar = 0.99
     trace_decay: Scalar = 0.98
-    reward_scale: Scalar = 0.1
-    entropy_weight: Scalar = 0.0
     value_learning_rate: Scalar = 1e-3
-    initial_log_std: Scalar = 0.0
-    observation_limit: Scalar = 10.0
-    short_steps: Scalar = 0.0
-    short_length: Scalar = 500.0
 
 
 def validate(config: TRPOConfig, num_devices: int = 1) -> None:
@@ -129,7 +104,7 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
     check_fractions(config, "line_search_shrink")
     check_positive(config, "max_kl", "final_max_kl")
     check_positive(config, "value_learning_rate", "line_search_shrink")
-    check_not_negative(config, "damping", "entropy_weight")
+    check_not_negative(config, "damping")
 
 
 def init(

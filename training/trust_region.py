@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod._pytree import pytree
+from jaxrod.training.settings import Scalar
 
 Vector = Float[Array, " parameters"]
-Scalar = float | Float[Array, ""]
 
 
 def fisher_product(
