@@ -102,9 +102,16 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
                 "short_length": 500.0,
             },
         ),
-        "sac": Planned(500_000, _SCARCE_OFF_POLICY),
+        "sac": Planned(500_000, {**_SCARCE_OFF_POLICY, "noise_correlation": 0.95}),
         "td3": Planned(500_000, _SCARCE_OFF_POLICY),
-        "ddpg": Planned(500_000, _SCARCE_OFF_POLICY),
+        "ddpg": Planned(
+            500_000,
+            {
+                **_SCARCE_OFF_POLICY,
+                "noise_correlation": 0.95,
+                "exploration_noise": 0.3,
+            },
+        ),
     },
     "unstructured": {
         "ppo": Planned(
