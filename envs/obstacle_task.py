@@ -49,7 +49,7 @@ SIZES: dict[Variant, tuple[int, int]] = {
 }
 """Elements and simulation steps per control step, unless asked for otherwise.
 
-"clean" has more of both than accuracy asks for (docs/clean_settings.md), so that
+"clean" has more elements than accuracy asks for (docs/clean_settings.md), so that
 nothing passes between two nodes of an arm that the strongest actions stretch.
 """
 CONTROL_STEPS = 3571

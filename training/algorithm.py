@@ -68,6 +68,20 @@ class Algorithm:
     partition: Callable[[Any], Any]
     policy: Callable[[Any], Policy]
 
+    def checked(self, config: Any) -> Any:
+        """A configuration of this algorithm, its defaults for None.
+
+        Raises:
+            ValueError: it is of another algorithm.
+        """
+        config = self.config_type() if config is None else config
+        if not isinstance(config, self.config_type):
+            raise ValueError(
+                f"config must be a {self.config_type.__name__} for {self.name}, "
+                f"got {type(config).__name__}"
+            )
+        return config
+
 
 _ALGORITHMS = {
     "ddpg": "jaxrod.training.ddpg:DDPG",

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrod.envs import Environment
+from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.run import Result, Run
 from jaxrod.training.run_folder import RunFolder, differences
@@ -54,7 +54,7 @@ def train(
         env_params: parameters of the environment, None for its own.
         env_options: how the environment was made, `make(env.name,
             **env_options)`; recorded. "variant" among them is repeated in the
-            summary.
+            summary. None for what distinguishes `env` from `make(env.name)`.
         resume: continue the run in `out`.
         overwrite: replace the run in `out`.
         score_window: `final_score` is the mean return of this many last
@@ -74,12 +74,7 @@ def train(
         FloatingPointError: learning diverged; the checkpoints are from before.
     """
     learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
-    config = learner.config_type() if config is None else config
-    if not isinstance(config, learner.config_type):
-        raise ValueError(
-            f"config must be a {learner.config_type.__name__} for {learner.name}, "
-            f"got {type(config).__name__}"
-        )
+    config = learner.checked(config)
     devices = jax.devices() if devices is None else devices
     if not devices:
         raise ValueError("devices must hold at least one device, got none")
@@ -142,7 +137,7 @@ def _describe(
     score_window: int,
 ) -> dict[str, Any]:
     """What was asked for, as `config.json` keeps it."""
-    options = dict(env_options or {})
+    options = _options(env) if env_options is None else dict(env_options)
     settings = {
         field.name: getattr(config, field.name) for field in dataclasses.fields(config)
     }
@@ -156,6 +151,25 @@ def _describe(
         "score_window": score_window,
         "settings": {name: _plain(value) for name, value in settings.items()},
     }
+
+
+def _options(env: Any) -> dict[str, Any]:
+    """What `make` needs to be told beside the name to make this environment.
+
+    The fields of the library's tasks are called like the options they are made with.
+    """
+    if env.name not in names():
+        return {}
+    variant = {"variant": env.variant} if hasattr(env, "variant") else {}
+    usual: Any = make(env.name, **variant)
+    if type(env) is not type(usual):
+        return variant
+    chosen = {
+        field.name: getattr(env, field.name)
+        for field in dataclasses.fields(usual)
+        if getattr(env, field.name) != getattr(usual, field.name)
+    }
+    return {**variant, **chosen}
 
 
 def _plain(value: Any) -> Any:

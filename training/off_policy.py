@@ -52,8 +52,8 @@ class OffPolicyConfig(LearnerConfig):
         batch_size: transitions of one gradient step, a multiple of `num_envs`.
         buffer_size: transitions remembered, at most.
         learning_starts: control steps acted at random before anything is learned.
-        noise_correlation: of the noise of actions from one decision to the next, at
-            random and then: at 0 white, near 1 slow, and then it explores further.
+        noise_correlation: of the noise of actions from one decision to the next: at 0
+            white, near 1 slow, and then it explores further. Below 1.
         policy_learning_rate: step size of Adam for the policy.
         critic_learning_rate: step size of Adam for the critics.
         target_rate: the targets go this part of the way to what they follow each
@@ -201,6 +201,8 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
             f"got {config.buffer_size}"
         )
     check_fractions(config, "target_rate", "noise_correlation")
+    if config.noise_correlation == 1:
+        raise ValueError("noise_correlation must be less than 1, got 1.0: frozen noise")
     check_positive(config, "policy_learning_rate", "critic_learning_rate")
     check_not_negative(config, "learning_starts")
 

@@ -88,7 +88,8 @@ class Run:
 
         # The mesh first: it fails at once where the devices do not fit.
         self.mesh = device_mesh(devices)
-        start = jax.jit(learner.init, static_argnums=1)
+        # Static, for 32 bits do not hold the control steps of a very long run.
+        start = jax.jit(learner.init, static_argnums=(1, 4))
         key = jax.random.key(asked["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
         if resume and self.checkpoints and self.checkpoints.latest_step() is not None:
@@ -225,6 +226,7 @@ class Run:
         """Goes back to the last checkpoint, and the tables with it."""
         assert self.checkpoints and self.folder
         state, facts = self.checkpoints.restore(template)
+        _check_same_task(state.env_params, template.env_params)
         self.done = facts["updates"]
         self.wall_s = self.wall_before = facts["wall_s"]
         self.rows_before = facts["progress_rows"]
@@ -261,3 +263,16 @@ class Run:
             "jax_version": jax.__version__,
             "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
         }
+
+
+def _check_same_task(stored: Any, given: Any) -> None:
+    """Raises ValueError unless all numbers of an environment are what they were."""
+    for (path, was), now in zip(
+        jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
+    ):
+        # A run in single precision may be looked at in double.
+        if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
+            raise ValueError(
+                "resume needs the env_params that the run was started with; "
+                f"{jax.tree_util.keystr(path)} is another"
+            )

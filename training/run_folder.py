@@ -6,6 +6,8 @@ episodes.csv    one row per complete training episode, in order of completion
 summary.json    the result
 checkpoints/    to continue from
 policy/         the trained policy, see `jaxrod.training.load_policy`
+
+The command line draws learning_curve.png and replay.html beside them.
 """
 
 from __future__ import annotations
@@ -19,6 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxrod.training.files import write_atomically
+
+PICTURES = ("learning_curve.png", "replay.html")
+"""What the command line draws of a run."""
 
 
 class Table:
@@ -105,8 +110,8 @@ class RunFolder:
         self._write("summary.json", summary)
 
     def clear(self) -> None:
-        """Removes the run, and nothing that a run did not write."""
-        for name in ("config.json", "summary.json"):
+        """Removes the run and its pictures, and nothing else."""
+        for name in ("config.json", "summary.json", *PICTURES):
             (self.path / name).unlink(missing_ok=True)
         for table in (self.progress, self.episodes):
             table.path.unlink(missing_ok=True)

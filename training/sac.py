@@ -34,7 +34,7 @@ from jaxrod.training.off_policy import (
 )
 from jaxrod.training.off_policy_update import Batch, act_and_remember, learn
 from jaxrod.training.settings import Scalar, check_finite, check_positive
-from jaxrod.training.squashed_gaussian import split_output, squash
+from jaxrod.training.squashed_gaussian import LARGEST_ENTROPY, split_output, squash
 
 
 @pytree
@@ -45,7 +45,7 @@ class SACConfig(OffPolicyConfig):
         temperature_learning_rate: step size of Adam for the temperature.
         initial_temperature: weight of the entropy at the start.
         entropy_per_action: the temperature is moved until the policy's entropy is
-            this number times the number of actions.
+            this number times the number of actions. Below log 2.
     """
 
     temperature_learning_rate: Scalar = 3e-3
@@ -62,6 +62,11 @@ def validate(config: SACConfig, num_devices: int = 1) -> None:
     check_off_policy(config, num_devices)
     check_positive(config, "temperature_learning_rate", "initial_temperature")
     check_finite(config, "entropy_per_action")
+    if config.entropy_per_action >= LARGEST_ENTROPY:
+        raise ValueError(
+            "entropy_per_action must be less than log 2 = 0.693, that of actions "
+            f"spread evenly over [-1, 1], got {config.entropy_per_action}"
+        )
 
 
 def init(

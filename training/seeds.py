@@ -47,7 +47,7 @@ def train_seeds(
         ValueError: an argument or a setting makes no sense.
     """
     learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
-    config = learner.config_type() if config is None else config
+    config = learner.checked(config)
     learner.validate(config, 1)
     if not seeds:
         raise ValueError("seeds must hold at least one seed, got none")

@@ -73,9 +73,10 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
             f"num_envs must be a multiple of the number of devices, {num_devices}, "
             f"got {config.num_envs}"
         )
-    if any(size < 1 for size in config.hidden_sizes):
+    sizes = config.hidden_sizes
+    if not isinstance(sizes, tuple) or any(size < 1 for size in sizes):
         raise ValueError(
-            f"hidden_sizes must all be at least 1, got {config.hidden_sizes}"
+            f"hidden_sizes must be a tuple of sizes of at least 1, got {sizes}"
         )
 
 

@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 
 LOG_STD_LIMITS = (-20.0, 2.0)
 """Bounds of the logarithm of the standard deviation, those of the reference."""
+LARGEST_ENTROPY = math.log(2)
+"""Of an action: what lies in [-1, 1] has no more."""
 
 
 def split_output(

@@ -134,9 +134,12 @@ def _cell(
 
     env = _runs.make_case(task, {"variant": variant} if variant else {})
     learner, planned = find_algorithm(algorithm), GRID[task][algorithm]
-    changed = tuple(
-        f"{name}={_word(value)}" for name, value in planned.settings.items()
-    )
+    wanted = steps if steps is not None else int(planned.steps * (fraction or 1.0))
+    settings: dict[str, Any] = dict(planned.settings)
+    if "short_steps" in settings and wanted < planned.steps:
+        # The same part of a shorter run: an episode must have time to be complete.
+        settings["short_steps"] *= wanted / planned.steps
+    changed = tuple(f"{name}={_word(value)}" for name, value in settings.items())
     config = _settings.configure(learner.config_type(), {}, changed)
     learner.validate(config, 1)
     cell = Cell(
@@ -152,7 +155,6 @@ def _cell(
         },
     )
     per_update = learner.steps_per_update(config)
-    wanted = steps if steps is not None else int(planned.steps * (fraction or 1.0))
     if steps is None and cell.paper is not None:
         # The paper's number or fewer: its runs ended a little before the round one.
         wanted = min(wanted, cell.paper.timesteps)

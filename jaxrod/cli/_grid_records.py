@@ -4,8 +4,9 @@ OUT/cells/CELL.json    how the cell was run, on what, and how it ended
 OUT/curves/CELL.csv    its learning curve, thinned
 OUT/results.csv        one row per cell that ended
 
-A row of results.csv that has no record stays as it is. A cell that diverged has the
-score nan, so that no mean over seeds can hide it.
+A row of results.csv that has no record stays as it is. A cell that diverged, or ended
+before an episode was complete, has the score nan, so that no mean over seeds can hide
+it.
 """
 
 from __future__ import annotations

@@ -110,14 +110,18 @@ def draw_figures(records: Records) -> None:
 def _line(group: Sequence[Record]) -> tuple[str, ...]:
     group = sorted(group, key=lambda record: record["seed"])
     scores = [record["final_score"] for record in group]
+    failed = any(record["status"] == "failed" for record in group)
     mean = None if None in scores else fmean(scores)
     wall = fmean(record["wall_s"] for record in group)
     paper = paper_result(group[0])
     return (
         _name(group[0]),
         " / ".join(sorted({f"{record['env_steps']:,}" for record in group})),
-        _score(mean),
-        ", ".join(f"{r['seed']}: {_score(r['final_score'])}" for r in group),
+        _score(mean, failed),
+        ", ".join(
+            f"{r['seed']}: {_score(r['final_score'], r['status'] == 'failed')}"
+            for r in group
+        ),
         f"{paper.final_mean:,.0f} ± {paper.final_std:,.0f}" if paper else "",
         f"{mean - paper.final_mean:+,.0f}" if paper and mean is not None else "",
         duration(wall),
@@ -132,8 +136,10 @@ def _name(record: Record) -> str:
     return f"{record['case']} {record['algorithm']}{variant}"
 
 
-def _score(score: float | None) -> str:
-    return "failed" if score is None else f"{score:,.0f}"
+def _score(score: float | None, failed: bool) -> str:
+    if score is None:
+        return "failed" if failed else "no episode"
+    return f"{score:,.0f}"
 
 
 def _settings(group: Sequence[Record]) -> str:

@@ -44,12 +44,12 @@ def run_grid(
         jobs: how many cells run side by side, each on its share of the cores.
 
     Returns:
-        Exit code: 0 all cells have a score, 1 some failed, 130 interrupted.
+        Exit code: 0 all cells came to their end, 1 some failed, 130 interrupted.
 
     Raises:
         ValueError: a cell was run otherwise, or another grid runs here.
     """
-    changed = {cell.name: _changed(cell, records) for cell in cells}
+    changed = {cell.name: changed_since(cell, records) for cell in cells}
     if not overwrite:
         for name, how in changed.items():
             if how:
@@ -81,7 +81,7 @@ def run_grid(
     return 1 if broken else 0
 
 
-def _changed(cell: Cell, records: Records) -> list[str]:
+def changed_since(cell: Cell, records: Records) -> list[str]:
     """How what was run of a cell, to its end or not, differs from what is asked."""
     record = records.get(cell)
     folder = RunFolder(records.out / "runs" / cell.name)

@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     )
     records = _grid_records.Records(args.out)
     if args.dry_run:
-        _describe(cells, records, args.json)
+        _describe(cells, records, args.overwrite, args.json)
         return 0
     from jaxrod.cli._grid_run import run_grid
 
@@ -133,8 +133,9 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _describe(cells: list[Any], records: Any, as_json: bool) -> None:
+def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) -> None:
     """Prints what would run, and for how long as far as is known."""
+    from jaxrod.cli._grid_run import changed_since
     from jaxrod.cli._grid_view import against, duration
 
     rows = []
@@ -148,10 +149,13 @@ def _describe(cells: list[Any], records: Any, as_json: bool) -> None:
             and record["status"] == "finished"
         ]
         record = records.get(cell)
+        status = record["status"] if record else "waiting"
+        if changed_since(cell, records):
+            status = "waiting" if overwrite else "changed"
         rows.append(
             {
                 "cell": cell.name,
-                "status": record["status"] if record else "waiting",
+                "status": status,
                 "steps": cell.steps,
                 "changed": list(cell.changed),
                 "expected_s": sum(pace) / len(pace) * cell.steps if pace else None,
@@ -168,6 +172,9 @@ def _describe(cells: list[Any], records: Any, as_json: bool) -> None:
             f"{row['cell']:<{width}}  {row['status']:<8}  {row['steps']:>10,} steps  "
             f"{time:<12}{against(cell)}  {' '.join(row['changed'])}".rstrip()
         )
+    changed = sum(row["status"] == "changed" for row in rows)
+    if changed:
+        print(f"{changed} were run with other settings or steps: see --overwrite")
     left = [row["expected_s"] for row in rows if row["status"] == "waiting"]
     known = [seconds for seconds in left if seconds is not None]
     print(

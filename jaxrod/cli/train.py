@@ -198,9 +198,6 @@ def run(args: argparse.Namespace) -> int:
         print(f"jaxrod train: {error}", file=sys.stderr)
         return 1
     summary = result.summary
-    if args.overwrite:
-        for name in ("learning_curve.png", "replay.html"):
-            (out / name).unlink(missing_ok=True)
     if summary["status"] == "interrupted":
         print(
             f"continue with: jaxrod train {args.case} --resume --out {out}",

@@ -15,8 +15,9 @@ from jaxrod.cli import _grid, _grid_process
 from jaxrod.cli._grid_records import COLUMNS
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
-# score 100 seed + 1, diverges where seed is 7, and is killed where seed is 9. Where
-# seed is 5 it waits for another to run beside it, where it is 3 to be told to stop.
+# score 100 seed + 1, diverges where seed is 7, is killed where seed is 9, and has no
+# complete episode where seed is 11. Where seed is 5 it waits for another to run beside
+# it, where it is 3 to be told to stop.
 TRAIN = """
 import json, os, pathlib, sys, time
 words = sys.argv[1:]
@@ -47,7 +48,8 @@ if seed == 3:
     sys.exit(0)
 if seed == 9 and not resumed:
     os.kill(os.getpid(), 9)
-summary = {"final_score": 100.0 * seed + 1, "env_steps": 1000, "wall_s": 2.5,
+summary = {"final_score": None if seed == 11 else 100.0 * seed + 1,
+           "env_steps": 1000, "wall_s": 2.5,
            "flagged_fraction": 0.0, "score_window": 50, "episodes": 9,
            "evaluation_score": 1.0, "jax_version": "1", "device": "2 x cpu",
            "status": "finished"}
@@ -148,6 +150,14 @@ def test_a_cell_that_diverged_is_recorded_and_the_grid_goes_on(grid):
     assert grid.called() == []
 
 
+def test_a_cell_without_a_complete_episode_has_no_score_and_did_not_fail(grid):
+    code, out, _ = grid(11, 0, algorithms=("ppo",))
+    assert code == 0
+    assert [row["final_score"] for row in rows(grid.out)] == ["1.0", "nan"]
+    assert "0: 1, 11: no episode" in out
+    assert "failed" not in out.lower()
+
+
 def test_a_cell_that_was_killed_is_not_recorded_and_goes_on_later(grid):
     code, _, err = grid(9, 0, algorithms=("ppo",))
     assert code == 1
@@ -229,6 +239,12 @@ def test_a_dry_run_tells_steps_settings_and_the_time_measured(grid, run, run_jso
     code, out, _ = run(*words, "--dry-run")
     assert code == 0
     assert "2 of 3 cells to run" in out
+    words = (*words, "--steps", 512, "--dry-run")
+    code, out, _ = run(*words)
+    assert "trivial-PPO-0  changed" in out
+    assert "1 were run with other settings or steps" in out
+    assert "2 of 3 cells to run" in out
+    assert "3 of 3 cells to run" in run(*words, "--overwrite")[1]
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,11 @@ def test_cases_have_the_tasks_names_and_the_papers():
 def test_a_share_of_the_steps_is_rounded_down_to_whole_updates():
     (cell,) = _grid.plan(["Case2"], ["ppo"], [0], fraction=0.01)
     assert cell.steps == 10_000_000 // 100 // 16_384 * 16_384
+    # Episodes are cut short for the same part of a shorter run.
+    (whole,) = _grid.plan(["Case3"], ["trpo"], [0])
+    (half,) = _grid.plan(["Case3"], ["trpo"], [0], fraction=0.5)
+    assert whole.settings["short_steps"] == 370_000
+    assert half.settings["short_steps"] == 185_000
 
 
 def test_the_page_on_algorithms_tells_what_differs_by_case():

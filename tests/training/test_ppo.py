@@ -150,3 +150,8 @@ def test_bad_setting_is_refused_by_name_and_value(name, value):
 def test_environments_must_divide_among_the_devices():
     with pytest.raises(ValueError, match=r"num_envs must be a multiple.* 3, got 8"):
         ppo.validate(SMALL, 3)
+
+
+def test_seeds_do_not_take_the_settings_of_another_algorithm():
+    with pytest.raises(ValueError, match=r"be a SACConfig .* got PPOConfig"):
+        train_seeds(Trivial(), "sac", steps=1000, config=SMALL)

@@ -148,15 +148,16 @@ def six_updates():
 
 
 def test_what_follows_is_remembered_as_it_was_before_any_restart(six_updates):
-    memory = six_updates[0][-1].replay.transitions
-    # 24 steps of episodes of 20: every environment has been restarted.
+    replay = six_updates[0][-1].replay
+    assert (int(replay.written), len(replay.transitions.reward)) == (24, 16)
+    # The ring has gone round one and a half times: the oldest first.
+    memory = jax.tree.map(lambda leaf: np.roll(leaf, -8, axis=0), replay.transitions)
     restarted = memory.observation[1:] != memory.following[:-1]
-    assert np.all(np.any(restarted[:23], axis=0))
+    # An episode has 20 steps: of 16 in a row most environments began one.
+    assert np.array_equal(np.unique(np.sum(restarted, axis=0)), [0, 1])
     moved = memory.observation + 0.2 * memory.action
-    np.testing.assert_allclose(memory.following[:24], moved[:24], atol=1e-12)
-    np.testing.assert_allclose(
-        memory.reward[:24], 1 - moved[:24, :, 0] ** 2, atol=1e-12
-    )
+    np.testing.assert_allclose(memory.following, moved, atol=1e-12)
+    np.testing.assert_allclose(memory.reward, 1 - moved[..., 0] ** 2, atol=1e-12)
 
 
 def test_only_the_end_of_a_task_is_worth_nothing():
@@ -314,10 +315,12 @@ def test_noise_stays_as_similar_as_was_asked_for(correlation):
         ("learning_starts", -1.0),
         ("target_rate", 1.5),
         ("noise_correlation", -0.1),
+        ("noise_correlation", 1.0),
         ("initial_temperature", 0.0),
         ("policy_learning_rate", -1e-3),
         ("critic_learning_rate", float("nan")),
         ("entropy_per_action", float("inf")),
+        ("entropy_per_action", 0.7),
     ],
 )
 def test_bad_setting_is_refused_by_name_and_value(name, value):
