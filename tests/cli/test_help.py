@@ -7,7 +7,16 @@ import pytest
 
 from jaxrod import cli
 
-NAMES = ["train", "evaluate", "render", "optimise", "tradeoff", "benchmark"]
+NAMES = [
+    "train",
+    "evaluate",
+    "render",
+    "optimise",
+    "reproduce",
+    "tradeoff",
+    "benchmark",
+    "doctor",
+]
 
 
 @pytest.mark.parametrize("name", NAMES)
