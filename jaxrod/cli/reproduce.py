@@ -174,7 +174,7 @@ def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) ->
         )
     changed = sum(row["status"] == "changed" for row in rows)
     if changed:
-        print(f"{changed} were run with other settings or steps: see --overwrite")
+        print(f"run with other settings or steps: {changed} (see --overwrite)")
     left = [row["expected_s"] for row in rows if row["status"] == "waiting"]
     known = [seconds for seconds in left if seconds is not None]
     print(

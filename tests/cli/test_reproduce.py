@@ -242,7 +242,7 @@ def test_a_dry_run_tells_steps_settings_and_the_time_measured(grid, run, run_jso
     words = (*words, "--steps", 512, "--dry-run")
     code, out, _ = run(*words)
     assert "trivial-PPO-0  changed" in out
-    assert "1 were run with other settings or steps" in out
+    assert "run with other settings or steps: 1 (see --overwrite)" in out
     assert "2 of 3 cells to run" in out
     assert "3 of 3 cells to run" in run(*words, "--overwrite")[1]
 
