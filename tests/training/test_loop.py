@@ -301,7 +301,9 @@ def test_folder_with_a_run_is_neither_mixed_nor_lost_by_accident(tmp_path):
     other = dataclasses.replace(SMALL, clip=0.3)
     with pytest.raises(ValueError, match=r"settings\.clip was 0\.2, now 0\.3"):
         train(Trivial(), **(settings | {"config": other}), resume=True)
+    (tmp_path / "replay.html").write_text("of the run before")
     train(Trivial(), **settings, overwrite=True)
+    assert not (tmp_path / "replay.html").exists()
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert len(RunFolder(tmp_path).progress.read()) == 1
 
