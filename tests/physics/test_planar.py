@@ -62,23 +62,40 @@ def in_space(scene):
 
 @pytest.mark.parametrize("plane", AXES)
 def test_a_planar_scene_is_the_one_in_space(plane, record):
+    """To rounding, and what rounding comes to in 2000 steps is measured, not guessed:
+    a rod whose positions differ in their last bit goes as far astray."""
     scene, state = swinging(plane)
     dt = float(jaxrod.stable_dt(scene).dt)
     flat = jaxrod.rollout(scene, state, dt, 2000, 100)
     full = jaxrod.rollout(in_space(scene), state, dt, 2000, 100)
+    beside = jaxrod.rollout(in_space(scene), last_bit_moved(state), dt, 2000, 100)
     travel = np.max(np.abs(full.positions - full.positions[:1]))
     assert travel > 0.3, "the arm has to move for the comparison to say something"
-    worst = max(
-        float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b)))
-        for a, b in zip(jax.tree.leaves(flat), jax.tree.leaves(full), strict=True)
-    )
+
+    def worst(states):
+        return max(
+            float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b)))
+            for a, b in zip(jax.tree.leaves(states), jax.tree.leaves(full), strict=True)
+        )
+
+    rounding = worst(beside)
+    assert rounding < 1e-11, "the motion has to be one that rounding leaves alone"
     record(
         f"Planar scene ({plane}), n = 12, 2000 steps: positions, orientations, "
-        "velocities, angular momenta, of their largest",
+        "velocities, angular momenta, of their largest, over what the last bit of the "
+        "first positions makes of them",
         "the same scene in space",
-        worst,
-        at_most=1e-12,
+        worst(flat) / rounding,
+        at_most=4.0,
     )
+
+
+def last_bit_moved(state):
+    """The state with every position the next number up or down, in turn."""
+    positions = np.asarray(state.positions)
+    ways = np.where(np.arange(positions.size) % 2, np.inf, -np.inf)
+    moved = np.nextafter(positions, ways.reshape(positions.shape))
+    return replace(state, positions=jnp.asarray(moved))
 
 
 def test_principal_axes_may_lie_obliquely_where_all_axes_are_alike():
