@@ -26,6 +26,7 @@ _HEADS = (
     "paper [h]",
     "ratio",
     "flagged",
+    "without noise",
 )
 
 
@@ -44,7 +45,9 @@ def report(records: Iterable[Record]) -> str:
         "returns of the last training episodes of a seed, 50 in Cases 1 and 2 and 10 "
         "in Cases 3 and 4 as in the paper; the paper's are mean and standard "
         "deviation over its seeds. Wall-clock is the mean of a run, compiling "
-        "included; the ratio says how many times longer the paper's run took.",
+        "included; the ratio says how many times longer the paper's run took. "
+        "Without noise: mean return of the policy that a run leaves, which is "
+        "deterministic, in episodes of their own.",
         "",
         *_table([_HEADS, *map(_line, ordered)]),
         "",
@@ -118,22 +121,26 @@ def _line(group: Sequence[Record]) -> tuple[str, ...]:
         _name(group[0]),
         " / ".join(sorted({f"{record['env_steps']:,}" for record in group})),
         _score(mean, failed),
-        ", ".join(
-            f"{r['seed']}: {_score(r['final_score'], r['status'] == 'failed')}"
-            for r in group
-        ),
+        _every_seed(group, "final_score"),
         f"{paper.final_mean:,.0f} ± {paper.final_std:,.0f}" if paper else "",
         f"{mean - paper.final_mean:+,.0f}" if paper and mean is not None else "",
         duration(wall),
         f"{paper.wall_hours:.1f}" if paper else "",
         f"{3600 * paper.wall_hours / wall:,.0f}" if paper else "",
         f"{fmean(record['flagged_fraction'] for record in group):.2%}",
+        _every_seed(group, "evaluation_score"),
     )
 
 
 def _name(record: Record) -> str:
     variant = f" ({record['variant']})" if record["variant"] else ""
     return f"{record['case']} {record['algorithm']}{variant}"
+
+
+def _every_seed(group: Sequence[Record], what: str) -> str:
+    return ", ".join(
+        f"{r['seed']}: {_score(r.get(what), r['status'] == 'failed')}" for r in group
+    )
 
 
 def _score(score: float | None, failed: bool) -> str:

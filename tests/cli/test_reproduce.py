@@ -119,6 +119,7 @@ def test_results_stand_beside_the_papers(grid):
     # The mean, every seed, the paper's, the difference; 2.15 h over 2.5 s.
     for text in ("| 51 |", "0: 1, 1: 101", "4,124 ± 564", "-4,073", "3,096"):
         assert text in line
+    assert line.endswith("| 0: 1, 1: 1 |"), "what the policies do without noise"
     curve = (grid.out / "curves" / "Case3-TRPO-1.csv").read_text().splitlines()
     assert curve[0] == "env_steps,wall_s,episode_return_mean"
     assert len(curve) == 201
