@@ -22,7 +22,8 @@ from typing import Any
 
 from jaxrod.training.files import write_atomically
 
-PICTURES = ("learning_curve.png", "replay.html")
+LEARNING_CURVE = "learning_curve.png"
+REPLAY = "replay.html"
 """What the command line draws of a run."""
 
 
@@ -111,7 +112,7 @@ class RunFolder:
 
     def clear(self) -> None:
         """Removes the run and its pictures, and nothing else."""
-        for name in ("config.json", "summary.json", *PICTURES):
+        for name in ("config.json", "summary.json", LEARNING_CURVE, REPLAY):
             (self.path / name).unlink(missing_ok=True)
         for table in (self.progress, self.episodes):
             table.path.unlink(missing_ok=True)

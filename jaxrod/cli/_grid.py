@@ -129,11 +129,11 @@ def _cell(
     steps: int | None,
     fraction: float | None,
 ) -> Cell:
-    from jaxrod.training import find_algorithm
-    from jaxrod.training.grid_settings import GRID
+    from jaxrod.training import find_algorithm, grid_settings
 
     env = _runs.make_case(task, {"variant": variant} if variant else {})
-    learner, planned = find_algorithm(algorithm), GRID[task][algorithm]
+    learner = find_algorithm(algorithm)
+    planned = grid_settings.planned(task, algorithm, getattr(env, "variant", None))
     wanted = steps if steps is not None else int(planned.steps * (fraction or 1.0))
     settings: dict[str, Any] = dict(planned.settings)
     if "short_steps" in settings and wanted < planned.steps:

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 def draw_learning_curve(path: Path, config: Mapping[str, Any]) -> Path | None:
     """Draws `learning_curve.png` into a run folder, or says why there is none."""
     from jaxrod import viz
+    from jaxrod.training.run_folder import LEARNING_CURVE
 
-    out = path / "learning_curve.png"
+    out = path / LEARNING_CURVE
     try:
         viz.learning_curve(
             path / "progress.csv",
@@ -42,15 +43,19 @@ def draw_learning_curve(path: Path, config: Mapping[str, Any]) -> Path | None:
 def write_replay(
     run: _runs.StoredRun,
     policy: Policy,
-    out: Path,
+    out: Path | None = None,
     *,
     seconds: float | None = None,
     seed: int = 0,
 ) -> Path | None:
-    """Plays the policy and writes a page that shows it, where there is an arm."""
+    """Plays the policy and writes a page that shows it, where there is an arm.
+
+    The page is `out`; if that is None, `replay.html` in the run folder.
+    """
     from jaxrod import viz
     from jaxrod.cli import _recording
     from jaxrod.envs.scenery import drawable
+    from jaxrod.training.run_folder import REPLAY
 
     if not drawable(run.env):
         _note(f"no replay: {run.env.name} has no arm to draw")
@@ -58,6 +63,7 @@ def write_replay(
     replay = _recording.record(
         run.env, policy, seconds=seconds, seed=seed, title=run.title
     )
+    out = out or run.path / REPLAY
     out.parent.mkdir(parents=True, exist_ok=True)
     viz.save_html(replay, out, frames_per_second=_recording.FRAMES_PER_SECOND)
     return out

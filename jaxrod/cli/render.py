@@ -52,11 +52,10 @@ def run(args: argparse.Namespace) -> int:
     jaxrod.configure_cpu()
     stored = _runs.open_run(args.run_folder)
     _pictures.print_paths(_pictures.draw_learning_curve(stored.path, stored.config))
-    out = args.out or stored.path / "replay.html"
     policy = stored.policy()
     _pictures.print_paths(
         _pictures.write_replay(
-            stored, policy, out, seconds=args.seconds, seed=args.seed
+            stored, policy, args.out, seconds=args.seconds, seed=args.seed
         )
     )
     return 0

@@ -223,7 +223,7 @@ def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
     stored = _runs.open_run(out)
     drawn = [_pictures.draw_learning_curve(out, stored.config)]
     if replay:
-        drawn.append(_pictures.write_replay(stored, policy, out / "replay.html"))
+        drawn.append(_pictures.write_replay(stored, policy))
     return drawn
 
 
