@@ -191,7 +191,6 @@ def test_what_brax_calls_is_there_inside_and_gone_outside():
     assert not hasattr(jax, "device_put_replicated")
 
 
-@pytest.mark.slow
 def test_ppo_of_brax_trains():
     network = functools.partial(
         ppo_networks.make_ppo_networks,
@@ -238,11 +237,11 @@ def test_ppo_of_brax_improves_on_the_first_case():
     with training():
         ppo.train(
             env,
-            400_000,
+            800_000,
             episode_length=env.episode_length,
             num_envs=64,
             num_eval_envs=64,
-            num_evals=3,
+            num_evals=2,
             deterministic_eval=True,
             unroll_length=25,
             batch_size=64,
@@ -255,9 +254,9 @@ def test_ppo_of_brax_improves_on_the_first_case():
             network_factory=network,
             progress_fn=lambda _, m: returns.append(float(m["eval/episode_reward"])),
         )
-    first, _, last = returns
-    assert last > 0.75 * first, returns
+    first, last = returns
     assert first < 0
+    assert last > 0.5 * first, returns
 
 
 def test_bad_input_is_refused_in_words():
