@@ -59,16 +59,17 @@ LARGEST_RATE = 100.0
 """The fastest a control value may change [1/s]."""
 PLACED = (0.4, 0.9)
 """Where the paper puts its two control points, in lengths of the arm."""
-STIFFNESS = 1e8
+STIFFNESS = 2e8
 """Of contact in "clean" [N/m^2]. The strongest actions stretch the arm twofold, to a
 tension of 100 kN. Drawn over a cylinder it presses with 1 MN/m, as a first touch at
-100 m/s does: 1 to 3 cm of overlap, less than the arm's radius of 5 cm."""
+100 m/s does: half a centimetre to 2 cm of overlap, less than the arm's radius of 5 cm.
+Half as stiff, one arm of ten thousand was drawn right through a cylinder."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Of an element in "clean", before the arm is flagged [1]. Held in a corner of the
 action space the muscles stretch it to 2.5, and a cylinder it is thrown at presses it to
 less than 0.3; from 0.15 to 3 steps are far below the stable one."""
-DAMPING = 3e3
+DAMPING = 4e3
 """Of contact in "clean": a twentieth of critical [kg/(m s)]."""
 
 
