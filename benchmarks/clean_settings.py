@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jaxrod
+from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import make, names
 from jaxrod.envs.clean_problem import CleanTask, clean_problem, recorded_actions
 from jaxrod.tradeoff import Reference, Setting, measure, reference, tune
-from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = [name for name in names() if name != "trivial"]

@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stepping import stepper
-from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 N_ELEMENTS = 20

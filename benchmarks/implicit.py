@@ -19,10 +19,10 @@ import jax
 import numpy as np
 
 import jaxrod
+from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
-from jaxrod.viz.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 SAMPLES = 20

@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 import jax
 import pytest
 
-from jaxrod.viz.files import write_atomically
+from jaxrod._files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = (

@@ -119,7 +119,7 @@ def structured_obstacles(
     """
     elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
     if controls is not None:
-        check_count("controls", controls, 2)
+        controls = check_count("controls", controls, 2)
     return StructuredObstacles(
         variant, elements, steps, episode_length, controls=controls
     )

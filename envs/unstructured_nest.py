@@ -109,5 +109,5 @@ def unstructured_nest(
     """
     elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
     if nest is not None:
-        check_count("nest", nest, 0)
+        nest = check_count("nest", nest, 0)
     return UnstructuredNest(variant, elements, steps, episode_length, nest=nest)

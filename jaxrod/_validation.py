@@ -27,6 +27,20 @@ def check_count(name: str, value: Any, smallest: int) -> int:
     return int(value)
 
 
+LARGEST_SEED = 2**32 - 1
+"""`jax.random.key` looks at no more bits unless 64-bit types are enabled."""
+
+
+def check_seed(seed: Any, name: str = "seed") -> int:
+    """Returns a seed as an int, or raises if it has no random numbers of its own."""
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not whole or not 0 <= seed <= LARGEST_SEED:
+        raise ValueError(
+            f"{name} must be an integer from 0 to {LARGEST_SEED}, got {seed!r}"
+        )
+    return int(seed)
+
+
 def check_array(
     name: str,
     value: Any,

@@ -185,12 +185,29 @@ class SignedDistance(Body):
     """Traced numbers of the body: any pytree of arrays."""
     function: Callable[[Any, Any], Any] = static()
     """Signed distance [m] at one point `(3,)` [m], given the parameters."""
+    ranks: tuple[int, ...] = static(default=())
+    """Number of axes of every leaf of the parameters, of one body."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """The function and its gradient at each point."""
         at_each = jax.vmap(jax.value_and_grad(self.function), in_axes=(0, None))
         distances, normals = at_each(jnp.stack(points, axis=-1), self.parameters)
         return distances, (normals[:, 0], normals[:, 1], normals[:, 2])
+
+    @property
+    def count(self) -> int | None:
+        """By the axes that its numbers have beyond those of one body."""
+        leaves = jax.tree.leaves(self.parameters)
+        leading = {
+            leaf.shape[: leaf.ndim - rank]
+            for leaf, rank in zip(leaves, self.ranks, strict=True)
+        }
+        if len(leading) > 1:
+            raise ValueError(
+                "parameters of several bodies must all have the same leading axis, "
+                f"got {sorted(leading)}"
+            )
+        return _count(leading.pop()) if leading else None
 
 
 def _count(leading: tuple[int, ...]) -> int | None:
@@ -349,7 +366,8 @@ def signed_distance(
         raise ValueError(
             f"function must give one distance [m] at a point of shape (3,), got {got}"
         )
-    return SignedDistance(numbers, function)
+    ranks = tuple(leaf.ndim for leaf in jax.tree.leaves(numbers))
+    return SignedDistance(numbers, function, ranks)
 
 
 def _place(name: str, value: Numbers, unit: str = "m") -> Array:

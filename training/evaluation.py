@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from jaxrod._validation import check_seed
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.action_repeat import repeating
 from jaxrod.training.policy import held_for
@@ -67,10 +68,11 @@ def evaluate(
         env_params: parameters of the environment, None for its own.
 
     Raises:
-        ValueError: `episodes` is below 1.
+        ValueError: `episodes` is below 1, or `seed` is none.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
+    check_seed(seed)
     params = env.default_params() if env_params is None else env_params
     env = repeating(env, held_for(policy))
     if not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0]):

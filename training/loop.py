@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxrod._validation import check_count, check_seed
 from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.run import Result, Run
@@ -73,6 +75,7 @@ def train(
             that was not asked to be resumed or overwritten.
         FloatingPointError: learning diverged; the checkpoints are from before.
     """
+    steps, seed = check_count("steps", steps, 1), check_seed(seed)
     learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
     config = learner.checked(config)
     devices = jax.devices() if devices is None else devices
@@ -84,6 +87,7 @@ def train(
         per_update=learner.steps_per_update(config),
         score_window=score_window,
         evaluation_episodes=evaluation_episodes,
+        checkpoint_seconds=checkpoint_seconds,
         chunk_steps=chunk_steps,
     )
     asked = _describe(env, learner, config, steps, seed, env_options, score_window)
@@ -110,6 +114,7 @@ def _check_sizes(
     per_update: int,
     score_window: int,
     evaluation_episodes: int,
+    checkpoint_seconds: float,
     chunk_steps: int,
 ) -> None:
     if steps < per_update:
@@ -122,6 +127,10 @@ def _check_sizes(
     if evaluation_episodes < 0:
         raise ValueError(
             f"evaluation_episodes must not be negative, got {evaluation_episodes}"
+        )
+    if not checkpoint_seconds >= 0:
+        raise ValueError(
+            f"checkpoint_seconds must not be negative, got {checkpoint_seconds} s"
         )
     if chunk_steps < 1:
         raise ValueError(f"chunk_steps must be at least 1, got {chunk_steps}")
@@ -144,7 +153,7 @@ def _describe(
     return {
         "case": env.name,
         "variant": options.get("variant", getattr(env, "variant", None)),
-        "env_options": options,
+        "env_options": {name: _plain(value) for name, value in options.items()},
         "algorithm": learner.name,
         "steps": steps,
         "seed": seed,
@@ -163,7 +172,8 @@ def _options(env: Any) -> dict[str, Any]:
     variant = {"variant": env.variant} if hasattr(env, "variant") else {}
     usual: Any = make(env.name, **variant)
     if type(env) is not type(usual):
-        return variant
+        # `make` refuses this in words, and no other environment has it.
+        return {**variant, "type": type(env).__qualname__}
     chosen = {
         field.name: getattr(env, field.name)
         for field in dataclasses.fields(usual)
@@ -173,10 +183,11 @@ def _options(env: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A setting as JSON holds it."""
+    """A value as JSON holds it."""
     if isinstance(value, tuple):
-        return list(value)
-    return value.tolist() if isinstance(value, (jax.Array, np.ndarray)) else value
+        return [_plain(one) for one in value]
+    arrays = (jax.Array, np.ndarray, np.generic)
+    return value.tolist() if isinstance(value, arrays) else value
 
 
 def _open_folder(
@@ -208,6 +219,7 @@ def _open_folder(
             f"out must not hold a run already, got {str(out)!r}; "
             "pass resume=True to continue it or overwrite=True to replace it"
         )
+    json.dumps(asked)  # What cannot be written must not cost the old run.
     folder.clear()
     folder.write_config(asked)
     return folder

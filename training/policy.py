@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrod._files import write_atomically
 from jaxrod._pytree import pytree, static
 from jaxrod._validation import check_count
-from jaxrod.training.files import write_atomically
 from jaxrod.training.normalisation import RunningMoments, normalise
 
 FORMAT = 1

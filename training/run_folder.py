@@ -20,7 +20,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxrod.training.files import write_atomically
+from jaxrod._files import write_atomically
 
 LEARNING_CURVE = "learning_curve.png"
 REPLAY = "replay.html"

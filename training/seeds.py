@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
+from jaxrod._validation import check_seed
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 
@@ -51,6 +52,7 @@ def train_seeds(
     learner.validate(config, 1)
     if not seeds:
         raise ValueError("seeds must hold at least one seed, got none")
+    seeds = [check_seed(seed, "seeds") for seed in seeds]
     per_update = learner.steps_per_update(config)
     if steps < per_update:
         raise ValueError(

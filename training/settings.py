@@ -10,6 +10,7 @@ from typing import Any
 from jaxtyping import Array, Float
 
 from jaxrod._pytree import pytree, static
+from jaxrod._validation import check_count
 
 Scalar = float | Float[Array, ""]
 """A number of a configuration, before and after it is traced."""
@@ -52,10 +53,9 @@ class LearnerConfig:
 
 
 def check_counts(config: Settings, *names: str) -> None:
-    """Raises ValueError unless every one of these is at least 1."""
+    """Raises ValueError unless every one of these is an integer of at least 1."""
     for name in names:
-        if getattr(config, name) < 1:
-            raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
+        check_count(name, getattr(config, name), 1)
 
 
 def check_learner(config: LearnerConfig, num_devices: int) -> None:
@@ -74,10 +74,10 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
             f"got {config.num_envs}"
         )
     sizes = config.hidden_sizes
-    if not isinstance(sizes, tuple) or any(size < 1 for size in sizes):
-        raise ValueError(
-            f"hidden_sizes must be a tuple of sizes of at least 1, got {sizes}"
-        )
+    if not isinstance(sizes, tuple):
+        raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
+    for size in sizes:
+        check_count("hidden_sizes", size, 1)
 
 
 def check_fractions(config: Settings, *names: str) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxrod._validation import check_seed
 from jaxrod.cli import _runs, _settings
 
 if TYPE_CHECKING:
@@ -109,8 +110,10 @@ def plan(
     for word in chosen:
         if word not in known:
             raise ValueError(f"algorithm must be one of {', '.join(known)}; got {word}")
-    if not seeds or min(seeds) < 0:
-        raise ValueError(f"seeds must not be negative, got {list(seeds)}")
+    if not seeds:
+        raise ValueError("seeds must hold at least one seed, got none")
+    for seed in seeds:
+        check_seed(seed, "seeds")
     if fraction is not None and not 0 < fraction <= 1:
         raise ValueError(f"steps-fraction must be in (0, 1], got {fraction}")
     return [

@@ -78,7 +78,7 @@ class Records:
             record: has all of `COLUMNS`; the final score is None if it diverged.
             progress: the rows of its progress.csv.
         """
-        from jaxrod.training.files import write_atomically
+        from jaxrod._files import write_atomically
 
         for folder in ("cells", "curves"):
             (self.out / folder).mkdir(parents=True, exist_ok=True)
@@ -91,7 +91,7 @@ class Records:
 
     def write_results(self) -> None:
         """Writes results.csv anew, keeping the rows of cells without a record."""
-        from jaxrod.training.files import write_atomically
+        from jaxrod._files import write_atomically
 
         rows = self._stored_rows()
         for record in self:

@@ -79,7 +79,7 @@ def paper_result(record: Record) -> PaperResult | None:
 
 def write_report(records: Iterable[Record], out: Path) -> None:
     """Writes `results.md` into a folder."""
-    from jaxrod.training.files import write_atomically
+    from jaxrod._files import write_atomically
 
     write_atomically(out / "results.md", report(records).encode())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 from typing import Any
 
 
@@ -68,7 +69,11 @@ def count(text: str) -> int:
     """Reads a count such as 300, 500k, 10M or 1e7."""
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
     number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
-    value = float(number) * size
-    if not value.is_integer():
+    try:
+        value = Decimal(number) * size  # In binary 4.1 million is no whole number.
+        whole = int(value)
+    except (ArithmeticError, ValueError):
+        raise ValueError(f"{text} is not a number") from None
+    if value != whole:
         raise ValueError(f"{text} is not a whole number")
-    return int(value)
+    return whole

@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     }
     text = json.dumps(result, indent=2)
     if args.out is not None:
-        from jaxrod.viz.files import write_atomically
+        from jaxrod._files import write_atomically
 
         write_atomically(args.out / "rod_steps.json", f"{text}\n".encode())
         page = f"# Rod-steps per second\n\n{_table(report, machine)}"

@@ -11,6 +11,8 @@ import json
 import time
 from pathlib import Path
 
+from jaxrod._validation import check_seed
+
 EXAMPLES = """\
 examples:
   jaxrod evaluate runs/first
@@ -41,8 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {args.episodes}")
-    if args.seed < 0:
-        raise ValueError(f"seed must not be negative, got {args.seed}")
+    check_seed(args.seed)
     jaxrod.configure_cpu()
     stored = _runs.open_run(args.run_folder)
     policy = stored.policy()

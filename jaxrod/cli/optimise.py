@@ -23,6 +23,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxrod._validation import check_seed
+
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
     from jaxrod.training import ActuatedArm, TrajectoryResult
@@ -128,8 +130,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.case not in CASES:
         raise ValueError(f"case must be one of {', '.join(CASES)}; got {args.case!r}")
-    if args.seed < 0:
-        raise ValueError(f"seed must not be negative, got {args.seed}")
+    check_seed(args.seed)
     out: Path = args.out
     if (out / "summary.json").exists() and not args.overwrite:
         raise ValueError(
@@ -220,7 +221,7 @@ def _write(out: Path, result: TrajectoryResult, summary: dict[str, Any]) -> None
     import numpy as np
 
     from jaxrod import viz
-    from jaxrod.viz.files import write_atomically
+    from jaxrod._files import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
     table = io.StringIO(newline="")

@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from jaxrod._validation import check_seed
+
 EXAMPLES = """\
 examples:
   jaxrod render runs/first
@@ -47,8 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.seconds is not None and not 0 < args.seconds < float("inf"):
         raise ValueError(f"seconds must be positive and finite, got {args.seconds} s")
-    if args.seed < 0:
-        raise ValueError(f"seed must not be negative, got {args.seed}")
+    check_seed(args.seed)
     jaxrod.configure_cpu()
     stored = _runs.open_run(args.run_folder)
     _pictures.print_paths(_pictures.draw_learning_curve(stored.path, stored.config))

@@ -59,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=_settings.count,
         metavar="N",
-        help="control steps of every cell (default: the paper's of its case or fewer)",
+        help="control steps of every cell (default: those of "
+        "training/grid_settings.py; of --variant paper the paper's or fewer)",
     )
     length.add_argument(
         "--steps-fraction",

@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxrod._validation import check_seed
 from jaxrod.cli import _settings
 
 STEPS = 10_000_000
@@ -152,9 +153,7 @@ def run(args: argparse.Namespace) -> int:
     options = {name: value for name, value in options.items() if value is not None}
     if hasattr(env, "variant"):
         options["variant"] = env.variant
-    seed = _chosen(args.seed, stored, "seed", 0)
-    if seed < 0:
-        raise ValueError(f"seed must not be negative, got {seed}")
+    seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     words = list(args.set)
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrod.viz.files import write_atomically
+from jaxrod._files import write_atomically
 from jaxrod.viz.paper import PaperResult, paper_result
 
 _COLUMNS = ("env_steps", "wall_s", "episode_return_mean")

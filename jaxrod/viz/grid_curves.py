@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxrod._files import write_atomically
 from jaxrod.viz.curves import FilePath, common_steps, read_curve
-from jaxrod.viz.files import write_atomically
 from jaxrod.viz.paper import PaperResult
 
 _COLOURS = {

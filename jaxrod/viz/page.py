@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.viz.files import write_atomically
+from jaxrod._files import write_atomically
 from jaxrod.viz.replay import Replay
 
 # In this order, because later ones use what earlier ones define.

@@ -6,7 +6,7 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.viz.files import write_atomically
+from jaxrod._files import write_atomically
 
 if TYPE_CHECKING:
     from jaxrod.tradeoff.grid import Row

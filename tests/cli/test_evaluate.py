@@ -111,7 +111,7 @@ def test_a_damaged_run_is_one_sentence(
     ("words", "sentence"),
     [
         (["--episodes", "0"], "episodes must be at least 1, got 0"),
-        (["--seed", "-2"], "seed must not be negative, got -2"),
+        (["--seed", "-2"], "seed must be an integer from 0 to 4294967295, got -2"),
     ],
 )
 def test_impossible_numbers_are_named(words, sentence, trained, run):

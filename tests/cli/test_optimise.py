@@ -59,7 +59,10 @@ def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypa
     ("words", "message"),
     [
         (["trivial"], "case must be one of tracking; got 'trivial'"),
-        (["tracking", "--seed", "-1"], "seed must not be negative, got -1"),
+        (
+            ["tracking", "--seed", "-1"],
+            "seed must be an integer from 0 to 4294967295, got -1",
+        ),
         (["tracking", "--tolerance", "0"], "tolerance must be positive, got 0 m"),
         (["tracking", "--duration", "-1"], "duration must be positive, got -1 s"),
         (["tracking", "--target", "nan", "0", "0"], "target must be finite, got nan m"),

@@ -218,7 +218,7 @@ def test_a_task_without_an_arm_gets_its_curve_and_a_word(trained, run):
     [
         (["--seconds", "0"], "seconds must be positive and finite, got 0.0 s"),
         (["--seconds", "nan"], "seconds must be positive and finite, got nan s"),
-        (["--seed", "-1"], "seed must not be negative, got -1"),
+        (["--seed", "-1"], "seed must be an integer from 0 to 4294967295, got -1"),
     ],
 )
 def test_impossible_numbers_are_named(words, sentence, trained, run):

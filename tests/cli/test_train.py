@@ -139,7 +139,10 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch
         (["trivial", "--variant", "paper"], "'trivial' has no variant"),
         (["trivial", "--algorithm", "luck"], "algorithm must be one of"),
         (["trivial", "--steps", "3"], "steps must be at least one update"),
-        (["trivial", "--seed", "-1"], "seed must not be negative, got -1"),
+        (
+            ["trivial", "--seed", "-1"],
+            "seed must be an integer from 0 to 4294967295, got -1",
+        ),
         (["trivial", "--num-envs", "0"], "num_envs must be at least 1, got 0"),
         (["trivial", "--devices", "99"], "devices must be at most"),
         (["trivial", "--set", "clip"], "--set needs NAME=VALUE, got 'clip'"),
@@ -191,7 +194,13 @@ def test_settings_are_read_as_their_kind(word, value):
 
 @pytest.mark.parametrize(
     ("text", "count"),
-    [("300", 300), ("500k", 500_000), ("10M", 10_000_000), ("1e7", 10_000_000)],
+    [
+        ("300", 300),
+        ("500k", 500_000),
+        ("4.1M", 4_100_000),
+        ("10M", 10_000_000),
+        ("1e7", 10_000_000),
+    ],
 )
 def test_counts_may_be_written_short(text, count):
     assert _settings.count(text) == count

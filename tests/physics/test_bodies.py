@@ -1,5 +1,7 @@
 """Bodies: their distances and normals, right and finite everywhere."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -135,6 +137,25 @@ def test_many_of_a_kind_are_each_of_them():
     for k in range(3):
         alone, _ = surface(jaxrod.sphere(centres[k], radii[k]), points)
         assert difference(together[k], alone) < 1e-15
+
+
+def test_many_bodies_of_any_shape_are_made_by_vmap_too():
+    """Their numbers alone do not tell how many: the factory remembers their ranks."""
+
+    def ball(point, numbers):
+        centre, radius = numbers
+        return jnp.sqrt(jnp.sum((point - centre) ** 2)) - radius
+
+    centres = jnp.asarray(np.random.default_rng(5).normal(0, 1, (3, 3)))
+    radii = jnp.asarray([0.1, 0.2, 0.3])
+    one = lambda centre, radius: jaxrod.signed_distance(ball, (centre, radius))
+    assert one(centres[0], 0.1).count is None
+    assert jaxrod.signed_distance(lambda x, _: x[0]).count is None
+    many = jax.vmap(one)(centres, radii)
+    assert many.count == 3
+    assert jaxrod.contact(many, stiffness=1e5).n_bodies == 3
+    with pytest.raises(ValueError, match="the same leading axis"):
+        dataclasses.replace(many, parameters=(centres, radii[0])).count  # noqa: B018
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,13 @@
 """The published grid as it is planned: within the paper's budget, and trainable."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 from jaxrod.cli import _grid, _runs
 from jaxrod.training import algorithm_names
-from jaxrod.training.grid_settings import GRID
+from jaxrod.training.grid_settings import CLEAN, GRID
 
 
 def test_the_grid_has_every_case_and_algorithm_within_the_papers_budget():
@@ -48,20 +49,33 @@ def test_a_share_of_the_steps_is_rounded_down_to_whole_updates():
 
 
 def test_the_page_on_algorithms_tells_what_differs_by_case():
-    told = {
-        (case, name): {}
-        for case in GRID
-        if case != "trivial"
-        for name in algorithm_names()
-    }
     page = Path(__file__).parents[2] / "docs" / "algorithms.md"
-    section = page.read_text().split("## What differs by case")[1]
-    for line in section.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 4 and cells[2].startswith("`"):
-            for case in cells[0].split(", "):
-                for name in cells[1].split(", "):
-                    told[case, name][cells[2].strip("`")] = cells[3]
-    for (case, name), settings in told.items():
-        planned = {k: str(v) for k, v in GRID[case][name].settings.items()}
-        assert settings == planned, (case, name)
+    _, published, clean = re.split(
+        "\n## What differs (?=by case|where)", page.read_text()
+    )
+    named = {case: plans for case, plans in GRID.items() if case != "trivial"}
+    for section, grid in ((published, named), (clean, CLEAN)):
+        told = {(case, name): {} for case, plans in grid.items() for name in plans}
+        for line in section.splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            if len(cells) == 4 and cells[2].startswith("`"):
+                for case in cells[0].split(", "):
+                    for name in cells[1].split(", "):
+                        told[case, name][cells[2].strip("`")] = cells[3]
+        for (case, name), settings in told.items():
+            planned = {k: str(v) for k, v in grid[case][name].settings.items()}
+            assert settings == planned, (case, name)
+
+
+def test_clean_variants_have_settings_of_their_own_where_they_are_planned():
+    (clean,) = _grid.plan(["structured"], ["sac"], [0], variant="clean")
+    assert clean.settings["num_envs"] == 32
+    assert clean.steps == 2_000_000 // 1280 * 1280
+    for case, name in (("structured", "trpo"), ("tracking", "sac")):
+        assert name not in CLEAN.get(case, {})
+        (as_published,) = _grid.plan([case], [name], [0])
+        (clean,) = _grid.plan([case], [name], [0], variant="clean")
+        assert clean.settings == as_published.settings
+    for case, plans in CLEAN.items():
+        for cell in _grid.plan([case], list(plans), [0], variant="clean"):
+            assert cell.settings["num_envs"] % 2 == 0

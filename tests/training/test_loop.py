@@ -309,6 +309,19 @@ def test_folder_with_a_run_is_neither_mixed_nor_lost_by_accident(tmp_path):
 
 
 @pytest.mark.default_precision
+def test_numbers_of_numpy_are_recorded_as_numbers(tmp_path):
+    env, settings = Trivial(np.int64(7)), {"config": SMALL, "out": tmp_path, **QUIET}
+    train(env, steps=np.int64(256), seed=np.int64(3), **settings)
+    config = RunFolder(tmp_path).config()
+    assert (config["steps"], config["seed"]) == (256, 3)
+    assert config["env_options"] == {"episode_length": 7}
+    # What cannot be recorded does not cost the run that is there.
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        train(env, steps=256, env_options={"a": object()}, overwrite=True, **settings)
+    assert RunFolder(tmp_path).config() == config
+
+
+@pytest.mark.default_precision
 def test_a_run_may_have_more_steps_than_32_bits_count():
     def interrupt(row):
         signal.raise_signal(signal.SIGINT)
@@ -325,6 +338,10 @@ def test_a_run_may_have_more_steps_than_32_bits_count():
     ("changes", "words"),
     [
         ({"steps": 100}, "steps must be at least one update, 128 .* got 100"),
+        ({"steps": 1e6}, "steps must be an integer, got 1000000.0"),
+        ({"seed": -1}, "seed must be an integer from 0 to 4294967295, got -1"),
+        ({"seed": 2**32}, "seed must be .* got 4294967296"),
+        ({"checkpoint_seconds": float("nan")}, "checkpoint_seconds .* got nan s"),
         ({"algorithm": "magic"}, "algorithm must be one of .*ppo.*; got 'magic'"),
         ({"score_window": 0}, "score_window .* got 0"),
         ({"evaluation_episodes": -1}, "evaluation_episodes .* got -1"),
@@ -334,6 +351,14 @@ def test_a_run_may_have_more_steps_than_32_bits_count():
         (
             {"config": PPOConfig(hidden_sizes=[8])},
             r"hidden_sizes .* tuple .* got \[8\]",
+        ),
+        (
+            {"config": PPOConfig(hidden_sizes=(8.0,))},
+            "hidden_sizes must be an integer, got 8.0",
+        ),
+        (
+            {"config": PPOConfig(rollout_steps=128.0)},
+            "rollout_steps must be an integer, got 128.0",
         ),
         ({"resume": True}, "out=None"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jaxrod.envs import make
+from jaxrod.envs import ActionRepeat, make
 from jaxrod.envs.trivial import Trivial, TrivialParams
 from jaxrod.training import PPOConfig, train
 from jaxrod.training.loop import _options
@@ -26,6 +26,13 @@ def test_how_an_environment_differs_from_the_usual_one_is_recorded():
         env = make(name, **options)
         assert _options(env) == options
         assert make(name, **_options(env)) == env
+
+
+def test_an_environment_that_make_does_not_make_is_not_taken_for_one_that_it_does():
+    options = _options(ActionRepeat(make("tracking", variant="clean"), 3))
+    assert options == {"type": "ActionRepeat"}
+    with pytest.raises((TypeError, ValueError), match="type"):
+        make("tracking", **options)
 
 
 @pytest.mark.default_precision

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that are either the old ones or the new ones, never half of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Writes a file so that a reader sees the old content or the new, never a part.
+    """Replaces a file by new content in one step, whenever the process may die.
 
     Args:
         path: file to write; its folder must exist.
@@ -19,6 +19,8 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         # mkstemp makes private files; give this one the permissions of any other.
         mask = os.umask(0)
         os.umask(mask)
