@@ -68,7 +68,8 @@ SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Of an element in "clean", before the arm is flagged [1]. Held in a corner of the
 action space the muscles stretch it to 2.5, and a cylinder it is thrown at presses it to
-less than 0.3; from 0.15 to 3 steps are far below the stable one."""
+less than 0.3; from 0.15 to 3 steps are far below the stable one of a free arm, and
+within the one that counts every obstacle in view."""
 DAMPING = 4e3
 """Of contact in "clean": a twentieth of critical [kg/(m s)]."""
 

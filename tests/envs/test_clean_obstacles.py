@@ -109,7 +109,7 @@ def touching_at_rest(env, towards):
 
 
 TOUCHING = pytest.mark.parametrize(
-    ("name", "towards"), [("structured", 0.052), ("unstructured", 0.288)]
+    ("name", "towards"), [("structured", 0.052), ("unstructured", 0.252)]
 )
 
 
@@ -159,3 +159,20 @@ def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     stretched = base + getattr(arm.limits, limit) * (rest.positions - base)
     state = dataclasses.replace(rest, positions=stretched)
     assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)
+
+
+@NAMES
+def test_the_step_is_a_stable_one_with_every_obstacle_in_view_touching(name):
+    env = make(name, variant="clean")
+    params = env.default_params()
+    scene = params.arm.scene(jnp.zeros((3, env.n_controls)), params.arm.rest)
+    assert scene.effects[-1].n_near == params.arm.nearest
+    assert params.dt < jaxrod.stable_dt(scene).dt
+    # A bound that contact is part of: a hundred times as stiff it would be crossed.
+    (touch,) = params.arm.obstacles
+    stiffer = dataclasses.replace(touch, stiffness=100 * touch.stiffness)
+    arm = dataclasses.replace(params.arm, obstacles=(stiffer,))
+    assert (
+        params.dt
+        > jaxrod.stable_dt(arm.scene(jnp.zeros((3, env.n_controls)), arm.rest)).dt
+    )
