@@ -299,10 +299,12 @@ def _share(num_envs: int, asked: int | None, available: int | None) -> int:
         asked: what --devices said.
         available: devices there are; None before JAX has started, for the cores.
     """
-    if asked is not None:
-        return asked
     if available is None:
         from jaxrod.backend import available_cores
 
         available = available_cores()
+        # More would be made of the same cores, and nobody told.
+        asked = asked if asked is None else min(asked, available)
+    if asked is not None:
+        return asked
     return max(k for k in range(1, available + 1) if k == 1 or num_envs % k == 0)

@@ -5,6 +5,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -127,6 +129,18 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch
     assert finished["env_steps"] >= 40_000
 
 
+def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
+    # In a process of its own: devices are made before JAX starts.
+    words = ["train", "trivial", "--devices", "99", "--num-envs", "99"]
+    words += ["--steps", "13k", "--out", str(tmp_path / "run")]
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxrod", *words], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "devices must be at most the" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -144,7 +158,6 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch
             "seed must be an integer from 0 to 4294967295, got -1",
         ),
         (["trivial", "--num-envs", "0"], "num_envs must be at least 1, got 0"),
-        (["trivial", "--devices", "99"], "devices must be at most"),
         (["trivial", "--set", "clip"], "--set needs NAME=VALUE, got 'clip'"),
         (["trivial", "--set", "clip=-1"], "clip must be positive"),
         (["trivial", "--set", "clip=wide"], "clip must be a number, got 'wide'"),
