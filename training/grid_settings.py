@@ -180,6 +180,7 @@ _CLEAN_OBSTACLES: Mapping[str, Planned] = {
         {
             **_CLEAN_OFF_POLICY,
             "exploration_noise": 0.3,
+            "exploration_decay": 0.9,
             "policy_learning_rate": 3e-4,
             "critic_learning_rate": 3e-4,
         },

@@ -87,6 +87,7 @@ class OffPolicyState:
         action_noise: that of the last decision, standard normal.
         replay_keys: one key for every environment, for what is recalled of it.
         updates: updates done.
+        total_updates: updates of the whole run.
     """
 
     env: Environment = static()
@@ -100,6 +101,7 @@ class OffPolicyState:
     action_noise: Float[Array, "num_envs action"]
     replay_keys: Key[Array, " num_envs"]
     updates: Int[Array, ""]
+    total_updates: Int[Array, ""]
 
 
 def start(
@@ -107,6 +109,7 @@ def start(
     env: Environment,
     config: OffPolicyConfig,
     env_params: Any,
+    total_updates: int | Int[Array, ""],
     make_learner: Callable[[Key[Array, ""], Any, Any], Learner],
 ) -> OffPolicyState:
     """The train state before the first update.
@@ -116,6 +119,7 @@ def start(
         env: the environment.
         config: of the learner that is made.
         env_params: parameters of the environment, None for its own.
+        total_updates: updates of the whole run.
         make_learner: `(key, config, dtype) -> Learner`.
     """
     env = repeating(env, config.action_repeat)
@@ -149,6 +153,7 @@ def start(
         )(action_keys),
         replay_keys=jax.random.split(keys[3], config.num_envs),
         updates=jnp.zeros((), jnp.int32),
+        total_updates=jnp.asarray(total_updates, jnp.int32),
     )
 
 

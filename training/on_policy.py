@@ -247,14 +247,6 @@ def gather_experience(
     return state, experience, rollout.episodes
 
 
-def along_the_run(
-    state: OnPolicyState, first: Scalar, last: Scalar, dtype: DTypeLike
-) -> Float[Array, ""]:
-    """What a number has come to on its straight way from `first` to `last`."""
-    remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
-    return last + (first - last) * jnp.clip(remaining, 0, 1).astype(dtype)
-
-
 def partition(state: OnPolicyState) -> OnPolicyState:
     """The environments are spread over the devices, all else is repeated."""
     repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)

@@ -24,7 +24,6 @@ from jaxrod.training.on_policy import (
     Experience,
     OnPolicyConfig,
     OnPolicyState,
-    along_the_run,
     check_on_policy,
     deterministic_policy,
     gather_experience,
@@ -34,6 +33,7 @@ from jaxrod.training.on_policy import (
     start,
     value_network,
 )
+from jaxrod.training.schedule import along_the_run
 from jaxrod.training.settings import (
     Scalar,
     check_counts,

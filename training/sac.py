@@ -99,7 +99,8 @@ def init(
         memory = {name: optimiser().init(part) for name, part in weights.items()}
         return Learner(weights | {"target_critics": critics}, memory)
 
-    return start(key, env, config, env_params, learner)
+    updates = -(-total_steps // steps_per_update(config))
+    return start(key, env, config, env_params, updates, learner)
 
 
 def update(

@@ -38,9 +38,11 @@ from jaxrod.training.off_policy import (
     start,
 )
 from jaxrod.training.off_policy_update import Batch, act_and_remember, learn
+from jaxrod.training.schedule import along_the_run
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
+    check_fractions,
     check_not_negative,
 )
 
@@ -54,6 +56,7 @@ class TD3Config(OffPolicyConfig):
             `gradient_steps`.
         critics: number of critics; the smallest value is believed.
         exploration_noise: standard deviation of what is added to actions.
+        exploration_decay: share of it that is gone at the end of the run, linearly.
         target_noise: standard deviation of the blur of the actions that follow.
         target_noise_limit: that blur is clipped to +- this.
     """
@@ -61,6 +64,7 @@ class TD3Config(OffPolicyConfig):
     policy_delay: int = static(default=2)
     critics: int = static(default=2)
     exploration_noise: Scalar = 0.1
+    exploration_decay: Scalar = 0.0
     target_noise: Scalar = 0.2
     target_noise_limit: Scalar = 0.5
 
@@ -81,6 +85,7 @@ def validate(config: TD3Config, num_devices: int = 1) -> None:
     check_not_negative(
         config, "exploration_noise", "target_noise", "target_noise_limit"
     )
+    check_fractions(config, "exploration_decay")
 
 
 def init(
@@ -97,7 +102,7 @@ def init(
         env: the environment.
         config: settings; `vmap` over their numbers works too.
         env_params: parameters of the environment, None for its own.
-        total_steps: of no consequence: nothing follows a schedule.
+        total_steps: control steps over which the exploration noise falls.
     """
 
     def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
@@ -113,7 +118,8 @@ def init(
         targets = {f"target_{name}": part for name, part in weights.items()}
         return Learner(weights | targets, memory)
 
-    return start(key, env, config, env_params, learner)
+    updates = -(-total_steps // steps_per_update(config))
+    return start(key, env, config, env_params, updates, learner)
 
 
 def blurred(
@@ -147,12 +153,19 @@ def update(
     dtype = state.environments.observation.dtype
     network = policy_network(sizes, state.env.action_size, dtype)
 
+    spread = along_the_run(
+        state,
+        config.exploration_noise,
+        config.exploration_noise * (1 - config.exploration_decay),
+        dtype,
+    )
+
     def act(weights: Any, observation: Array) -> Array:
         return jnp.tanh(network.apply({"params": weights}, observation))
 
     def explore(observation: Array, noise: Array) -> Array:
         action = act(state.learner.weights["policy"], observation)
-        return action + config.exploration_noise * noise
+        return action + spread * noise
 
     def following_value(weights: dict[str, Any], batch: Batch) -> Array:
         observation = batch.transition.following

@@ -100,12 +100,34 @@ def test_targets_follow_slowly_and_only_when_the_policy_moves():
             assert np.any(np.asarray(start) != np.asarray(source))
 
 
+def test_exploration_noise_falls_along_the_run():
+    config = TD3Config(
+        **SIZES | {"learning_starts": 0.0},
+        exploration_noise=0.4,
+        exploration_decay=0.75,
+    )
+    state = td3.init(jax.random.key(0), Trivial(), config, total_steps=10**6)
+    total = int(state.total_updates)
+
+    def spread(updates):
+        at = dataclasses.replace(state, updates=jnp.asarray(updates, jnp.int32))
+        after = jax.jit(td3.update)(at)[0]
+        # The first policy does nearly nothing, so what is done is noise.
+        slots = config.rollout_steps
+        return np.std(np.asarray(after.replay.transitions.action)[:slots])
+
+    assert spread(0) == pytest.approx(0.4, rel=0.1)
+    assert spread(total) == pytest.approx(0.1, rel=0.15)
+    assert spread(2 * total) == pytest.approx(0.1, rel=0.15)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("policy_delay", 3),
         ("critics", 0),
         ("exploration_noise", -0.1),
+        ("exploration_decay", 1.5),
         ("target_noise", float("nan")),
         ("target_noise_limit", -1.0),
         ("critic_learning_rate", 0.0),

@@ -1,0 +1,31 @@
+"""Numbers that change along a run."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int
+
+from jaxrod.training.settings import Scalar
+
+
+class Underway(Protocol):
+    """A train state that knows how far it is."""
+
+    @property
+    def updates(self) -> Int[Array, ""]:
+        """Updates done."""
+
+    @property
+    def total_updates(self) -> Int[Array, ""]:
+        """Updates of the whole run."""
+
+
+def along_the_run(
+    state: Underway, first: Scalar, last: Scalar, dtype: DTypeLike
+) -> Float[Array, ""]:
+    """What a number has come to on its straight way from `first` to `last`."""
+    remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
+    return last + (first - last) * jnp.clip(remaining, 0, 1).astype(dtype)
