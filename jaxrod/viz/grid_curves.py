@@ -77,7 +77,8 @@ def grid_curves(
                 paper.wall_hours, score, error, color=colour, marker="D", capsize=3
             )
     steps_axes.set_xlim(0, last)
-    steps_axes.set_xlabel("control steps (dashed: the paper's final scores)")
+    dashed = " (dashed: the paper's final scores)" if any(papers.values()) else ""
+    steps_axes.set_xlabel(f"control steps{dashed}")
     steps_axes.set_ylabel("episode return")
     steps_axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
     clock_axes.set_xscale("log")
