@@ -63,7 +63,8 @@ STIFFNESS = 2e8
 """Of contact in "clean" [N/m^2]. The strongest actions stretch the arm twofold, to a
 tension of 100 kN. Drawn over a cylinder it presses with 1 MN/m, as a first touch at
 100 m/s does: half a centimetre to 2 cm of overlap, less than the arm's radius of 5 cm.
-Half as stiff, one arm of ten thousand was drawn right through a cylinder."""
+Half as stiff, one arm of ten thousand was drawn into a cylinder past its centreline
+(`benchmarks/extremes`)."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Of an element in "clean", before the arm is flagged [1]. Held in a corner of the
