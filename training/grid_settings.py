@@ -164,31 +164,29 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
     },
 }
 
-_CLEAN_OBSTACLES: Mapping[str, Planned] = {
-    "ppo": Planned(
-        4_000_000,
-        {
-            "action_repeat": 3,
-            "rollout_steps": 64,
-            "discount": 0.985,
-            "trace_decay": 0.96,
-        },
-    ),
-    "sac": Planned(2_000_000, _CLEAN_OFF_POLICY),
-    "td3": Planned(
-        2_000_000,
-        {
-            **_CLEAN_OFF_POLICY,
-            "exploration_noise": 0.3,
-            "exploration_decay": 0.9,
-            "policy_learning_rate": 3e-4,
-            "critic_learning_rate": 3e-4,
-        },
-    ),
+_CLEAN_TD3: Settings = {
+    **_CLEAN_OFF_POLICY,
+    "exploration_noise": 0.3,
+    "policy_learning_rate": 3e-4,
+    "critic_learning_rate": 3e-4,
+}
+_CLEAN_PPO: Settings = {
+    "action_repeat": 3,
+    "rollout_steps": 64,
+    "discount": 0.985,
+    "trace_decay": 0.96,
 }
 CLEAN: Mapping[str, Mapping[str, Planned]] = {
-    "structured": _CLEAN_OBSTACLES,
-    "unstructured": _CLEAN_OBSTACLES,
+    "structured": {
+        "ppo": Planned(4_000_000, _CLEAN_PPO),
+        "sac": Planned(2_000_000, _CLEAN_OFF_POLICY),
+        "td3": Planned(2_000_000, _CLEAN_TD3),
+    },
+    "unstructured": {
+        "ppo": Planned(4_000_000, _CLEAN_PPO),
+        "sac": Planned(2_000_000, _CLEAN_OFF_POLICY),
+        "td3": Planned(2_000_000, {**_CLEAN_TD3, "exploration_decay": 0.9}),
+    },
 }
 
 
