@@ -354,7 +354,7 @@ def test_a_run_may_have_more_steps_than_32_bits_count():
         ),
         (
             {"config": PPOConfig(hidden_sizes=(8.0,))},
-            "hidden_sizes must be an integer, got 8.0",
+            r"hidden_sizes must be a tuple of integers .* got \(8.0,\)",
         ),
         (
             {"config": PPOConfig(rollout_steps=128.0)},
