@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod._validation import check_seed
 from jaxrod.cli import _runs, _settings
 
 if TYPE_CHECKING:
@@ -102,6 +101,7 @@ def plan(
     Raises:
         ValueError: something is not known or makes no sense.
     """
+    from jaxrod._validation import check_seed
     from jaxrod.training.grid_settings import GRID
 
     tasks = _unique([_task(case) for case in cases] or list(_runs.PAPER_CASES))

@@ -11,8 +11,6 @@ import json
 import time
 from pathlib import Path
 
-from jaxrod._validation import check_seed
-
 EXAMPLES = """\
 examples:
   jaxrod evaluate runs/first
@@ -39,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plays the episodes and prints how they went."""
     import jaxrod
+    from jaxrod._validation import check_seed
     from jaxrod.cli import _runs
 
     if args.episodes < 1:

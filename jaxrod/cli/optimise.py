@@ -23,8 +23,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod._validation import check_seed
-
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
     from jaxrod.training import ActuatedArm, TrajectoryResult
@@ -127,6 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Optimises, writes the folder, and prints the result."""
     import jaxrod
+    from jaxrod._validation import check_seed
 
     if args.case not in CASES:
         raise ValueError(f"case must be one of {', '.join(CASES)}; got {args.case!r}")

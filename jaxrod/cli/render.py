@@ -11,8 +11,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from jaxrod._validation import check_seed
-
 EXAMPLES = """\
 examples:
   jaxrod render runs/first
@@ -45,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draws and prints the names of the files."""
     import jaxrod
+    from jaxrod._validation import check_seed
     from jaxrod.cli import _pictures, _runs
 
     if args.seconds is not None and not 0 < args.seconds < float("inf"):

@@ -20,7 +20,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxrod._validation import check_seed
 from jaxrod.cli import _settings
 
 STEPS = 10_000_000
@@ -126,6 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Trains, draws, and prints the result."""
     import jaxrod
+    from jaxrod._validation import check_seed
     from jaxrod.cli import _runs
     from jaxrod.training import find_algorithm, train
 
