@@ -22,7 +22,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     # What Gymnasium asks of the class before there is an environment.
-    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's type: each has its own
+    metadata: dict[str, Any] = {  # noqa: RUF012  # Gymnasium's own type for it
         "render_modes": ["rgb_array"],
         "render_fps": 714,
     }

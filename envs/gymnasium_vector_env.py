@@ -25,7 +25,7 @@ class GymnasiumVectorEnv(
     the batch with `jax.random.key(s)`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium's type: each has its own
+    metadata: dict[str, Any] = {  # noqa: RUF012  # Gymnasium's own type for it
         "render_modes": ["rgb_array"],
         "render_fps": 714,
         "autoreset_mode": AutoresetMode.SAME_STEP,

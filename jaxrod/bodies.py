@@ -185,7 +185,7 @@ class SignedDistance(Body):
     """Traced numbers of the body: any pytree of arrays."""
     function: Callable[[Any, Any], Any] = static()
     """Signed distance [m] at one point `(3,)` [m], given the parameters."""
-    ranks: tuple[int, ...] = static(default=())
+    ranks: tuple[int, ...] = static()
     """Number of axes of every leaf of the parameters, of one body."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:

@@ -68,7 +68,7 @@ def evaluate(
         env_params: parameters of the environment, None for its own.
 
     Raises:
-        ValueError: `episodes` is below 1, or `seed` is none.
+        ValueError: `episodes` is below 1, or `seed` is not one.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")

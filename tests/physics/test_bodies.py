@@ -155,7 +155,8 @@ def test_many_bodies_of_any_shape_are_made_by_vmap_too():
     assert many.count == 3
     assert jaxrod.contact(many, stiffness=1e5).n_bodies == 3
     with pytest.raises(ValueError, match="the same leading axis"):
-        dataclasses.replace(many, parameters=(centres, radii[0])).count  # noqa: B018
+        uneven = dataclasses.replace(many, parameters=(centres, radii[0]))
+        jaxrod.contact(uneven, stiffness=1e5)
 
 
 @pytest.mark.parametrize(

@@ -309,19 +309,6 @@ def test_folder_with_a_run_is_neither_mixed_nor_lost_by_accident(tmp_path):
 
 
 @pytest.mark.default_precision
-def test_numbers_of_numpy_are_recorded_as_numbers(tmp_path):
-    env, settings = Trivial(np.int64(7)), {"config": SMALL, "out": tmp_path, **QUIET}
-    train(env, steps=np.int64(256), seed=np.int64(3), **settings)
-    config = RunFolder(tmp_path).config()
-    assert (config["steps"], config["seed"]) == (256, 3)
-    assert config["env_options"] == {"episode_length": 7}
-    # What cannot be recorded does not cost the run that is there.
-    with pytest.raises(TypeError, match="not JSON serializable"):
-        train(env, steps=256, env_options={"a": object()}, overwrite=True, **settings)
-    assert RunFolder(tmp_path).config() == config
-
-
-@pytest.mark.default_precision
 def test_a_run_may_have_more_steps_than_32_bits_count():
     def interrupt(row):
         signal.raise_signal(signal.SIGINT)
@@ -332,46 +319,6 @@ def test_a_run_may_have_more_steps_than_32_bits_count():
     assert found.summary["status"] == "interrupted"
     assert found.summary["env_steps"] == 128
     assert int(found.state.total_updates) == -(-steps // 128)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"steps": 100}, "steps must be at least one update, 128 .* got 100"),
-        ({"steps": 1e6}, "steps must be an integer, got 1000000.0"),
-        ({"seed": -1}, "seed must be an integer from 0 to 4294967295, got -1"),
-        ({"seed": 2**32}, "seed must be .* got 4294967296"),
-        ({"checkpoint_seconds": float("nan")}, "checkpoint_seconds .* got nan s"),
-        ({"algorithm": "magic"}, "algorithm must be one of .*ppo.*; got 'magic'"),
-        ({"score_window": 0}, "score_window .* got 0"),
-        ({"evaluation_episodes": -1}, "evaluation_episodes .* got -1"),
-        ({"chunk_steps": 0}, "chunk_steps .* got 0"),
-        ({"devices": []}, "devices"),
-        ({"config": 3}, "config must be a PPOConfig .* got int"),
-        (
-            {"config": PPOConfig(hidden_sizes=[8])},
-            r"hidden_sizes .* tuple .* got \[8\]",
-        ),
-        (
-            {"config": PPOConfig(hidden_sizes=(8.0,))},
-            r"hidden_sizes must be a tuple of integers .* got \(8.0,\)",
-        ),
-        (
-            {"config": PPOConfig(rollout_steps=128.0)},
-            "rollout_steps must be an integer, got 128.0",
-        ),
-        ({"resume": True}, "out=None"),
-    ],
-)
-def test_bad_argument_is_refused_by_name_and_value(changes, words):
-    arguments = {"steps": 256, "config": SMALL, "progress": False} | changes
-    with pytest.raises(ValueError, match=words):
-        train(Trivial(), **arguments)
-
-
-def test_resume_without_a_run_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"no config\.json"):
-        train(Trivial(), steps=256, config=SMALL, out=tmp_path, resume=True)
 
 
 def test_progress_line_tells_steps_speed_return_and_time_left():
