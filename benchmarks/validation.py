@@ -13,7 +13,6 @@ from __future__ import annotations
 import ast
 import os
 import platform
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +28,7 @@ FOLDERS = (
     "tests/physics",
     "tests/extremes",
     "tests/pyelastica/test_side_by_side.py",
+    "tests/pyelastica/test_contact_side_by_side.py",
     "tests/envs/test_clean_problem.py",
 )
 HEADER = """\
@@ -87,8 +87,9 @@ class Rows:
             software=software if self.read_from_files else here,
         )
         for section, rows in self.rows.items():
-            title = section.removeprefix("test_").replace("_", " ").capitalize()
-            yield f"## {re.sub('Side by side', 'Beside PyElastica', title)}\n"
+            words = section.removeprefix("test_").replace("_", " ")
+            title = words.replace("side by side", "beside PyElastica")
+            yield f"## {title[0].upper()}{title[1:]}\n"
             yield f"| {' | '.join(COLUMNS)} |"
             yield "|---|---|---:|---:|"
             yield from (f"| {' | '.join(row)} |" for row in rows)

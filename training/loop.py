@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
 from jaxrod._validation import check_count, check_seed
 from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.run import Result, Run
-from jaxrod.training.run_folder import RunFolder, differences
+from jaxrod.training.run_folder import RunFolder, differences, plain, recorded
 
 
 def train(
@@ -147,18 +146,15 @@ def _describe(
 ) -> dict[str, Any]:
     """What was asked for, as `config.json` keeps it."""
     options = _options(env) if env_options is None else dict(env_options)
-    settings = {
-        field.name: getattr(config, field.name) for field in dataclasses.fields(config)
-    }
     return {
         "case": env.name,
         "variant": options.get("variant", getattr(env, "variant", None)),
-        "env_options": {name: _plain(value) for name, value in options.items()},
+        "env_options": {name: plain(value) for name, value in options.items()},
         "algorithm": learner.name,
         "steps": steps,
         "seed": seed,
         "score_window": score_window,
-        "settings": {name: _plain(value) for name, value in settings.items()},
+        "settings": recorded(config),
     }
 
 
@@ -180,14 +176,6 @@ def _options(env: Any) -> dict[str, Any]:
         if getattr(env, field.name) != getattr(usual, field.name)
     }
     return {**variant, **chosen}
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON holds it."""
-    if isinstance(value, tuple):
-        return [_plain(one) for one in value]
-    arrays = (jax.Array, np.ndarray, np.generic)
-    return value.tolist() if isinstance(value, arrays) else value
 
 
 def _open_folder(

@@ -13,12 +13,16 @@ The command line draws learning_curve.png and replay.html beside them.
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import jax
+import numpy as np
 
 from jaxrod._files import write_atomically
 
@@ -128,6 +132,22 @@ class RunFolder:
     def _write(self, name: str, content: Mapping[str, Any]) -> None:
         text = json.dumps(dict(content), indent=2, allow_nan=False) + "\n"
         write_atomically(self.path / name, text.encode())
+
+
+def recorded(settings: Any) -> dict[str, Any]:
+    """The settings of a learner, a dataclass, as `config.json` keeps them."""
+    return {
+        field.name: plain(getattr(settings, field.name))
+        for field in dataclasses.fields(settings)
+    }
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON holds it; what JSON cannot hold stays what it is."""
+    if isinstance(value, tuple):
+        return [plain(one) for one in value]
+    arrays = (jax.Array, np.ndarray, np.generic)
+    return value.tolist() if isinstance(value, arrays) else value
 
 
 def differences(

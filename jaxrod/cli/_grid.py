@@ -133,6 +133,7 @@ def _cell(
     fraction: float | None,
 ) -> Cell:
     from jaxrod.training import find_algorithm, grid_settings
+    from jaxrod.training.run_folder import recorded
 
     env = _runs.make_case(task, {"variant": variant} if variant else {})
     learner = find_algorithm(algorithm)
@@ -152,10 +153,7 @@ def _cell(
         seed=seed,
         steps=planned.steps,
         changed=changed,
-        settings={
-            field.name: plain(getattr(config, field.name))
-            for field in dataclasses.fields(config)
-        },
+        settings=recorded(config),
     )
     per_update = learner.steps_per_update(config)
     if steps is None and cell.paper is not None:
@@ -190,8 +188,3 @@ def _word(value: Any) -> str:
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON holds it."""
-    return list(value) if isinstance(value, tuple) else value

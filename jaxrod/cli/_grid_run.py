@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from jaxrod.cli import _grid_process
-from jaxrod.cli._grid import CHECKPOINT_SECONDS, Cell, plain
+from jaxrod.cli._grid import CHECKPOINT_SECONDS, Cell
 from jaxrod.cli._grid_records import Record, Records
 from jaxrod.cli._grid_report import draw_figures, write_report
 from jaxrod.cli._grid_view import GridView
 from jaxrod.cli._machine import processor
 from jaxrod.training import find_algorithm
 from jaxrod.training.interruption import Interruption
-from jaxrod.training.run_folder import RunFolder, differences
+from jaxrod.training.run_folder import RunFolder, differences, recorded
 
 DIVERGED = 1
 """Exit code of `jaxrod train` when learning diverged."""
@@ -98,12 +98,7 @@ def _completed(config: Mapping[str, Any]) -> dict[str, Any]:
     A new setting's default is what was done before there was a choice.
     """
     default = find_algorithm(config["algorithm"]).config_type()
-    new = {
-        field.name: plain(getattr(default, field.name))
-        for field in dataclasses.fields(default)
-        if field.name not in config["settings"]
-    }
-    return {**config, "settings": {**config["settings"], **new}}
+    return {**config, "settings": {**recorded(default), **config["settings"]}}
 
 
 @dataclasses.dataclass

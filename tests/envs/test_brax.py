@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import functools
 import importlib
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +13,7 @@ import pytest
 from jaxrod.envs import VectorEnvironment, make
 from jaxrod.envs.gym import ids
 from jaxrod.envs.trivial import Trivial
+from missing import pretend_missing
 
 MISSING = {"reason": "the brax extra is not installed"}
 brax = pytest.importorskip("brax.envs", **MISSING)
@@ -264,19 +264,7 @@ def test_bad_input_is_refused_in_words():
         adapter.BraxEnv(make("trivial"), variant="clean")
 
 
-class NotInstalled:
-    """Says of brax what Python says of a library that is not there."""
-
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        if name == "brax":
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
 def test_without_brax_a_sentence_says_what_to_install(monkeypatch):
-    for name in {*sys.modules}:
-        if name.startswith(("brax", "jaxrod.envs.brax_env")):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(sys, "meta_path", [NotInstalled, *sys.meta_path])
+    pretend_missing(monkeypatch, "brax", "jaxrod.envs.brax_env")
     with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[brax\]"'):
         importlib.import_module("jaxrod.envs.brax_env")

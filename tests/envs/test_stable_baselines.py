@@ -1,7 +1,6 @@
 """Stable Baselines 3 sees what the functional environments do, bit for bit."""
 
 import importlib
-import sys
 
 import gymnasium
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 
 from jaxrod.envs import make
 from jaxrod.envs.gym import GymnasiumVectorEnv, ids
+from missing import pretend_missing
 
 MISSING = {"reason": "the sb3 extra is not installed"}
 sb3 = pytest.importorskip("stable_baselines3", **MISSING)
@@ -189,19 +189,7 @@ def test_bad_input_is_refused_in_words():
         envs.reset()
 
 
-class NotInstalled:
-    """Says of the library what Python says of one that is not there."""
-
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        if name == "stable_baselines3":
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
 def test_without_the_library_a_sentence_says_what_to_install(monkeypatch):
-    for name in {*sys.modules}:
-        if name.startswith(("stable_baselines3", "jaxrod.envs.stable_baselines")):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(sys, "meta_path", [NotInstalled, *sys.meta_path])
+    pretend_missing(monkeypatch, "stable_baselines3", "jaxrod.envs.stable_baselines")
     with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[sb3\]"'):
         importlib.import_module("jaxrod.envs.stable_baselines")

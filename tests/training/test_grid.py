@@ -1,10 +1,8 @@
 """The published grid as it is planned: within the paper's budget, and trainable."""
 
-import re
-from pathlib import Path
-
 import pytest
 
+from algorithms_page import CLEAN_DIFFERENT, DIFFERENT, both, settings_rows
 from jaxrod.cli import _grid, _runs
 from jaxrod.training import algorithm_names
 from jaxrod.training.grid_settings import CLEAN, GRID
@@ -49,19 +47,24 @@ def test_a_share_of_the_steps_is_rounded_down_to_whole_updates():
 
 
 def test_the_page_on_algorithms_tells_what_differs_by_case():
-    page = Path(__file__).parents[2] / "docs" / "algorithms.md"
-    _, published, clean = re.split(
-        "\n## What differs (?=by case|where)", page.read_text()
-    )
     named = {case: plans for case, plans in GRID.items() if case != "trivial"}
-    for section, grid in ((published, named), (clean, CLEAN)):
+    published = [
+        (algorithms, cases, setting, ours)
+        for algorithms, cases, setting, _, ours, _ in settings_rows(DIFFERENT)
+        if cases != "all"
+    ]
+    clean = [
+        (algorithms, cases, setting, value)
+        for cases, algorithms, setting, value in settings_rows(CLEAN_DIFFERENT)
+    ]
+    for rows, grid in ((published, named), (clean, CLEAN)):
         told = {(case, name): {} for case, plans in grid.items() for name in plans}
-        for line in section.splitlines():
-            cells = [cell.strip() for cell in line.strip("|").split("|")]
-            if len(cells) == 4 and cells[2].startswith("`"):
-                for case in cells[0].split(", "):
-                    for name in cells[1].split(", "):
-                        told[case, name][cells[2].strip("`")] = cells[3]
+        for algorithms, cases, setting, value in rows:
+            everybody = ", ".join(algorithm_names())
+            who = everybody if algorithms == "all" else algorithms
+            for case, name in both(cases, who):
+                assert setting not in told[case, name], (case, name, setting)
+                told[case, name][setting] = value
         for (case, name), settings in told.items():
             planned = {k: str(v) for k, v in grid[case][name].settings.items()}
             assert settings == planned, (case, name)
