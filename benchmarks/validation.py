@@ -30,6 +30,7 @@ FOLDERS = (
     "tests/pyelastica/test_side_by_side.py",
     "tests/pyelastica/test_contact_side_by_side.py",
     "tests/envs/test_clean_problem.py",
+    "tests/envs/test_clean_obstacles.py",
 )
 HEADER = """\
 # Validation

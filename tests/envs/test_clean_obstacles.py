@@ -10,7 +10,8 @@ import pytest
 import jaxrod
 from jaxrod.envs import make
 from jaxrod.motion import motion_of
-from playing import KEY, check_gradient, smooth_actions, start, stepping
+from physics.validation import record as record
+from playing import KEY, gradient_error, smooth_actions, start, stepping
 
 NAMES = pytest.mark.parametrize("name", ["structured", "unstructured"])
 # The nest's dozen bodies take long to compile; what the maze shows holds for both.
@@ -138,12 +139,16 @@ def test_an_arm_that_looks_at_the_nearest_obstacles_moves_as_if_at_all(name, tow
 
 @pytest.mark.slow
 @TOUCHING
-def test_gradient_through_contact_is_that_of_finite_differences(name, towards):
-    """Over 50 control steps."""
-    env = make(name, variant="clean", n_elements=20, substeps=5)
+def test_gradient_through_contact_is_that_of_finite_differences(name, towards, record):
+    env = make(name, variant="clean")
     params = touching_at_rest(env, towards)
     actions = smooth_actions(50, env.action_size, 0.5)
-    check_gradient(env, actions, rtol=1e-5, params=params)
+    record(
+        f"Gradient of 50 control steps' return by the actions, {name}, touching",
+        "finite differences",
+        gradient_error(env, actions, params),
+        at_most=1e-5,
+    )
 
 
 @NAMES

@@ -5,7 +5,7 @@ and gives the force to both nodes; ours acts at the nodes, per length. An arm al
 cylinder that moves as a whole is where that makes no difference, but at the arm's ends:
 there PyElastica shares out the same total in its own way. Its law is another where
 elements meet obstacles at an angle, where arms leave (its dashpot pulls) and in the
-first two hundredths of a radius or so (ours has a smooth onset).
+first hundredth of a radius (ours has a smooth onset).
 """
 
 from dataclasses import replace
