@@ -14,6 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from every_id import EVERY_ID
 from jaxrod import straight_rod
 from jaxrod._pytree import pytree
 from jaxrod.envs import VectorEnvironment, make
@@ -272,14 +273,12 @@ def test_pictures_are_those_of_the_running_episode():
 SHORT = {"episode_length": 4}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ids())
+@EVERY_ID
 def test_the_checker_has_nothing_to_say_about_any_id(name):
     check_env(gymnasium.make(name, **SHORT).unwrapped)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ids())
+@EVERY_ID
 def test_every_id_is_the_functional_environment_to_the_last_bit(name):
     env = gymnasium.make(name, **SHORT).unwrapped
     envs = gymnasium.make_vec(name, num_envs=1, **SHORT)

@@ -6,8 +6,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from every_id import EVERY_ID
 from jaxrod.envs import make
-from jaxrod.envs.gym import GymnasiumVectorEnv, ids
+from jaxrod.envs.gym import GymnasiumVectorEnv
 from missing import pretend_missing
 
 MISSING = {"reason": "the sb3 extra is not installed"}
@@ -55,8 +56,7 @@ def test_batch_is_that_of_gymnasium_to_the_last_bit():
     assert min(check_same(ours, GymnasiumVectorEnv("trivial", 3), 60)) > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ids())
+@EVERY_ID
 def test_batch_of_every_id_is_that_of_gymnasium_to_the_last_bit(name):
     options = {"episode_length": 4, **gymnasium.spec(name).kwargs}
     ours = adapter.StableBaselinesVecEnv(num_envs=2, **options)
