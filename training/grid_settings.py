@@ -188,7 +188,9 @@ CLEAN: Mapping[str, Mapping[str, Planned]] = {
             2_000_000,
             {**_CLEAN_OFF_POLICY, "discount": 0.99, "entropy_per_action": 0.0},
         ),
-        "td3": Planned(2_000_000, {**_CLEAN_TD3, "exploration_decay": 0.9}),
+        "td3": Planned(
+            2_000_000, {**_CLEAN_TD3, "discount": 0.99, "exploration_decay": 0.9}
+        ),
     },
 }
 
