@@ -5,6 +5,7 @@ import pytest
 from jaxrod.envs.gym import ids
 
 QUICK = "jaxrod/reaching-clean-v0"
+assert QUICK in ids()
 EVERY_ID = pytest.mark.parametrize(
     "name",
     [

@@ -57,7 +57,6 @@ _CLEAN_OFF_POLICY: Settings = {
     "gradient_steps": 128,
     "batch_size": 128,
     "noise_correlation": 0.8,
-    "discount": 0.98,
 }
 _QUICK_ON_POLICY: Settings = {"num_envs": 8, "rollout_steps": 32, "hidden_sizes": (16,)}
 _QUICK_OFF_POLICY: Settings = {
@@ -112,7 +111,6 @@ GRID: Mapping[str, Mapping[str, Planned]] = {
                 "discount": 0.985,
                 "trace_decay": 0.96,
                 "short_steps": 370_000.0,
-                "short_length": 500.0,
             },
         ),
         "sac": Planned(500_000, {**_SCARCE_OFF_POLICY, "noise_correlation": 0.95}),
@@ -179,18 +177,13 @@ _CLEAN_PPO: Settings = {
 CLEAN: Mapping[str, Mapping[str, Planned]] = {
     "structured": {
         "ppo": Planned(4_000_000, _CLEAN_PPO),
-        "sac": Planned(2_000_000, _CLEAN_OFF_POLICY),
-        "td3": Planned(2_000_000, _CLEAN_TD3),
+        "sac": Planned(2_000_000, {**_CLEAN_OFF_POLICY, "discount": 0.98}),
+        "td3": Planned(2_000_000, {**_CLEAN_TD3, "discount": 0.98}),
     },
     "unstructured": {
         "ppo": Planned(4_000_000, _CLEAN_PPO),
-        "sac": Planned(
-            2_000_000,
-            {**_CLEAN_OFF_POLICY, "discount": 0.99, "entropy_per_action": 0.0},
-        ),
-        "td3": Planned(
-            2_000_000, {**_CLEAN_TD3, "discount": 0.99, "exploration_decay": 0.9}
-        ),
+        "sac": Planned(2_000_000, {**_CLEAN_OFF_POLICY, "entropy_per_action": 0.0}),
+        "td3": Planned(2_000_000, {**_CLEAN_TD3, "exploration_decay": 0.9}),
     },
 }
 

@@ -28,7 +28,7 @@ examples:
   jaxrod reproduce --dry-run                         what would run, for how long
   jaxrod reproduce                                   the paper's 20 cells, 3 seeds
   jaxrod reproduce Case1 Case2 --algorithms ppo trpo --seeds 0 1
-  jaxrod reproduce structured --variant clean --out benchmarks/clean
+  jaxrod reproduce Case4 --variant clean --algorithms sac --out /tmp/clean
   jaxrod reproduce --steps-fraction 0.05 --out /tmp/short
   jaxrod reproduce trivial --algorithms ppo sac --out /tmp/trivial
 """

@@ -4,7 +4,7 @@ import pytest
 
 from algorithms_page import CLEAN_DIFFERENT, DIFFERENT, both, settings_rows
 from jaxrod.cli import _grid, _runs
-from jaxrod.training import algorithm_names
+from jaxrod.training import algorithm_names, find_algorithm
 from jaxrod.training.grid_settings import CLEAN, GRID
 
 
@@ -66,6 +66,9 @@ def test_the_page_on_algorithms_tells_what_differs_by_case():
                 assert setting not in told[case, name], (case, name, setting)
                 told[case, name][setting] = value
         for (case, name), settings in told.items():
+            default = find_algorithm(name).config_type()
+            for setting, value in grid[case][name].settings.items():
+                assert value != getattr(default, setting), (case, name, setting)
             planned = {k: str(v) for k, v in grid[case][name].settings.items()}
             assert settings == planned, (case, name)
 
