@@ -53,7 +53,6 @@ _SCARCE_OFF_POLICY: Settings = {
 _CLEAN_OFF_POLICY: Settings = {
     "num_envs": 32,
     "action_repeat": 5,
-    "rollout_steps": 8,
     "gradient_steps": 128,
     "batch_size": 128,
     "noise_correlation": 0.8,
