@@ -87,7 +87,7 @@ def test_batch_of_every_task_is_the_functional_one(name):
     task, variant, _ = name.removeprefix("jaxrod/").split("-")
     env = adapter.BraxEnv(task, variant=variant, episode_length=4)
     # Observations are of the order of 1, and of 10 where they are speeds.
-    _, truncations = check_same(env, 2, 6, rounding=2e-5)
+    _, truncations = check_same(env, 2, 6, rounding=2e-4)
     assert truncations > 0
 
 
