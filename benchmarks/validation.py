@@ -35,7 +35,7 @@ FOLDERS = (
 HEADER = """\
 # Validation
 
-Written by `python benchmarks/validation.py` from a run of the tests that assert every
+Written by `python benchmarks/validation.py` from runs of the tests that assert every
 row; do not edit. {outcome}
 
 Unless a row says otherwise: float64, one CPU core. Errors are relative where they have

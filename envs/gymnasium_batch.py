@@ -17,6 +17,9 @@ from jaxrod.envs.registry import make
 from jaxrod.envs.scenery import drawable, picture
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
+"""What Gymnasium asks of both classes before there is an environment."""
+
 
 class Batch:
     """Environments that restart by themselves, and the state they are in.

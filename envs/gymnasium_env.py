@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from jaxrod.envs.gymnasium_batch import Batch, observed
+from jaxrod.envs.gymnasium_batch import METADATA, Batch, observed
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.wrappers import VectorState
 
@@ -21,11 +21,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     seed drawn from `np_random`.
     """
 
-    # What Gymnasium asks of the class before there is an environment.
-    metadata: dict[str, Any] = {  # noqa: RUF012  # Gymnasium's own type for it
-        "render_modes": ["rgb_array"],
-        "render_fps": 714,
-    }
+    metadata = METADATA
 
     def __init__(
         self,

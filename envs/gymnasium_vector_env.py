@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from jaxrod.envs.gymnasium_batch import Batch, observed
+from jaxrod.envs.gymnasium_batch import METADATA, Batch, observed
 from jaxrod.envs.protocol import Environment
 
 
@@ -25,11 +25,7 @@ class GymnasiumVectorEnv(
     the batch with `jax.random.key(s)`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012  # Gymnasium's own type for it
-        "render_modes": ["rgb_array"],
-        "render_fps": 714,
-        "autoreset_mode": AutoresetMode.SAME_STEP,
-    }
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
         self,

@@ -76,7 +76,7 @@ def test_star_import_and_help_see_every_name():
 
 def test_unknown_names_are_attribute_and_import_errors():
     with pytest.raises(AttributeError, match="no attribute 'advnace'"):
-        jaxrod.advnace  # noqa: B018  a misspelt name is looked up on purpose
+        _ = jaxrod.advnace
     with pytest.raises(ImportError, match="advnace"):
         exec("from jaxrod import advnace")
 

@@ -52,11 +52,10 @@ def compile_updates(
         metrics have a leading axis of `capacity`, valid up to `count`.
     """
     specs = algorithm.partition(state)
-    along_devices = PartitionSpec(None, None, DEVICE_AXIS)
-    metric_specs = Metrics(
-        scalars=PartitionSpec(),  # type: ignore[arg-type]  # a tree prefix
-        episodes=along_devices,  # type: ignore[arg-type]  # a tree prefix
-    )
+    # Tree prefixes: each stands for all leaves of what has another type.
+    repeated: Any = PartitionSpec()
+    along_devices: Any = PartitionSpec(None, None, DEVICE_AXIS)
+    metric_specs = Metrics(scalars=repeated, episodes=along_devices)
 
     def updates(state: Any, count: Int[Array, ""]) -> tuple[Any, Metrics]:
         shapes = jax.eval_shape(lambda s: algorithm.update(s, DEVICE_AXIS)[1], state)

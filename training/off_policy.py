@@ -159,8 +159,10 @@ def start(
 
 def partition(state: OffPolicyState) -> OffPolicyState:
     """Environments and what is remembered of them are spread over the devices."""
-    repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)
-    memory = PartitionSpec(None, DEVICE_AXIS)
+    # Tree prefixes: each stands for all leaves of what has another type.
+    repeated: Any = PartitionSpec()
+    spread: Any = PartitionSpec(DEVICE_AXIS)
+    memory: Any = PartitionSpec(None, DEVICE_AXIS)
     specs: dict[str, Any] = {
         field.name: repeated
         for field in dataclasses.fields(state)
@@ -168,7 +170,7 @@ def partition(state: OffPolicyState) -> OffPolicyState:
     }
     specs |= {
         "environments": spread,
-        "replay": Replay(memory, repeated),  # type: ignore[arg-type]  # a tree prefix
+        "replay": Replay(memory, repeated),
         "action_keys": spread,
         "action_noise": spread,
         "replay_keys": spread,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod._pytree import pytree, static
@@ -75,12 +74,10 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
             f"got {config.num_envs}"
         )
     sizes = config.hidden_sizes
-    if not isinstance(sizes, tuple) or any(
-        not isinstance(size, int | np.integer) or size < 1 for size in sizes
-    ):
-        raise ValueError(
-            f"hidden_sizes must be a tuple of integers of at least 1, got {sizes}"
-        )
+    if not isinstance(sizes, tuple):
+        raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
+    for size in sizes:
+        check_count("each of hidden_sizes", size, 1)
 
 
 def check_fractions(config: Settings, *names: str) -> None:
