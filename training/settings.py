@@ -77,7 +77,7 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
     if not isinstance(sizes, tuple):
         raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
     for size in sizes:
-        check_count("each of hidden_sizes", size, 1)
+        check_count(f"each of hidden_sizes {sizes}", size, 1)
 
 
 def check_fractions(config: Settings, *names: str) -> None:
