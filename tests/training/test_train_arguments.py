@@ -47,7 +47,7 @@ def test_numbers_of_numpy_are_recorded_as_numbers(tmp_path):
         ),
         (
             {"config": PPOConfig(hidden_sizes=(8.0,))},
-            "each of hidden_sizes must be an integer, got 8.0",
+            r"each of hidden_sizes \(8.0,\) must be an integer, got 8.0",
         ),
         (
             {"config": PPOConfig(rollout_steps=128.0)},
