@@ -182,7 +182,7 @@ CLEAN: Mapping[str, Mapping[str, Planned]] = {
     "unstructured": {
         "ppo": Planned(4_000_000, _CLEAN_PPO),
         "sac": Planned(2_000_000, {**_CLEAN_OFF_POLICY, "entropy_per_action": 0.0}),
-        "td3": Planned(2_000_000, {**_CLEAN_TD3, "exploration_decay": 0.9}),
+        "td3": Planned(6_000_000, {**_CLEAN_TD3, "exploration_decay": 0.9}),
     },
 }
 
