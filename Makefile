@@ -3,7 +3,7 @@ SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
-PYTEST_FLAGS ?= -n 2
+PYTEST_FLAGS ?= -n 2 --dist worksteal
 # What is installed. Where torch comes with CUDA, "sb3" takes gigabytes: its tests are
 # left out without it.
 EXTRAS ?= rl,viz,gym,brax,test
