@@ -2,7 +2,7 @@
 
     python benchmarks/validation.py                   all tests, the slow ones included
     python benchmarks/validation.py -m "not slow"     in some ten minutes
-    python benchmarks/validation.py --from run.xml    of runs with --junitxml=run.xml
+    python benchmarks/validation.py --from a.xml ...  of runs with --junitxml=a.xml
 
 Runs the tests of the physics and of the comparison with PyElastica and tabulates the
 values they recorded, so that the table cannot say anything the tests do not assert.
@@ -14,7 +14,7 @@ import ast
 import os
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -96,22 +96,37 @@ class Rows:
             yield from (f"| {' | '.join(row)} |" for row in rows)
             yield ""
 
-    def read(self, results: Path) -> None:
-        """Takes the rows of a finished run from its JUnit XML file."""
+    def read(self, runs: Iterable[Path]) -> None:
+        """Takes the rows of finished runs from their JUnit XML files.
+
+        In the order of the code, whichever ran first: workers of a parallel run end
+        their tests in any.
+        """
         self.read_from_files = True
-        folders = tuple(f.removesuffix(".py").replace("/", ".") for f in FOLDERS)
-        for case in ElementTree.parse(results).iter("testcase"):
-            module = case.get("classname", "")
-            if not module.startswith(folders):
-                continue
+        found = [
+            (*place, case)
+            for run in runs
+            for case in ElementTree.parse(run).iter("testcase")
+            if (place := place_of(case)) is not None
+        ]
+        for _, file, _, case in sorted(found, key=lambda one: one[:3]):
             if case.find("failure") is not None or case.find("error") is not None:
-                self.failed.append(f"{module}::{case.get('name')}")
+                self.failed.append(f"{file}::{case.get('name')}")
                 continue
             self.passed += case.find("skipped") is None
-            for found in case.iter("property"):
-                if found.get("name") == "validation":
-                    value = ast.literal_eval(found.get("value", ""))
-                    self.add(module.rpartition(".")[2], value)
+            for recorded in case.iter("property"):
+                if recorded.get("name") == "validation":
+                    value = ast.literal_eval(recorded.get("value", ""))
+                    self.add(Path(file).stem, value)
+
+
+def place_of(case: ElementTree.Element) -> tuple[int, str, int] | None:
+    """Folder, file and line of a test in a JUnit XML file; None if it is not ours."""
+    file = case.get("file", "")
+    for i, folder in enumerate(FOLDERS):
+        if file == folder or file.startswith(f"{folder}/"):
+            return i, file, int(case.get("line", 0))
+    return None
 
 
 def main(arguments: list[str]) -> int:
@@ -122,8 +137,7 @@ def main(arguments: list[str]) -> int:
     """
     rows = Rows()
     if arguments[:1] == ["--from"]:
-        for results in arguments[1:]:
-            rows.read(Path(results))
+        rows.read(map(Path, arguments[1:]))
         code = int(bool(rows.failed))
     else:
         os.chdir(ROOT)
