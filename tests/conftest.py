@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import tempfile
 
 # Every worker of a parallel run computes on one thread, so that two workers on two
 # cores do not fight. These are read when the libraries start, hence before imports.
@@ -9,6 +10,13 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     for variable in ("OMP_NUM_THREADS", "NPROC", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Many tests compile the same programs: what this process or one that it starts has
+# compiled is kept until its tests end. One folder for each worker, because JAX does
+# not write whole files at once.
+CACHE = tempfile.TemporaryDirectory(prefix="jaxrod-compiled-")
+os.environ["JAX_COMPILATION_CACHE_DIR"] = CACHE.name
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
 
 import jax
 import pytest
