@@ -11,13 +11,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
         os.environ.setdefault(variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# Many tests compile the same programs: what this process or one that it starts has
-# compiled is kept until its tests end. One folder for each worker, because JAX does
-# not write whole files at once.
-CACHE = tempfile.TemporaryDirectory(prefix="jaxrod-compiled-")
-os.environ["JAX_COMPILATION_CACHE_DIR"] = CACHE.name
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
-
 import jax
 import pytest
 
@@ -27,6 +20,17 @@ from jaxrod.backend import with_backend_options
 # process and those it starts, so that both compute the same to the last bit. JAX
 # reads it when it first computes, hence here, before any test module is imported.
 os.environ["XLA_FLAGS"] = with_backend_options(os.environ.get("XLA_FLAGS", ""))
+
+# Many tests compile the same programs: what this process or one that it starts has
+# compiled is kept until its tests end. One folder for each worker, because JAX does
+# not write whole files at once.
+_compiled = tempfile.TemporaryDirectory(prefix="jaxrod-compiled-")
+for name, value in {
+    "jax_compilation_cache_dir": _compiled.name,
+    "jax_persistent_cache_min_compile_time_secs": 0.3,
+}.items():
+    jax.config.update(name, value)
+    os.environ[name.upper()] = str(value)
 
 # 64-bit types exist in every test and dtypes are passed explicitly, so that one
 # process tests both precisions. Tests marked `default_precision` run without.
