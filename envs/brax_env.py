@@ -37,7 +37,8 @@ class Running:
 
     Attributes:
         state: state of the environment.
-        elapsed: control steps of the running episode.
+        elapsed: control steps of the running episode; more than its length once it
+            has ended before.
     """
 
     state: Any
@@ -126,12 +127,29 @@ class BraxEnv(Env):
         )
 
     def step(self, state: State, action: Float[Array, " action"]) -> State:
-        """One control step.
+        """One control step; none, and no reward, if the episode has ended.
 
         Args:
             state: state from `reset` or from the step before.
             action: in [-1, 1], shape (action_size,).
         """
+        running = state.pipeline_state
+        following = self._advance(state, action)
+        # brax repeats an action past the end of an episode: nothing moves any more.
+        over = running.elapsed >= self.env.episode_length
+        still = state.replace(reward=jnp.zeros_like(state.reward))
+        if "truncation" in state.info:
+            limit, steps = self.env.episode_length, state.info["steps"]
+            early = (running.elapsed > limit) & (state.done == 0)
+            ignored = (running.elapsed == limit) & (steps >= limit)
+            still = still.replace(
+                done=jnp.maximum(state.done, _number(ignored)),
+                info=state.info | {"steps": steps + jnp.where(early, limit, 0)},
+            )
+        return jax.tree.map(lambda a, b: jnp.where(over, a, b), still, following)
+
+    def _advance(self, state: State, action: Float[Array, " action"]) -> State:
+        """One control step of an episode that runs."""
         info = dict(state.info)
         ticks = info["ticks"] + 1
         observation, following, reward, terminated, truncated, scalars = self.env.step(
@@ -148,10 +166,11 @@ class BraxEnv(Env):
         limit = self.env.episode_length
         done = terminated & sound
         time_out = (truncated | ~sound | (elapsed >= limit)) & ~done
+        # What ends otherwise than by the clock is past the limit from now on.
+        early = time_out & (elapsed < limit)
+        elapsed = jnp.where(early | done, jnp.uint32(limit + 1), elapsed)
         if "truncation" in info:  # An EpisodeWrapper keeps the clock.
-            early = time_out & (elapsed < limit)
             info["steps"] += jnp.where(early, limit, 0)
-            done = done | (elapsed > limit)
         else:
             done = done | time_out
         if "first_obs" in info:  # An AutoResetWrapper restarts from here.

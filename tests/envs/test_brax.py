@@ -143,6 +143,59 @@ def test_an_episode_asked_to_be_longer_than_it_is_ends_all_the_same():
     assert ends == ([False] * 20 + [True]) * 2
 
 
+@pytest.mark.parametrize("repeat", [1, 2, 3])
+@pytest.mark.parametrize("length", [5, 6])
+def test_a_repeated_action_ends_with_the_episode(length, repeat):
+    """The wrapper repeats past the end: nothing moves, nothing is paid or lost."""
+    env = adapter.BraxEnv("trivial", episode_length=length)
+    batch = brax.training.wrap(env, length, action_repeat=repeat)
+    state = jax.jit(batch.reset)(jax.random.split(jax.random.PRNGKey(1), 1))
+    alone = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(1), 1)[0])
+    step, one, paid, expected = jax.jit(batch.step), jax.jit(env.step), 0.0, 0.0
+    for _ in range(length):
+        alone = one(alone, jnp.ones(1))
+        expected += float(alone.reward)
+    for k in range(-(-length // repeat)):
+        assert (k == 0) or not state.done[0]
+        state = step(state, jnp.ones((1, 1)))
+        paid += float(state.reward[0])
+    assert state.done[0] == state.info["truncation"][0] == 1
+    assert state.info["time_out"][0] == 1
+    assert paid == pytest.approx(expected, rel=1e-5)
+    assert not step(state, jnp.ones((1, 1))).done[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Touching(Trivial):
+    """The point on a line; its aim is to cross zero, once."""
+
+    def step(self, key, state, action, params):
+        observation, following, reward, ended, *rest = super().step(
+            key, state, action, params
+        )
+        crossed = (state.position <= 0) & (following.position > 0)
+        return observation, following, reward, ended | crossed, *rest
+
+
+@pytest.mark.parametrize(("task", "truncation"), [(Failing, 1), (Touching, 0)])
+def test_an_early_end_among_repeats_is_not_run_past(task, truncation):
+    env = adapter.BraxEnv(task(episode_length=50))
+    clock = brax.training.EpisodeWrapper(brax.training.VmapWrapper(env), 50, 4)
+    state = jax.jit(clock.reset)(jax.random.split(jax.random.PRNGKey(1), 8))
+    starts = state.obs[:, 0]
+    step, to_the_right = jax.jit(clock.step), jnp.ones((8, 1))
+    for _ in range(4):
+        before, state = state, step(state, to_the_right)
+        ended = np.asarray((before.done == 0) & (state.done == 1))
+        np.testing.assert_array_equal(state.info["truncation"][ended], truncation)
+    np.testing.assert_array_equal(state.done, 1)
+    # Where it ended: one stride from zero, on the side that was seen last.
+    where = state.obs[:, 0]
+    seen = (-0.2 < where) & (where <= 0) if truncation else (0 < where) & (where <= 0.2)
+    started_left = np.asarray(starts) < 0
+    assert started_left.any() and np.all(np.asarray(seen)[started_left])
+
+
 def test_parameters_are_what_brax_randomises_per_environment():
     def strides(params, rng):
         one_each = jnp.linspace(0, 0.3, rng.shape[0])
