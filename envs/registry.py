@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 from typing import Any
 
 from jaxrod.envs.protocol import Environment
@@ -30,10 +31,18 @@ def make(name: str, **options: Any) -> Environment:
             `variant="paper"` for `"tracking"`.
 
     Raises:
-        ValueError: nothing is registered under this name.
+        ValueError: nothing is registered under this name, or what is has no such
+            option.
     """
     if name not in _FACTORIES:
         known = ", ".join(names())
         raise ValueError(f"name must be one of {known}; got {name!r}")
     module, factory = _FACTORIES[name].split(":")
-    return getattr(importlib.import_module(module), factory)(**options)
+    build = getattr(importlib.import_module(module), factory)
+    known_options = inspect.signature(build).parameters
+    for option in options:
+        if option not in known_options:
+            raise ValueError(
+                f"{name!r} has no option {option!r}, it has {', '.join(known_options)}"
+            )
+    return build(**options)

@@ -109,9 +109,7 @@ class StableBaselinesVecEnv(VecEnv):
         """
         step = self._batch.step(self._actions)
         done = np.asarray(step.terminated | step.truncated)
-        # One dictionary for all that go on: one each would cost more than the step.
-        nothing: dict[str, Any] = {}
-        infos = [nothing] * self.num_envs
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
             infos[i] = {name: value[i].item() for name, value in step.info.items()} | {
                 "terminal_observation": observed(step.final_observation[i]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from pathlib import Path
@@ -13,8 +14,13 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     Args:
         path: file to write; its folder must exist.
         content: the bytes to write.
+
+    Raises:
+        OSError: it cannot be written; with the name of the file.
     """
     target = Path(path)
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as file:

@@ -32,12 +32,22 @@ class OneForEach(Body):
     """All of them, of a kind."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Each point's distance from its own body, and the normal there."""
+        """Each point's distance from its own body, and the normal there.
+
+        Raises:
+            ValueError: If the bodies were chosen for another number of points.
+        """
 
         def of_one(body: Body, *point: Array) -> tuple[Array, Vec3]:
             x, y, z = (component[None] for component in point)
             return body.surface((x, y, z))
 
+        own = jax.tree.leaves(self.body)[0].shape[-1]
+        if own != len(points[0]):
+            raise ValueError(
+                f"near_contact chose bodies for {own} points of a rod, got "
+                f"{len(points[0])}: choose them for this rod"
+            )
         each = jax.vmap(of_one, in_axes=-1, out_axes=-1)(self.body, *points)
         distance, (x, y, z) = jax.tree.map(lambda leaf: leaf[0], each)
         return distance, (x, y, z)

@@ -310,11 +310,11 @@ def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -
         normal: Out of it `(3,)`; its length does not matter.
 
     Raises:
-        ValueError: If the normal has no length.
+        ValueError: If the normal has no length, or one whose square is too small or
+            too large for the precision.
     """
     direction = _place("normal", normal, "")
-    if not is_traced(direction) and not jnp.any(direction != 0):
-        raise ValueError("normal must have a length, got 0")
+    _check_length("normal", direction)
     return Plane(_place("point", point), direction)
 
 
@@ -331,16 +331,14 @@ def box(
         orientation: Of the box's axes, a quaternion (w, x, y, z).
 
     Raises:
-        ValueError: If the quaternion has no length.
+        ValueError: If the quaternion has no length, or one whose square is too small
+            or too large for the precision.
     """
     lengths = check_array("half_lengths", half_lengths, [(3,)], "m", positive=True)
-    turn = check_array("orientation", orientation, [(4,)], "")
-    if not is_traced(turn) and not turn.any():
-        raise ValueError("orientation must have a length, got 0")
     dtype = jnp.result_type(float)
-    return Box(
-        _place("centre", centre), jnp.asarray(lengths, dtype), jnp.asarray(turn, dtype)
-    )
+    turn = jnp.asarray(check_array("orientation", orientation, [(4,)], ""), dtype)
+    _check_length("orientation", turn)
+    return Box(_place("centre", centre), jnp.asarray(lengths, dtype), turn)
 
 
 def signed_distance(
@@ -384,4 +382,18 @@ def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
     ends = _place("start", start), _place("end", end)
     if not is_traced(ends) and not jnp.any(ends[0] != ends[1]):
         raise ValueError(f"start and end must differ, got {ends[0]} m for both")
+    _check_length("end - start", ends[1] - ends[0])
     return ends
+
+
+def _check_length(name: str, vector: Array) -> None:
+    """Raises unless the vector can be divided by its length."""
+    if is_traced(vector):
+        return
+    square = jnp.sum(vector * vector)
+    limits = jnp.finfo(vector.dtype)
+    if not limits.tiny <= square <= limits.max:
+        raise ValueError(
+            f"{name} must have a length between {limits.tiny**0.5:.0e} and "
+            f"{limits.max**0.5:.0e} in {vector.dtype}, got {vector}"
+        )

@@ -10,7 +10,7 @@ import dataclasses
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -194,14 +194,22 @@ class Run:
         if self.log:
             self.log(row)
         bar.update(self.env_steps, recent)
-        broken = [name for name, value in row.items() if value != value]
-        if broken:
+        self._stop_if(name for name, value in row.items() if value != value)
+
+    def _stop_if(self, broken: Iterable[str]) -> None:
+        """Raises FloatingPointError if there is anything that is not a number."""
+        names = ", ".join(broken)
+        if names:
             raise FloatingPointError(
-                f"{', '.join(broken)} is not a number after {self.env_steps:,} "
-                "steps: learning diverged"
+                f"{names} is not a number after {self.env_steps:,} steps: "
+                "learning diverged"
             )
 
     def _save(self) -> None:
+        # The last step of a chunk may break what no reported number has seen yet.
+        policy = jax.device_get(self.learner.policy(self.state))
+        lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
+        self._stop_if(["the policy"] if lost else [])
         if self.checkpoints:
             facts = {
                 "updates": self.done,

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
-from jaxrod._validation import check_seed
+from jaxrod._validation import check_count, check_seed
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 
@@ -50,6 +50,9 @@ def train_seeds(
     learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
     config = learner.checked(config)
     learner.validate(config, 1)
+    steps = check_count("steps", steps, 1)
+    if not isinstance(seeds, Sequence):
+        raise ValueError(f"seeds must be a sequence of integers, got {seeds!r}")
     if not seeds:
         raise ValueError("seeds must hold at least one seed, got none")
     seeds = [check_seed(seed, "seeds") for seed in seeds]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
@@ -44,7 +45,7 @@ def _parse(name: str, text: str, default: Any) -> Any:
         if isinstance(default, float):
             return float(text)
         return text
-    except (ValueError, KeyError) as error:
+    except (ValueError, KeyError, argparse.ArgumentTypeError) as error:
         kinds = {
             "bool": "true or false",
             "tuple": "integers with commas between",
@@ -66,14 +67,19 @@ def listing(defaults: Any) -> str:
 
 
 def count(text: str) -> int:
-    """Reads a count such as 300, 500k, 10M or 1e7."""
+    """Reads a count such as 300, 500k, 10M or 1e7.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none; of all errors the one whose words
+            argparse passes on.
+    """
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
     number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
     try:
         value = Decimal(number) * size  # In binary 4.1 million is no whole number.
         whole = int(value)
     except (ArithmeticError, ValueError):
-        raise ValueError(f"{text} is not a number") from None
+        raise argparse.ArgumentTypeError(f"{text} is not a number") from None
     if value != whole:
-        raise ValueError(f"{text} is not a whole number")
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number")
     return whole

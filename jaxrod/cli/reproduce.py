@@ -111,6 +111,8 @@ def run(args: argparse.Namespace) -> int:
         steps=args.steps,
         fraction=args.steps_fraction,
     )
+    if args.out.exists() and not args.out.is_dir():
+        raise ValueError(f"out must be a folder, {args.out} is a file")
     records = _grid_records.Records(args.out)
     if args.dry_run:
         _describe(cells, records, args.overwrite, args.json)

@@ -206,6 +206,13 @@ def test_render_writes_where_it_is_told_to(tracking_run, run, tmp_path):
     assert not (tracking_run.folder / "replay.html").exists()
 
 
+def test_a_folder_in_the_place_of_a_file_is_named(tracking_run, run, tmp_path):
+    words = ("render", tracking_run.folder, "--seconds", "0.1", "--out", tmp_path)
+    code, _, err = run(*words)
+    assert code == 2
+    assert err.endswith(f"{tmp_path}: Is a directory\n")
+
+
 def test_a_task_without_an_arm_gets_its_curve_and_a_word(trained, run):
     code, out, err = run("render", trained[0])
     assert code == 0

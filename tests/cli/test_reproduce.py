@@ -266,3 +266,11 @@ def test_what_cannot_be_done_is_one_sentence(words, sentence, run, tmp_path):
     assert sentence in err
     assert err.count("\n") == 1
     assert not (tmp_path / "grid").exists()
+
+
+@pytest.mark.parametrize("words", [[], ["--dry-run"]])
+def test_a_file_is_no_folder_for_a_grid(words, run, tmp_path):
+    (tmp_path / "notes").write_text("mine")
+    code, out, err = run("reproduce", "trivial", *words, "--out", tmp_path / "notes")
+    assert (code, out) == (2, "")
+    assert f"out must be a folder, {tmp_path / 'notes'} is a file" in err

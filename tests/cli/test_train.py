@@ -1,5 +1,6 @@
 """`jaxrod train`: what it leaves, what it refuses, and that nothing is lost."""
 
+import argparse
 import csv
 import json
 import os
@@ -221,8 +222,15 @@ def test_counts_may_be_written_short(text, count):
 
 @pytest.mark.parametrize("text", ["", "k", "1.5", "inf", "nan", "many"])
 def test_what_is_not_a_count_is_refused(text):
-    with pytest.raises(ValueError):
+    with pytest.raises(argparse.ArgumentTypeError):
         _settings.count(text)
+
+
+def test_what_is_no_count_is_told_in_words(run):
+    code, _, err = run("train", "trivial", "--steps", "1.5")
+    assert code == 2 and "argument --steps: 1.5 is not a whole number" in err
+    code, _, err = run("train", "trivial", "--set", "num_envs=1.5")
+    assert code == 2 and "num_envs must be an integer, got '1.5'" in err
 
 
 def test_settings_can_be_listed(run):

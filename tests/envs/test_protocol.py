@@ -32,6 +32,12 @@ def test_unknown_name_is_refused_with_the_known_ones():
     assert "trivial" in names()
 
 
+@pytest.mark.parametrize("name", names())
+def test_an_option_it_does_not_have_is_refused_with_those_it_has(name):
+    with pytest.raises(ValueError, match=rf"'{name}' has no option 'foo', it has .*ep"):
+        make(name, foo=2)
+
+
 def test_equal_environments_are_one_static_argument():
     assert hash(make("trivial")) == hash(Trivial())
     assert make("trivial") == Trivial()

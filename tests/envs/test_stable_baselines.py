@@ -35,6 +35,7 @@ def check_same(ours, theirs, steps):
         np.testing.assert_array_equal(rewards, paid)
         np.testing.assert_array_equal(dones, terminated | truncated)
         assert observations.dtype == rewards.dtype == np.float32
+        assert len({id(info) for info in infos}) == len(infos)
         for i, info in enumerate(infos):
             if not dones[i]:
                 assert info == {}

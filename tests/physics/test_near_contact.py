@@ -12,7 +12,7 @@ import jaxrod
 from jaxrod import vectors
 from jaxrod.contact_points import contact_points
 from jaxrod.motion import motion_of
-from physics.rods import difference
+from physics.rods import deformed, difference, random_rod
 from physics.shapes import BODIES, turned
 from physics.touching import contact_loads, moving_arm, rubbing
 
@@ -190,3 +190,12 @@ def test_impossible_counts_are_named(count, message):
     rod, state = thick_arm()
     with pytest.raises(ValueError, match=message):
         jaxrod.near_contact(rubbing(scattered("sphere")), rod, state, count)
+
+
+def test_bodies_chosen_for_another_rod_are_refused():
+    rod, state = thick_arm()
+    near = near_contact(rubbing(scattered("sphere")), rod, state, 3)
+    other, _ = random_rod(4, 5, length=0.6)
+    scene = jaxrod.make_scene(other, near)
+    with pytest.raises(ValueError, match=r"for 7 points of a rod, got 6: choose them"):
+        jaxrod.step(scene, deformed(other, 0), 1e-5)

@@ -14,12 +14,20 @@ import sys
 import time
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxrod.envs import VectorEnvironment
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import PPOConfig, RunFolder, evaluate, load_policy, train
+from jaxrod.training import (
+    PPOConfig,
+    RunFolder,
+    evaluate,
+    find_algorithm,
+    load_policy,
+    train,
+)
 from jaxrod.training.progress import ProgressBar, progress_line
 
 SMALL = PPOConfig(
@@ -42,6 +50,7 @@ train(Trivial(), steps=128 * 30, config=config, out=sys.argv[1], chunk_steps=256
 TWO_DEVICES = """
 import json, sys
 import jax
+import jax.numpy as jnp
 jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 from jaxrod.envs.trivial import Trivial
@@ -347,3 +356,42 @@ def test_importing_bare_folders_says_what_to_import():
         )
         assert done.returncode != 0
         assert f"import jaxrod.{name}, not {name}" in done.stderr
+
+
+def broken(part):
+    """PPO with something that is not a number from the second chunk on."""
+    usual = find_algorithm("ppo")
+
+    def spoil(leaf, state):
+        late = (state.updates > 2) & jnp.issubdtype(leaf.dtype, jnp.floating)
+        return jnp.where(late, jnp.asarray(jnp.nan).astype(leaf.dtype), leaf)
+
+    def update(state, axis_name=None):
+        state, metrics = usual.update(state, axis_name)
+        spoilt = {k: spoil(v, state) for k, v in metrics.scalars.items()}
+        return state, dataclasses.replace(metrics, scalars=spoilt)
+
+    def policy(state):
+        return jax.tree.map(lambda leaf: spoil(leaf, state), usual.policy(state))
+
+    changed = {"update": update, "policy": policy}
+    return dataclasses.replace(usual, **{part: changed[part]})
+
+
+@pytest.mark.parametrize(("part", "name"), [("update", "loss"), ("policy", "policy")])
+def test_what_diverged_is_said_and_not_saved(tmp_path, part, name):
+    with pytest.raises(FloatingPointError, match=f"{name}.* is not a number after 512"):
+        train(
+            Trivial(),
+            broken(part),
+            steps=STEPS,
+            config=SMALL,
+            out=tmp_path / "run",
+            chunk_steps=256,
+            checkpoint_seconds=0,
+            progress=False,
+        )
+    (kept,) = (tmp_path / "run" / "checkpoints").glob("[0-9]*")
+    assert kept.name == "2"
+    for weights in jax.tree.leaves(load_policy(tmp_path / "run" / "policy")):
+        assert np.isfinite(weights).all()

@@ -155,3 +155,17 @@ def test_environments_must_divide_among_the_devices():
 def test_seeds_do_not_take_the_settings_of_another_algorithm():
     with pytest.raises(ValueError, match=r"be a SACConfig .* got PPOConfig"):
         train_seeds(Trivial(), "sac", steps=1000, config=SMALL)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"steps": 1000.5}, r"steps must be an integer, got 1000\.5"),
+        ({"seeds": 3}, "seeds must be a sequence of integers, got 3"),
+        ({"seeds": ()}, "seeds must hold at least one seed"),
+        ({"seeds": (0, -1)}, "seeds must be an integer from 0"),
+    ],
+)
+def test_seeds_that_cannot_be_run_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        train_seeds(Trivial(), **{"steps": 1000, "config": SMALL} | changes)
