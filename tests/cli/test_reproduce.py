@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -274,3 +275,19 @@ def test_a_file_is_no_folder_for_a_grid(words, run, tmp_path):
     code, out, err = run("reproduce", "trivial", *words, "--out", tmp_path / "notes")
     assert (code, out) == (2, "")
     assert f"out must be a folder, {tmp_path / 'notes'} is a file" in err
+
+
+CLEAN = "Case3 Case4 --variant clean --algorithms sac td3 --seeds 0 1 2 3 4"
+
+
+@pytest.mark.parametrize(
+    ("words", "folder", "cells"), [("", "paper", 60), (CLEAN, "clean", 20)]
+)
+def test_the_benchmarks_that_are_kept_are_of_the_grid_as_it_is(
+    words, folder, cells, run
+):
+    kept = Path(__file__).parents[2] / "benchmarks" / folder
+    code, out, _ = run("reproduce", *words.split(), "--dry-run", "--out", kept)
+    assert code == 0
+    states = [line.split()[1] for line in out.splitlines() if line.startswith("Case")]
+    assert states == ["finished"] * cells
