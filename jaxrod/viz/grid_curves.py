@@ -46,7 +46,12 @@ def grid_curves(
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import EngFormatter
+    from matplotlib.ticker import (
+        EngFormatter,
+        LogLocator,
+        NullFormatter,
+        StrMethodFormatter,
+    )
 
     figure = Figure(figsize=(11, 4.8), dpi=130, layout="constrained")
     FigureCanvasAgg(figure)
@@ -82,6 +87,9 @@ def grid_curves(
     steps_axes.set_ylabel("episode return")
     steps_axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
     clock_axes.set_xscale("log")
+    clock_axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    clock_axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    clock_axes.xaxis.set_minor_formatter(NullFormatter())
     clock_axes.set_xlabel("wall-clock time [h]")
     for axes in (steps_axes, clock_axes):
         axes.grid(color="#d5dbe4", linewidth=0.6)
