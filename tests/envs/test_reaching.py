@@ -218,7 +218,9 @@ def test_gradient_of_the_return_is_that_of_finite_differences(variant):
 
 
 @pytest.mark.default_precision
-@VARIANTS
+@pytest.mark.parametrize(
+    "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
+)
 def test_vmap_is_a_loop_numbers_are_single_and_nothing_recompiles(variant):
     check_vmap_is_a_loop(make("reaching", variant=variant))
 

@@ -232,7 +232,9 @@ def test_gradient_of_the_return_is_that_of_finite_differences(variant):
 
 
 @pytest.mark.default_precision
-@pytest.mark.parametrize("variant", ["paper", "clean"])
+@pytest.mark.parametrize(
+    "variant", [pytest.param("paper", marks=pytest.mark.slow), "clean"]
+)
 def test_vmap_is_a_loop_and_numbers_are_single(variant):
     env = make("tracking", variant=variant)
     params = env.default_params()

@@ -97,7 +97,14 @@ def test_the_reference_elastica_is_the_tabulated_one():
     np.testing.assert_allclose(elastica(5.0), (0.713792, 1 - 0.387628), atol=1e-6)
 
 
-@pytest.mark.parametrize(("n", "bar"), [(10, 4e-3), (20, 1e-3), (40, 3e-4)])
+@pytest.mark.parametrize(
+    ("n", "bar"),
+    [
+        pytest.param(10, 4e-3, marks=pytest.mark.slow),
+        (20, 1e-3),
+        pytest.param(40, 3e-4, marks=pytest.mark.slow),
+    ],
+)
 def test_large_deflection_follows_the_elastica(n, bar, record):
     load = 5.0
     rod, state = arm(n, radius=0.005)

@@ -169,7 +169,7 @@ def _turned(direction, turns):
     return x / size, y / size, z / size
 
 
-@pytest.mark.parametrize("at_rest", [True, False])
+@pytest.mark.parametrize("at_rest", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_gradients_agree_with_finite_differences(at_rest, record):
     scene, state = swinging(n=4, sideways=0.0 if at_rest else 2.0)
     if not at_rest:

@@ -11,7 +11,9 @@ from jaxrod.training.short_episodes import restart_phase
 
 
 @pytest.mark.default_precision
-@pytest.mark.parametrize("algorithm", ["ppo", "td3"])
+@pytest.mark.parametrize(
+    "algorithm", [pytest.param("ppo", marks=pytest.mark.slow), "td3"]
+)
 def test_only_whole_episodes_are_scored(algorithm):
     sizes = {"num_envs": 8, "rollout_steps": 16, "short_steps": 1000.0}
     if algorithm == "td3":
