@@ -140,6 +140,7 @@ class BraxEnv(Env):
         still = state.replace(reward=jnp.zeros_like(state.reward))
         if "truncation" in state.info:
             limit, steps = self.env.episode_length, state.info["steps"]
+            # A clock set to more than the episode's length has not stopped at its end.
             early = (running.elapsed > limit) & (state.done == 0)
             ignored = (running.elapsed == limit) & (steps >= limit)
             still = still.replace(
