@@ -101,6 +101,9 @@ class Rows:
 
         In the order of the code, whichever ran first: workers of a parallel run end
         their tests in any.
+
+        Raises:
+            ValueError: none of the tests is in them.
         """
         self.read_from_files = True
         found = [
@@ -109,6 +112,8 @@ class Rows:
             for case in ElementTree.parse(run).iter("testcase")
             if (place := place_of(case)) is not None
         ]
+        if not found:
+            raise ValueError(f"no test of {', '.join(FOLDERS)} in these files")
         for _, file, _, case in sorted(found, key=lambda one: one[:3]):
             if case.find("failure") is not None or case.find("error") is not None:
                 self.failed.append(f"{file}::{case.get('name')}")

@@ -285,6 +285,10 @@ def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
         start: Centre of the half sphere at one end `(3,)` [m].
         end: Centre of the half sphere at the other end `(3,)` [m].
         radius: [m].
+
+    Raises:
+        ValueError: If the ends are the same, or too near or far for the precision to
+            hold the square of their distance.
     """
     ends = _ends(start, end)
     return Capsule(*ends, _positive("radius", radius))
@@ -297,6 +301,10 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
         start: Centre of one end `(3,)` [m].
         end: Centre of the other end `(3,)` [m].
         radius: [m].
+
+    Raises:
+        ValueError: If the ends are the same, or too near or far for the precision to
+            hold the square of their distance.
     """
     ends = _ends(start, end)
     return Cylinder(*ends, _positive("radius", radius))

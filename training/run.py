@@ -116,7 +116,8 @@ class Run:
         ended = self.done == self.total
         summary = {} if ended else self._advance()
         finished = self.done == self.total
-        policy = self._export_policy()
+        policy = self._policy()
+        self._export(policy)
         evaluation = None
         if finished and evaluation_episodes:
             evaluation, report = self._evaluate(policy, evaluation_episodes)
@@ -207,7 +208,7 @@ class Run:
 
     def _save(self) -> None:
         # The last step of a chunk may break what no reported number has seen yet.
-        policy = jax.device_get(self.learner.policy(self.state))
+        policy = self._policy()
         lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
         self._stop_if(["the policy"] if lost else [])
         if self.checkpoints:
@@ -219,16 +220,18 @@ class Run:
             }
             self.checkpoints.save(self.done, self.state, facts)
             # So that a run can be evaluated and drawn while it goes on.
-            self._export_policy()
+            self._export(policy)
 
-    def _export_policy(self) -> Policy:
-        """The deterministic policy, also written into the folder."""
-        policy = jax.device_get(self.learner.policy(self.state))
+    def _policy(self) -> Policy:
+        """The deterministic policy, on the host."""
+        return jax.device_get(self.learner.policy(self.state))
+
+    def _export(self, policy: Policy) -> None:
+        """Writes the policy into the folder, if there is one."""
         if self.folder:
             names = ("case", "variant", "algorithm")
             about = {name: self.asked[name] for name in names}
             save_policy(policy, self.folder.policy, about)
-        return policy
 
     def _restore(self, template: Any) -> Any:
         """Goes back to the last checkpoint, and the tables with it."""
