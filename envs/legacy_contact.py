@@ -19,15 +19,23 @@ width. (PyElastica 1.0 still has this box, but not the first term of the force.)
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxrod import Motion, Rod, vectors
-from jaxrod._pytree import pytree
+from jaxrod import Effect, Loads, Motion, Rod, vectors
+from jaxrod._pytree import pytree, static
 from jaxrod.envs.cylinders import Cylinders
+from jaxrod.scene import PLANES, Plane
 from jaxrod.vectors import Vec3
+
+Components = tuple[Array, ...]
+"""Three components of a field of vectors, or the two in a plane."""
 
 FARTHEST_GAP = 1e-5
 """Gap up to which the force-cancelling term acts [m]."""
@@ -37,23 +45,39 @@ PARALLEL = 1e-6
 
 
 @pytree
-class LegacyContact:
-    """The published contact of an arm with cylinders."""
+class LegacyContact(Effect):
+    """The published contact of an arm with cylinders; PyElastica mode only.
+
+    Listed after everything else that exerts forces.
+    """
 
     cylinders: Cylinders
     stiffness: Float[Array, ""]
     """k [N/m]"""
     damping: Float[Array, ""]
     """nu [kg/s]"""
+    plane: Plane | None = static(default=None)
+    """The plane to which all cylinders are perpendicular and in which the arm and all
+    that acts on it stay: forces out of it are not looked at."""
 
-    def add_to(self, forces: Vec3, rod: Rod, motion: Motion) -> Vec3:
-        """All forces on the nodes [N], given all but those of contact."""
-        # Without the barrier XLA works them out again wherever the sweep reads them:
-        # three times slower altogether.
+    def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
+        """Forces of contact, which depend on all forces found so far."""
+        if before.forces is None:
+            raise ValueError("LegacyContact needs the forces found so far")
+        forces = self._seen(before.forces)
+        # Without the barrier XLA works them out again wherever the sweep reads them.
         normals, pushes = lax.optimization_barrier(self.encounters(rod, motion))
-        return _sweep(forces, normals, pushes)
+        after = _sweep(forces, normals, pushes)
+        change = [new - old for new, old in zip(after, forces, strict=True)]
+        if self.plane is None:
+            return Loads(forces=(change[0], change[1], change[2]))
+        a, b, out = PLANES[self.plane]
+        x = {a: change[0], b: change[1], out: jnp.zeros_like(change[0])}
+        return Loads(forces=(x[0], x[1], x[2]))
 
-    def encounters(self, rod: Rod, motion: Motion) -> tuple[Vec3, Float[Array, "m n"]]:
+    def encounters(
+        self, rod: Rod, motion: Motion
+    ) -> tuple[Components, Float[Array, "m n"]]:
         """Directions from element to cylinder, and the elastic and viscous push [N].
 
         Both are zero where there is no contact.
@@ -61,8 +85,10 @@ class LegacyContact:
         lengths = motion.lengths
         radii = rod.radii * jnp.sqrt(rod.rest_lengths / lengths)
         reach = radii[None, :] + self.cylinders.radii[:, None]
-        apart, offset_squared = _closest_points(motion, self.cylinders)
-        distance = vectors.safe_norm(apart)
+        closest = _closest_points if self.plane is None else self._closest_in_plane
+        apart, offset_squared = closest(motion, self.cylinders)
+        squared = _dot(apart, apart)
+        distance = jnp.sqrt(jnp.maximum(squared, jnp.finfo(squared.dtype).tiny))
         overlap = reach - distance
         far = reach + lengths[None, :] + self.cylinders.lengths[:, None]
         gate = boxes_overlap(self.cylinders, motion, lengths, radii)
@@ -70,11 +96,33 @@ class LegacyContact:
             gate[:, None] & (offset_squared < far * far) & (overlap >= -FARTHEST_GAP)
         )
         inverse = jnp.where(active, 1 / distance, 0)
-        normal = vectors.scale(inverse, apart)
-        u, v, w = (0.5 * (c[1:] + c[:-1])[None, :] for c in motion.velocity)
-        closing = vectors.dot((u, v, w), normal)
-        push = 0.5 * (self.stiffness * overlap + self.damping * closing)
+        normal = tuple(inverse * c for c in apart)
+        speeds = tuple(
+            0.5 * (c[1:] + c[:-1])[None, :] for c in self._seen(motion.velocity)
+        )
+        push = 0.5 * (self.stiffness * overlap + self.damping * _dot(speeds, normal))
         return normal, jnp.where(active & (overlap > 0), push, 0)
+
+    def _seen(self, vector: Vec3) -> Components:
+        """The components that contact has to do with."""
+        if self.plane is None:
+            return vector
+        a, b, _ = PLANES[self.plane]
+        return vector[a], vector[b]
+
+    def _closest_in_plane(
+        self, motion: Motion, cylinders: Cylinders
+    ) -> tuple[Components, Float[Array, "m n"]]:
+        """`_closest_points` where every axis is a point and every element sees it."""
+        offset = tuple(
+            c[None, :-1] - start[:, None]
+            for c, start in zip(motion.position, cylinders.starts, strict=True)
+        )
+        edge = tuple(c[None, :] for c in self._seen(motion.edges))
+        inside = self._seen((offset[0], offset[1], offset[2]))
+        part = jnp.clip(-_dot(edge, inside) / _dot(edge, edge), 0, 1)
+        apart = tuple(-part * e - o for e, o in zip(edge, inside, strict=True))
+        return apart, _dot(offset, offset)
 
 
 def boxes_overlap(
@@ -140,42 +188,61 @@ def _columns(field: Vec3) -> Vec3:
     return field[0][:, None], field[1][:, None], field[2][:, None]
 
 
-def _sweep(forces: Vec3, normals: Vec3, pushes: Float[Array, "m n"]) -> Vec3:
+def _sweep(
+    forces: Components, normals: Components, pushes: Float[Array, "m n"]
+) -> Components:
     """Adds contact forces element by element, cylinder by cylinder.
 
     Cylinder j can treat element i as soon as it has treated element i - 1 and the
     cylinder before it element i + 1. So all work at the same time, each two elements
     behind the one before, and hand on the nodes they are done with.
+
+    One array for each component: stacked, they would cost XLA four times as much.
     """
     count, n = pushes.shape
     rounds = n + 2 * count
-    stream = jnp.pad(jnp.stack(forces), ((0, 0), (0, rounds - n - 1))).T
-    skewed = _skewed(jnp.stack([*normals, pushes]), rounds)
+    streams = tuple(jnp.pad(c, (0, rounds - n - 1)) for c in forces)
+    skewed = tuple(_skewed(c, rounds) for c in normals)
     # The base node takes half of what its element gets.
     first = np.arange(rounds)[:, None] == 2 * np.arange(count)[None, :] + 1
     shares = jnp.asarray(np.where(first, 0.5, 1.0), pushes.dtype)
+    Carry = tuple[Components, Components, Components]
 
-    def turn(
-        carry: tuple[Array, Array, Array], given: tuple[Array, Array, Array]
-    ) -> tuple[tuple[Array, Array, Array], Array]:
+    def turn(carry: Carry, given: tuple[Any, ...]) -> tuple[Carry, Components]:
         left, done, taken = carry
-        node, encounter, share = given
-        normal, push = encounter[:3], encounter[3]
-        right = jnp.concatenate([node[:, None], done[:, :-1]], axis=1)
-        pressing = jnp.sum((0.5 * (left + right) - taken) * normal, axis=0)
-        force = (jnp.maximum(pressing, 0) + push)[None, :] * normal
-        done = left - share[None, :] * force
-        taken = taken + (1 + share)[None, :] * force
-        return (right - force, done, taken), done[:, -1]
+        node, normal, push, share = given
+        right = _each(lambda x, d: jnp.concatenate([x[None], d[:-1]]), node, done)
+        felt = _each(lambda a, b, t: 0.5 * (a + b) - t, left, right, taken)
+        size = jnp.maximum(_dot(felt, normal), 0) + push
+        force = tuple(size * c for c in normal)
+        done = _each(lambda a, f: a - share * f, left, force)
+        taken = _each(lambda t, f: t + (1 + share) * f, taken, force)
+        left = _each(lambda b, f: b - f, right, force)
+        return (left, done, taken), tuple(d[-1] for d in done)
 
-    nothing = jnp.zeros((3, count), pushes.dtype)
-    _, nodes = lax.scan(turn, (nothing, nothing, nothing), (stream, skewed, shares))
-    return vectors.split(nodes[2 * count - 1 :].T)
+    nothing = tuple(jnp.zeros(count, pushes.dtype) for _ in forces)
+    _, nodes = lax.scan(
+        turn,
+        (nothing, nothing, nothing),
+        (streams, skewed, _skewed(pushes, rounds), shares),
+        unroll=4,
+    )
+    return tuple(c[2 * count - 1 :] for c in nodes)
 
 
-def _skewed(fields: Float[Array, "k m n"], rounds: int) -> Float[Array, "rounds k m"]:
-    """Fields by round: in round r cylinder j is at element r - 2 j - 1."""
-    k, count, n = fields.shape
-    wide = jnp.pad(fields, ((0, 0), (0, 0), (1, rounds + 1 - n)))
-    flat = jnp.reshape(wide, (k, count * (rounds + 2)))[:, : count * rounds]
-    return jnp.transpose(jnp.reshape(flat, (k, count, rounds)), (2, 0, 1))
+def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]:
+    """A field by round: in round r cylinder j is at element r - 2 j - 1."""
+    count, n = field.shape
+    wide = jnp.pad(field, ((0, 0), (1, rounds + 1 - n)))
+    flat = jnp.reshape(wide, (count * (rounds + 2),))[: count * rounds]
+    return jnp.reshape(flat, (count, rounds)).T
+
+
+def _each(function: Callable[..., Array], *fields: Components) -> Components:
+    """A function of one component of each field, applied to all components."""
+    return tuple(map(function, *fields))
+
+
+def _dot(a: Components, b: Components) -> Array:
+    """Scalar product, entry by entry."""
+    return reduce(lambda s, t: s + t, (x * y for x, y in zip(a, b, strict=True)))

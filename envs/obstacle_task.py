@@ -200,6 +200,7 @@ class ObstacleTask:
                 spline,
                 largest_change=LARGEST_RATE * dt,
                 obstacles=obstacles,
+                plane=self.plane,
             )
         else:
             touch = contact(

@@ -1,13 +1,13 @@
 """The arm of the `paper` variants: the published simulator, driven by its muscles.
 
 PyElastica's law and order of operations, with what its first release had besides:
-viscous drag as a part of the internal loads, contact forces that depend on all loads
-found so far, and muscles that may change from one simulation step to the next.
+viscous drag, contact forces that depend on all loads found so far, and muscles that may
+change from one simulation step to the next. An arm that cannot leave a plane moves in
+it exactly.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 from typing import Any
 
@@ -18,16 +18,15 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
     ControlSpline,
+    Effect,
     ElementCouples,
     FixedEnd,
-    Loads,
-    Motion,
     Rod,
     RodState,
     Scene,
     fixed_end,
 )
-from jaxrod._pytree import pytree
+from jaxrod._pytree import pytree, static
 from jaxrod.envs.cylinders import Cylinders
 from jaxrod.envs.legacy_arm import (
     TORQUE_PER_ELEMENT,
@@ -37,45 +36,13 @@ from jaxrod.envs.legacy_arm import (
 )
 from jaxrod.envs.legacy_contact import LegacyContact
 from jaxrod.envs.legacy_muscles import MuscleParams, Muscles, contract, relaxed
-from jaxrod.motion import accumulate
+from jaxrod.planar_pyelastica import PlanarPyElasticaStepper
 from jaxrod.pyelastica import PyElasticaStepper
+from jaxrod.scene import Plane
+from jaxrod.verlet import Verlet
 
 CONTACT_STIFFNESS = 8e4
 CONTACT_DAMPING = 4.0
-
-
-@pytree
-class PublishedStepper(PyElasticaStepper):
-    """PyElastica's step with drag and contact among the internal loads."""
-
-    drag: ViscousDrag
-    contact: LegacyContact | None
-
-    @staticmethod
-    def wrap(
-        stepper: PyElasticaStepper, drag: ViscousDrag, contact: LegacyContact | None
-    ) -> PublishedStepper:
-        """The same step with drag and contact."""
-        constants: dict[str, Any] = {
-            field.name: getattr(stepper, field.name)
-            for field in dataclasses.fields(stepper)
-        }
-        return PublishedStepper(**constants, drag=drag, contact=contact)
-
-    def internal_loads(self, motion: Motion) -> Loads:
-        """Elastic loads, drag, and what contact makes of them."""
-        elastic = super().internal_loads(motion)
-        drag = self.drag.loads(self.scene.rod, motion)
-        assert elastic.forces is not None and elastic.couples is not None
-        forces = accumulate(elastic.forces, drag.forces)
-        if self.contact is not None:
-            forces = self.contact.add_to(forces, self.scene.rod, motion)
-        return Loads(forces, accumulate(elastic.couples, drag.couples))
-
-    def driven_by(self, couples: Float[Array, "3 n"]) -> PublishedStepper:
-        """The same step with these couples on the elements [N m]."""
-        effects = (*self.scene.effects, ElementCouples(couples))
-        return replace(self, scene=replace(self.scene, effects=effects))
 
 
 @pytree
@@ -94,6 +61,8 @@ class PublishedArm:
     """What moves it."""
     contact: LegacyContact | None
     """With the obstacles; `None` where there are none."""
+    plane: Plane | None = static(default=None)
+    """The plane of motion, where there is one."""
 
     def relaxed(self) -> Muscles:
         """The muscles at the start of an episode."""
@@ -119,18 +88,19 @@ class PublishedArm:
         Returns:
             The arm, the muscles, and whether a node is no longer anywhere.
         """
-        scene = Scene(self.rod, (self.held,), "pyelastica")
-        stepper = PublishedStepper.wrap(
-            PyElasticaStepper.create(scene, dt), self.drag, self.contact
-        )
+        stepper = self._stepper(state, dt)
+
+        def driven_by(couples: Array) -> Verlet:
+            effects = (*stepper.scene.effects, ElementCouples(couples))
+            return replace(stepper, scene=replace(stepper.scene, effects=effects))
 
         def cycle(
-            carry: tuple[Motion, Muscles], given: tuple[Array, Array]
-        ) -> tuple[tuple[Motion, Muscles], None]:
+            carry: tuple[Any, Muscles], given: tuple[Array, Array]
+        ) -> tuple[tuple[Any, Muscles], None]:
             motion, muscles = carry
             drift, renewed = given
             muscles = contract(muscles, controls, motion.lengths, renewed, self.muscles)
-            kicked = stepper.driven_by(muscles.couples).kick(motion)
+            kicked = driven_by(muscles.couples).kick(motion)
             return (stepper.drift(kicked, drift), muscles), None
 
         # From kick to kick it is a whole step, from the last one half a step.
@@ -142,6 +112,16 @@ class PublishedArm:
         state = stepper.leave(motion)
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
+    def _stepper(self, state: RodState, dt: Array) -> Verlet:
+        """The step under all that acts on the arm but its muscles."""
+        effects: tuple[Effect, ...] = (self.held, self.drag)
+        if self.contact is not None:
+            effects = (*effects, self.contact)
+        scene = Scene(self.rod, effects, "pyelastica", self.plane)
+        if self.plane is None:
+            return PyElasticaStepper.create(scene, dt)
+        return PlanarPyElasticaStepper.create(scene, state, dt)
+
 
 def published_arm(
     n_elements: int,
@@ -151,6 +131,7 @@ def published_arm(
     *,
     largest_change: float = float("inf"),
     obstacles: Cylinders | None = None,
+    plane: Plane | None = None,
 ) -> PublishedArm:
     """The arm at rest, with the published numbers.
 
@@ -161,6 +142,8 @@ def published_arm(
         spline: Through the control points, in rest arc length.
         largest_change: The most a control value may change in a simulation step.
         obstacles: What it may run into.
+        plane: The plane of motion, where there is one: obstacles are perpendicular to
+            it.
     """
     rod, rest = legacy_arm(n_elements, start, axis)
 
@@ -170,7 +153,7 @@ def published_arm(
     contact = None
     if obstacles is not None:
         contact = LegacyContact(
-            obstacles, number(CONTACT_STIFFNESS), number(CONTACT_DAMPING)
+            obstacles, number(CONTACT_STIFFNESS), number(CONTACT_DAMPING), plane
         )
     return PublishedArm(
         rod=rod,
@@ -181,4 +164,5 @@ def published_arm(
             spline, number(TORQUE_PER_ELEMENT), number(largest_change)
         ),
         contact=contact,
+        plane=plane,
     )

@@ -53,6 +53,17 @@ class Effect:
         """Forces and couples at this moment."""
         return Loads()
 
+    def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
+        """`loads`, for an effect that answers what acts on the rod already.
+
+        Args:
+            rod: The rod.
+            motion: Where it is and how it moves.
+            before: Internal loads and those of the effects listed earlier. What is not
+                looked at costs nothing.
+        """
+        return self.loads(rod, motion)
+
     def hold(self, rod: Rod, motion: Motion) -> Motion:
         """Constrains positions and orientations."""
         return motion

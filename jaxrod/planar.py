@@ -1,19 +1,20 @@
 r"""Planar scenes: motion in a plane, one angle per element.
 
-The consistent law and step of `jaxrod.consistent` with everything left out that is
-zero in a plane: with in-plane edge $\Delta x$, direction $d$ and transverse
-$t = n \times d$ of an element, $n$ the plane's normal,
+Everything is left out that is zero in a plane: with in-plane edge $\Delta x$, direction
+$d$ and transverse $t = n \times d$ of an element, $n$ the plane's normal,
 
 $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell - 1,
-  \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D,$$
+  \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D.$$
 
-and elements turn at $\dot\theta = P/J$ between kicks. Equal to the three-dimensional
-result to round-off, for a third of its arithmetic or less. Joint angles have no bound
-here.
+Each law has a planar step of its own: `jaxrod.planar_consistent` and
+`jaxrod.planar_pyelastica`. They equal those in space to round-off, for a third of the
+arithmetic or less. What is zero out of the plane stays exactly zero, for any number of
+calls; joint angles have no bound within a call.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -22,8 +23,7 @@ from jaxtyping import Array
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import joint_rotations
-from jaxrod.kick import Kick
-from jaxrod.motion import Motion
+from jaxrod.motion import Loads, Motion
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
     Quaternion,
@@ -34,7 +34,7 @@ from jaxrod.rotations import (
     sine_ratio_and_cosine,
     split_quaternion,
 )
-from jaxrod.scene import PLANES, Scene, damping_rates, hold_rates
+from jaxrod.scene import PLANES, Scene, hold_rates
 from jaxrod.vectors import Vec3
 from jaxrod.verlet import Verlet
 
@@ -54,20 +54,36 @@ class PlanarMotion:
     velocity: Vec2
     """In-plane components of the node velocities [m/s]."""
     spin: Array
-    """Angular momentum of the elements about the normal [kg m^2/s]."""
+    """Rotation rate of the elements about the normal, in the scene's own variable.
+
+    Consistent mode: angular momentum [kg m^2/s]. PyElastica mode: angular velocity
+    [rad/s].
+    """
     remainder: Vec2 | None = None
     """What rounding has added to the positions [m], where that is kept count of."""
 
+    @property
+    def edges(self) -> Vec2:
+        """In-plane components of the vectors from each node to the next [m]."""
+        (x, y) = self.position
+        dx, dy = x[1:] - x[:-1], y[1:] - y[:-1]
+        if self.remainder is None:
+            return dx, dy
+        x, y = self.remainder
+        return dx - (x[1:] - x[:-1]), dy - (y[1:] - y[:-1])
+
+    @property
+    def lengths(self) -> Array:
+        """Current element lengths [m]."""
+        dx, dy = self.edges
+        squared = dx * dx + dy * dy
+        return jnp.sqrt(jnp.maximum(squared, jnp.finfo(squared.dtype).tiny))
+
 
 @pytree
-class PlanarStepper(Verlet):
-    """Constants of the planar step for one scene, one step size, one plane."""
+class PlanarRod:
+    """Constants of a rod as they are in a plane, worked out from its state."""
 
-    scene: Scene
-    dt: Array
-    """Step size [s]."""
-    start: RodState
-    """The state at the start of the call: what lies out of the plane stays so."""
     normal: Vec2
     """The plane's normal along d1 and d2 of every element."""
     inverse_lengths: Array
@@ -80,16 +96,12 @@ class PlanarStepper(Verlet):
     """Bending stiffness over joint length [N m]."""
     joint_offsets: Array
     """Joint angle at the start of the call less that at rest [rad]."""
-    inverse_inertia: Array
-    """[1/(kg m^2)]"""
-    velocity_kick: Kick
-    spin_kick: Kick
 
     @staticmethod
-    def create(scene: Scene, state: RodState, dt: Array) -> PlanarStepper:
+    def create(scene: Scene, state: RodState) -> PlanarRod:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
-        _, _, out = _axes(scene)
+        _, _, out = axes(scene)
         orientation = split_quaternion(state.orientations)
         d1, d2, _ = directors(orientation)
         n1, n2 = d1[out], d2[out]
@@ -101,26 +113,61 @@ class PlanarStepper(Verlet):
         m1, m2 = n1[1:], n2[1:]
         angles, _ = joint_rotations(orientation)
         turned = m1 * angles[0] + m2 * angles[1]
-        transverse, _ = rod.inertias
-        rates = damping_rates(scene) or (None, None)
-        return PlanarStepper(
-            scene=scene,
-            dt=dt,
-            start=state,
+        return PlanarRod(
             normal=(n1, n2),
             inverse_lengths=1 / rod.rest_lengths,
             stiffness=(n2 * n2 * shear1 + n1 * n1 * shear2, axial),
             rest_strains=(n2 * strain1 - n1 * strain2, stretch),
             joint=(m1 * m1 * bend1 + m2 * m2 * bend2) / rod.joint_lengths,
             joint_offsets=turned - (m1 * rest1 + m2 * rest2) * rod.joint_lengths,
-            inverse_inertia=1 / transverse,
-            velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
-            spin_kick=Kick.create(None, rates[1], dt),
         )
+
+    def stresses(self, across: Array, along: Array) -> Vec2:
+        """Shear and axial force of elements with these edges in their own frame [N]."""
+        inverse = self.inverse_lengths
+        shear = self.stiffness[0] * (across * inverse - self.rest_strains[0])
+        axial = self.stiffness[1] * (along * inverse - 1 - self.rest_strains[1])
+        return shear, axial
+
+    def moments(self, turn: Array) -> Array:
+        """Bending moments of the joints about the normal [N m]."""
+        return self.joint * (turn[1:] - turn[:-1] + self.joint_offsets)
+
+
+@pytree
+class PlanarVerlet(Verlet):
+    """Position Verlet of a rod in a plane, whatever the law."""
+
+    start: RodState
+    """The state at the start of the call: what lies out of the plane stays so."""
+    constants: PlanarRod
+    """Of the rod, in the plane."""
+    inverse_inertia: Array
+    """Of the elements about the normal [1/(kg m^2)]."""
+
+    @abstractmethod
+    def angle_turned(self, spin: Array, dt: Array) -> Array:
+        """Angle about the normal by which elements turn in a time `dt` [rad]."""
+
+    @abstractmethod
+    def spin_from_momentum(self, momentum: Array) -> Array:
+        """The scene's own variable, from angular momentum about the normal."""
+
+    @abstractmethod
+    def momentum_from_spin(self, spin: Array) -> Array:
+        """Angular momentum about the normal, from the scene's own variable."""
+
+    @abstractmethod
+    def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
+        """`spin` and `spin_is_velocity` of the motion as effects see it."""
+
+    @abstractmethod
+    def spin_in_plane(self, spin: Vec3) -> Array:
+        """The scene's own variable about the normal, from that of a motion in space."""
 
     def enter(self, state: RodState) -> PlanarMotion:
         """Takes the in-plane part of a state apart."""
-        a, b, out = _axes(self.scene)
+        a, b, out = axes(self.scene)
         _, _, d3 = directors(split_quaternion(state.orientations))
         remainders = state.remainders
         motion = PlanarMotion(
@@ -128,14 +175,14 @@ class PlanarStepper(Verlet):
             turn=jnp.zeros_like(d3[a]),
             direction=(d3[a], d3[b]),
             velocity=(state.velocities[a], state.velocities[b]),
-            spin=state.angular_momenta[out],
+            spin=self.spin_from_momentum(state.angular_momenta[out]),
             remainder=None if remainders is None else (remainders[a], remainders[b]),
         )
         return self.hold_rates(motion)
 
     def leave(self, motion: PlanarMotion) -> RodState:
         """Puts the state together again."""
-        a, b, out = _axes(self.scene)
+        a, b, out = axes(self.scene)
         start = self.start
         remainders = start.remainders
         if motion.remainder is not None and remainders is not None:
@@ -143,17 +190,19 @@ class PlanarStepper(Verlet):
             remainders = remainders.at[b].set(motion.remainder[1])
         return RodState(
             positions=jnp.stack(self._in_space(motion.position, start.positions)),
-            orientations=join_quaternion(self._orientation(motion)),
+            orientations=join_quaternion(
+                _in_plane(self._orientation(motion), self.constants.normal, out)
+            ),
             velocities=jnp.stack(self._in_space(motion.velocity, start.velocities)),
             angular_momenta=jnp.zeros_like(start.angular_momenta)
             .at[out]
-            .set(motion.spin),
+            .set(self.momentum_from_spin(motion.spin)),
             remainders=remainders,
         )
 
     def drift(self, motion: PlanarMotion, dt: Array) -> PlanarMotion:
         """Moves nodes and turns elements at unchanged rates for `dt` [s]."""
-        turn = dt * self.inverse_inertia * motion.spin
+        turn = self.angle_turned(motion.spin, dt)
         sine_ratio, c = sine_ratio_and_cosine(turn * turn)
         s = turn * sine_ratio
         x, y = motion.direction
@@ -171,73 +220,48 @@ class PlanarStepper(Verlet):
         remainder = _subtract(_subtract(position, motion.position), step)
         return replace(moved, position=position, remainder=remainder)
 
-    def kick(self, motion: PlanarMotion) -> PlanarMotion:
-        """Changes velocities and angular momenta by all loads over one step."""
-        (x, y), (c, s) = motion.position, motion.direction
-        dx, dy = x[1:] - x[:-1], y[1:] - y[:-1]
-        if motion.remainder is not None:
-            x, y = motion.remainder
-            dx, dy = dx - (x[1:] - x[:-1]), dy - (y[1:] - y[:-1])
-        across, along = c * dy - s * dx, c * dx + s * dy
-        inverse = self.inverse_lengths
-        shear = self.stiffness[0] * (across * inverse - self.rest_strains[0])
-        axial = self.stiffness[1] * (along * inverse - 1 - self.rest_strains[1])
-        fx, fy = axial * c - shear * s, axial * s + shear * c
-        turn = motion.turn
-        moment = self.joint * (turn[1:] - turn[:-1] + self.joint_offsets)
-        couple = (
-            vectors.pad(moment, 0, 1)
-            - vectors.pad(moment, 1, 0)
-            + (along * shear - across * axial)
-        )
-        forces, couple = self.add_loads(motion, (_spread(fx), _spread(fy)), couple)
-        u, v = motion.velocity
-        kicked = replace(
-            motion,
-            velocity=(
-                self.velocity_kick(u, forces[0]),
-                self.velocity_kick(v, forces[1]),
-            ),
-            spin=self.spin_kick(motion.spin, couple),
-        )
-        return self.hold_rates(kicked)
-
     def add_loads(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
     ) -> tuple[Vec2, Array]:
         """Adds the in-plane part of the loads of all effects."""
-        a, b, _ = _axes(self.scene)
+        a, b, _ = axes(self.scene)
+        n1, n2 = self.constants.normal
         in_space = self.in_space(motion)
+        none = jnp.zeros_like(motion.position[0])
         for effect in self.scene.effects:
-            loads = effect.loads(self.scene.rod, in_space)
+            before = Loads(
+                forces=self._in_space(forces, jnp.stack([none] * 3)),
+                couples=(n1 * couple, n2 * couple, jnp.zeros_like(couple)),
+            )
+            loads = effect.loads_after(self.scene.rod, in_space, before)
             if loads.forces is not None:
                 forces = forces[0] + loads.forces[a], forces[1] + loads.forces[b]
             if loads.couples is not None:
-                n1, n2 = self.normal
                 couple = couple + n1 * loads.couples[0] + n2 * loads.couples[1]
         return forces, couple
 
     def hold_rates(self, motion: PlanarMotion) -> PlanarMotion:
         """Applies all constraints on rates."""
-        a, b, out = _axes(self.scene)
+        a, b, _ = axes(self.scene)
         held = hold_rates(self.scene, self.in_space(motion))
         velocity = held.velocity[a], held.velocity[b]
-        return replace(motion, velocity=velocity, spin=held.spin[out])
+        return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
 
     def in_space(self, motion: PlanarMotion) -> Motion:
         """The motion as effects see it. What they do not look at costs nothing."""
         start = self.start
-        zero = jnp.zeros_like(motion.spin)
+        spin, is_velocity = self.spin_in_space(motion.spin)
         return Motion(
             position=self._in_space(motion.position, start.positions),
             orientation=self._orientation(motion),
             velocity=self._in_space(motion.velocity, jnp.zeros_like(start.velocities)),
-            spin=self._in_space((zero, zero), jnp.stack([motion.spin] * 3)),
+            spin=spin,
+            spin_is_velocity=is_velocity,
         )
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
         """Three components from the two in the plane and the one out of it."""
-        a, b, _ = _axes(self.scene)
+        a, b, _ = axes(self.scene)
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside
         return components[0], components[1], components[2]
@@ -246,16 +270,54 @@ class PlanarStepper(Verlet):
         """The orientation at the start, turned about the normal."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
-        turn[_axes(self.scene)[2]] = jnp.sin(0.5 * motion.turn)
+        turn[axes(self.scene)[2]] = jnp.sin(0.5 * motion.turn)
         turned = (jnp.cos(0.5 * motion.turn), turn[0], turn[1], turn[2])
         start = split_quaternion(self.start.orientations)
         return normalise(multiply_quaternions(turned, start))
 
 
-def _axes(scene: Scene) -> tuple[int, int, int]:
+def axes(scene: Scene) -> tuple[int, int, int]:
     """Indices of the two axes of the plane and of its normal, right-handed."""
     assert scene.plane is not None
     return PLANES[scene.plane]
+
+
+def spread(a: Array) -> Array:
+    """Difference to the surrounding grid: internal forces on nodes."""
+    return vectors.pad(a, 0, 1) - vectors.pad(a, 1, 0)
+
+
+def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
+    """The orientation next to a given one whose elements lie in the plane exactly.
+
+    Quaternions q that turn the material vector m into the plane's normal e are those
+    with e q = q m; (q - e q m)/2 is the nearest. One m for all elements: they are not
+    twisted. Without, rounding would tilt and twist them a little more in every call.
+    """
+    n1, n2 = _but_for_rounding(normal[0]), _but_for_rounding(normal[1])
+    length = jnp.sqrt(n1 * n1 + n2 * n2)
+    m1, m2 = n1 / length, n2 / length
+    # e q, of which one component is minus one of q's and the others are moved.
+    scalar, vector = orientation[0], orientation[1:]
+    a, b, c = vector[out], scalar, vector
+    turned = [c[0], c[1], c[2]]
+    turned[out] = b
+    turned[(out + 1) % 3], turned[(out + 2) % 3] = -c[(out + 2) % 3], c[(out + 1) % 3]
+    w, (x, y, z) = -a, turned
+    return normalise(
+        (
+            orientation[0] + (x * m1 + y * m2),
+            orientation[1] - (w * m1 - z * m2),
+            orientation[2] - (w * m2 + z * m1),
+            orientation[3] - (x * m2 - y * m1),
+        )
+    )
+
+
+def _but_for_rounding(component: Array) -> Array:
+    """The mean, or zero where that is all but zero: most normals are d1 or d2."""
+    mean = jnp.mean(component)
+    return jnp.where(jnp.abs(mean) < 64 * jnp.finfo(mean.dtype).eps, 0, mean)
 
 
 def _add(a: Vec2, b: Vec2) -> Vec2:
@@ -264,8 +326,3 @@ def _add(a: Vec2, b: Vec2) -> Vec2:
 
 def _subtract(a: Vec2, b: Vec2) -> Vec2:
     return a[0] - b[0], a[1] - b[1]
-
-
-def _spread(a: Array) -> Array:
-    """Difference to the surrounding grid: internal forces on nodes."""
-    return vectors.pad(a, 0, 1) - vectors.pad(a, 1, 0)

@@ -1,4 +1,4 @@
-"""What a scene needs to be simulated in a plane: checks, in words."""
+"""Scenes in a plane: their step, and checks of what they need, in words."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects import Effect
-from jaxrod.motion import Motion
-from jaxrod.planar import PlanarStepper
+from jaxrod.motion import Loads, Motion
+from jaxrod.planar import PlanarVerlet
+from jaxrod.planar_consistent import PlanarConsistentStepper
+from jaxrod.planar_pyelastica import PlanarPyElasticaStepper
 from jaxrod.rod import RodState
 from jaxrod.scene import PLANES, Scene
 
@@ -29,6 +31,13 @@ _PARTS = (
     "couples of effects",
     "the surfaces of bodies",
 )
+
+
+def planar_stepper(scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
+    """The step of the scene's law in the scene's plane."""
+    if scene.mode == "pyelastica":
+        return PlanarPyElasticaStepper.create(scene, state, dt)
+    return PlanarConsistentStepper.create(scene, state, dt)
 
 
 def check_planar(scene: Scene, state: RodState) -> None:
@@ -104,16 +113,18 @@ def _shares_of_effects(
     assert scene.plane is not None
     rod = scene.rod
     out = PLANES[scene.plane][2]
-    stepper = PlanarStepper.create(scene, state, jnp.ones_like(rod.rest_lengths[0]))
+    stepper = planar_stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
     motion = stepper.in_space(stepper.enter(state))
     zero = jnp.zeros_like(rod.rest_lengths[0])
     # An element that is held feels couples from the rounding of its own angle.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)
     rounding = roundings * jnp.max(rod.bend_twist_stiffness) / jnp.min(rod.rest_lengths)
     force = couple = tilt = zero
+    still = jnp.zeros_like(motion.position[0]), jnp.zeros_like(rod.rest_lengths)
+    nothing = Loads(forces=(still[0],) * 3, couples=(still[1],) * 3)
     for effect in scene.effects:
         # Each by itself: a small load must not hide behind a large one.
-        loads = effect.loads(rod, motion)
+        loads = effect.loads_after(rod, motion, nothing)
         if loads.forces is not None:
             share = _share(loads.forces[out], jnp.stack(loads.forces), 0)
             force = jnp.maximum(force, share)

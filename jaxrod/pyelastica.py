@@ -44,9 +44,6 @@ from jaxrod.verlet import Verlet
 class PyElasticaStepper(Verlet):
     """Constants of the PyElastica step for one scene and one step size."""
 
-    scene: Scene
-    dt: Array
-    """Step size [s]."""
     decay: tuple[Array, Array] | None
     """What damping leaves of velocities and spins in one step [1]."""
     lengths: Array

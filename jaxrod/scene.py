@@ -72,7 +72,7 @@ def make_scene(
         mode: "consistent" (default) or "pyelastica"; see `Scene`.
         plane: "xy", "yz" or "zx" if the rod and all that acts on it stay in a plane
             parallel to that one: several times cheaper, for the same result. The
-            state is the same as in space. Consistent mode only.
+            state is the same as in space.
         implicit: `jaxrod.implicit(...)` to step implicitly: any step size is stable.
             Consistent mode, in space, only.
         twist: `False` to leave twist out of a naturally straight rod with sections
@@ -91,8 +91,6 @@ def make_scene(
     if plane is not None:
         if plane not in PLANES:
             raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
-        if mode != "consistent":
-            raise ValueError(f"a plane needs mode='consistent', got mode={mode!r}")
     if implicit is not None:
         if mode != "consistent":
             raise ValueError(
@@ -136,7 +134,7 @@ def make_scene(
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:
     """Adds the loads of all effects to given forces and couples."""
     for effect in scene.effects:
-        loads = effect.loads(scene.rod, motion)
+        loads = effect.loads_after(scene.rod, motion, Loads(forces, couples))
         forces = accumulate(forces, loads.forces)
         couples = accumulate(couples, loads.couples)
     return Loads(forces, couples)

@@ -14,8 +14,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod._validation import check_array, check_count, is_traced
 from jaxrod.consistent import ConsistentStepper
-from jaxrod.planar import PlanarStepper
-from jaxrod.planar_scenes import check_planar
+from jaxrod.planar_scenes import check_planar, planar_stepper
 from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState, check_size
 from jaxrod.scene import Scene
@@ -61,7 +60,7 @@ def stepper(scene: Scene, state: RodState, dt: Array) -> Stepper:
 
         return ImplicitStepper.create(scene, dt)
     if scene.plane is not None:
-        return PlanarStepper.create(scene, state, dt)
+        return planar_stepper(scene, state, dt)
     if scene.mode == "pyelastica":
         return PyElasticaStepper.create(scene, dt)
     if not scene.twist:

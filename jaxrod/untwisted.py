@@ -30,12 +30,13 @@ from jaxrod.clamps import Clamp
 from jaxrod.directions import angle_over_sine, frame_along, transported, turned_to
 from jaxrod.ends import End, at_end
 from jaxrod.kick import Kick
-from jaxrod.motion import Motion, motion_of, state_of
+from jaxrod.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
     directors,
     sine_ratio_and_cosine,
     split_quaternion,
+    to_material,
 )
 from jaxrod.scene import Scene, damping_rates, hold, hold_rates
 from jaxrod.untwisted_scenes import check_structure, held_end
@@ -74,9 +75,6 @@ class UntwistedMotion:
 class UntwistedStepper(Verlet):
     """Constants of the step without twist, for one scene and one step size."""
 
-    scene: Scene
-    dt: Array
-    """Step size [s]."""
     start: RodState
     """The state at the start of the call."""
     inverse_lengths: Array
@@ -228,11 +226,13 @@ class UntwistedStepper(Verlet):
         for effect in self.scene.effects:
             if isinstance(effect, Clamp):
                 continue
-            loads = effect.loads(self.scene.rod, in_space)
+            frame = directors(in_space.orientation)
+            before = Loads(forces, to_material(frame, couples))
+            loads = effect.loads_after(self.scene.rod, in_space, before)
             if loads.forces is not None:
                 forces = vectors.add(forces, loads.forces)
             if loads.couples is not None:
-                d1, d2, _ = directors(in_space.orientation)
+                d1, d2, _ = frame
                 first, second, _ = loads.couples
                 couples = vectors.add(couples, vectors.scale(first, d1))
                 couples = vectors.add(couples, vectors.scale(second, d2))

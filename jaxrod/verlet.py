@@ -7,9 +7,12 @@ from typing import Any, ClassVar
 
 from jaxtyping import Array
 
+from jaxrod._pytree import pytree
 from jaxrod.rod import RodState
+from jaxrod.scene import Scene
 
 
+@pytree
 class Verlet(ABC):
     """Position Verlet of whatever drift and kick a subclass has.
 
@@ -18,6 +21,8 @@ class Verlet(ABC):
     """
 
     steps_of_end: ClassVar[int] = 1
+    scene: Scene
+    """What is simulated."""
     dt: Array
     """Step size [s]."""
 

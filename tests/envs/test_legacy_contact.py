@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod import Motion, straight_rod, vectors
+from jaxrod import Loads, Motion, straight_rod, vectors
 from jaxrod.envs.cylinders import cylinders
 from jaxrod.envs.legacy_contact import LegacyContact, boxes_overlap
 from legacy_oracle import Obstacle
@@ -36,7 +36,8 @@ def motion(x, v):
 
 @jax.jit
 def push(contact, rod, motion, forces):
-    return jnp.stack(contact.add_to(vectors.split(forces), rod, motion))
+    before = Loads(forces=vectors.split(forces))
+    return forces + jnp.stack(contact.loads_after(rod, motion, before).forces)
 
 
 def random_case(seed):

@@ -1,0 +1,85 @@
+"""The consistent law in a plane; see `jaxrod.planar` and `jaxrod.consistent`.
+
+Elements turn at the rate P/J about the normal between kicks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod._pytree import pytree
+from jaxrod.kick import Kick
+from jaxrod.planar import PlanarMotion, PlanarRod, PlanarVerlet, axes, spread
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene, damping_rates
+from jaxrod.vectors import Vec3
+
+
+@pytree
+class PlanarConsistentStepper(PlanarVerlet):
+    """Constants of the consistent step for one scene, one step size, one plane."""
+
+    velocity_kick: Kick
+    spin_kick: Kick
+
+    @staticmethod
+    def create(scene: Scene, state: RodState, dt: Array) -> PlanarConsistentStepper:
+        """Works out the constants once, outside the loop."""
+        rod = scene.rod
+        transverse, _ = rod.inertias
+        rates = damping_rates(scene) or (None, None)
+        return PlanarConsistentStepper(
+            scene=scene,
+            dt=dt,
+            start=state,
+            constants=PlanarRod.create(scene, state),
+            inverse_inertia=1 / transverse,
+            velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
+            spin_kick=Kick.create(None, rates[1], dt),
+        )
+
+    def angle_turned(self, spin: Array, dt: Array) -> Array:
+        """At the rate P/J."""
+        return dt * self.inverse_inertia * spin
+
+    def spin_from_momentum(self, momentum: Array) -> Array:
+        """It is the angular momentum."""
+        return momentum
+
+    def momentum_from_spin(self, spin: Array) -> Array:
+        """It is the angular momentum."""
+        return spin
+
+    def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
+        """Angular momentum, world frame."""
+        zero = jnp.zeros_like(spin)
+        components = [zero, zero, zero]
+        components[axes(self.scene)[2]] = spin
+        return (components[0], components[1], components[2]), False
+
+    def spin_in_plane(self, spin: Vec3) -> Array:
+        """Its component along the normal."""
+        return spin[axes(self.scene)[2]]
+
+    def kick(self, motion: PlanarMotion) -> PlanarMotion:
+        """Changes velocities and angular momenta by all loads over one step."""
+        rod, (c, s) = self.constants, motion.direction
+        dx, dy = motion.edges
+        across, along = c * dy - s * dx, c * dx + s * dy
+        shear, axial = rod.stresses(across, along)
+        forces = spread(axial * c - shear * s), spread(axial * s + shear * c)
+        couple = spread(rod.moments(motion.turn)) + (along * shear - across * axial)
+        forces, couple = self.add_loads(motion, forces, couple)
+        u, v = motion.velocity
+        kicked = replace(
+            motion,
+            velocity=(
+                self.velocity_kick(u, forces[0]),
+                self.velocity_kick(v, forces[1]),
+            ),
+            spin=self.spin_kick(motion.spin, couple),
+        )
+        return self.hold_rates(kicked)

@@ -1,0 +1,120 @@
+r"""PyElastica's law in a plane; see `jaxrod.planar` and `jaxrod.pyelastica`.
+
+With $e = \ell/\hat\ell$ the stretch of an element, $\varepsilon$ that of a joint and
+$\omega$ the angular velocity about the normal:
+
+- forces: $\Delta^h ((n_d\, d + n_t\, t)/e)$, with $n$ the stresses;
+- couples about the normal: $\Delta^h(\tau/\varepsilon^3)
+  + (\Delta x_d\, n_t - \Delta x_t\, n_d)/e + J \omega\, \dot e/e^2$;
+- $\dot\omega = e\, c/J$.
+
+The gyroscopic couples and those of bending with twist are zero in a plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod._pytree import pytree
+from jaxrod.planar import PlanarMotion, PlanarRod, PlanarVerlet, spread
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene, damping_rates
+from jaxrod.vectors import Vec3
+
+
+@pytree
+class PlanarPyElasticaStepper(PlanarVerlet):
+    """Constants of PyElastica's step for one scene, one step size, one plane."""
+
+    decay: tuple[Array, Array] | None
+    """What damping leaves of velocities and spins in one step [1]."""
+    inverse_masses: Array
+    """[1/kg]"""
+    inertia: Array
+    """Of the elements about the normal [kg m^2]."""
+    inverse_joint_lengths: Array
+    """[1/m]"""
+
+    @staticmethod
+    def create(scene: Scene, state: RodState, dt: Array) -> PlanarPyElasticaStepper:
+        """Works out the constants once, outside the loop."""
+        rod = scene.rod
+        transverse, _ = rod.inertias
+        rates = damping_rates(scene)
+        return PlanarPyElasticaStepper(
+            scene=scene,
+            dt=dt,
+            start=state,
+            constants=PlanarRod.create(scene, state),
+            inverse_inertia=1 / transverse,
+            decay=rates and (jnp.exp(-rates[0] * dt), jnp.exp(-rates[1] * dt)),
+            inverse_masses=1 / rod.node_masses,
+            inertia=transverse,
+            inverse_joint_lengths=1 / rod.joint_lengths,
+        )
+
+    def angle_turned(self, spin: Array, dt: Array) -> Array:
+        """At the rate `spin`."""
+        return dt * spin
+
+    def spin_from_momentum(self, momentum: Array) -> Array:
+        """Angular momentum over inertia [rad/s]."""
+        return self.inverse_inertia * momentum
+
+    def momentum_from_spin(self, spin: Array) -> Array:
+        """Angular velocity times inertia [kg m^2/s]."""
+        return self.inertia * spin
+
+    def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
+        """Angular velocity, material frame."""
+        n1, n2 = self.constants.normal
+        return (n1 * spin, n2 * spin, jnp.zeros_like(spin)), True
+
+    def spin_in_plane(self, spin: Vec3) -> Array:
+        """Its component along the normal."""
+        n1, n2 = self.constants.normal
+        return n1 * spin[0] + n2 * spin[1]
+
+    def kick(self, motion: PlanarMotion) -> PlanarMotion:
+        """Changes velocities and angular velocities by all loads over one step."""
+        rod, (c, s) = self.constants, motion.direction
+        dx, dy = motion.edges
+        lengths = motion.lengths
+        stretch = lengths * rod.inverse_lengths
+        inverse_stretch = 1 / stretch
+        across, along = c * dy - s * dx, c * dx + s * dy
+        shear, axial = rod.stresses(across, along)
+        shear, axial = inverse_stretch * shear, inverse_stretch * axial
+        forces = spread(axial * c - shear * s), spread(axial * s + shear * c)
+        joint_stretch = 0.5 * (lengths[1:] + lengths[:-1]) * self.inverse_joint_lengths
+        cubed = joint_stretch * joint_stretch * joint_stretch
+        u, v = motion.velocity
+        closing = dx * (u[1:] - u[:-1]) + dy * (v[1:] - v[:-1])
+        stretch_rate = closing / lengths * rod.inverse_lengths
+        couple = (
+            spread(rod.moments(motion.turn) / cubed)
+            + (along * shear - across * axial)
+            + stretch_rate
+            * (inverse_stretch * inverse_stretch)
+            * (self.inertia * motion.spin)
+        )
+        forces, couple = self.add_loads(motion, forces, couple)
+        gain = self.dt * self.inverse_masses
+        kicked = replace(
+            motion,
+            velocity=(u + gain * forces[0], v + gain * forces[1]),
+            spin=motion.spin + self.dt * stretch * self.inverse_inertia * couple,
+        )
+        held = self.hold_rates(kicked)
+        if self.decay is None:
+            return held
+        translation, rotation = self.decay
+        u, v = held.velocity
+        return replace(
+            held,
+            velocity=(translation * u, translation * v),
+            spin=rotation * held.spin,
+        )
