@@ -21,7 +21,6 @@ from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
-from jaxrod.stepping import stepper
 
 ROOT = Path(__file__).resolve().parent.parent
 N_ELEMENTS = 20
@@ -70,22 +69,26 @@ def scenes() -> dict[str, tuple[Scene, RodState]]:
     arm = (effects["clamp"], effects["damping"], couples)
     table["consistent, clamped, damped, actuated"] = jaxrod.make_scene(rod, *arm), state
     held = (effects["fixed end"], effects["damping"], couples)
-    legacy = jaxrod.make_scene(rod, mode="pyelastica")
+    legacy = jaxrod.make_scene(rod, method=jaxrod.pyelastica())
     table["pyelastica, bare"] = legacy, state
     table["pyelastica, clamped, damped, actuated"] = (
-        jaxrod.make_scene(rod, *held, mode="pyelastica"),
+        jaxrod.make_scene(rod, *held, method=jaxrod.pyelastica()),
         state,
     )
-    table["planar, bare"] = jaxrod.make_scene(rod, plane="xy"), state
+    table["planar, bare"] = jaxrod.make_scene(rod, method=jaxrod.planar("xy")), state
     table["planar, clamped, damped, actuated"] = (
-        jaxrod.make_scene(rod, *arm, plane="xy"),
+        jaxrod.make_scene(rod, *arm, method=jaxrod.planar("xy")),
         state,
     )
-    table["without twist, bare"] = jaxrod.make_scene(rod, twist=False), state
+    table["without twist, bare"] = (
+        jaxrod.make_scene(rod, method=jaxrod.torsion_free()),
+        state,
+    )
     moving = (effects["clamp"], effects["damping"], effects["gravity"])
-    for name, twist in {"consistent": True, "without twist": False}.items():
+    methods = {"consistent": None, "without twist": jaxrod.torsion_free()}
+    for name, method in methods.items():
         table[f"{name}, clamped, damped, with gravity"] = (
-            jaxrod.make_scene(rod, *moving, twist=twist),
+            jaxrod.make_scene(rod, *moving, method=method),
             state,
         )
     table["compensated, bare"] = (
@@ -97,7 +100,7 @@ def scenes() -> dict[str, tuple[Scene, RodState]]:
 
 def cost_of_a_step(scene: Scene, state: RodState) -> tuple[float, float, float]:
     """Operations of one step among many as written; flops and bytes as compiled."""
-    integrator = stepper(scene, state, jnp.asarray(TIME_STEP))
+    integrator = scene.method.stepper(scene, state, jnp.asarray(TIME_STEP))
     lowered = jax.jit(integrator.cycle).lower(integrator.begin(state))
     compiled = lowered.compile().cost_analysis()
     written = lowered.cost_analysis()["flops"]

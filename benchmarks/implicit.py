@@ -145,7 +145,7 @@ def rows(study: Study) -> list[str]:
     )
     gravity = jaxrod.gravity((study.acceleration, 0.0, 0.0))
     explicit = jaxrod.make_scene(rod, jaxrod.clamp(state), gravity)
-    implicit = replace(explicit, implicit=jaxrod.implicit(RADIUS))
+    implicit = replace(explicit, method=jaxrod.implicit(RADIUS))
     scaling = jaxrod.scale_inertia(explicit)
     fine, finer = (
         run(implicit, state, study.steps[-1] / k, study.duration) for k in (4, 8)

@@ -22,15 +22,18 @@ from jaxrod import (
     Effect,
     ElementAverages,
     HealthLimits,
+    Method,
     Rod,
     RodState,
     Scene,
     advance,
     clamp,
+    consistent,
     freeze,
     health,
     limit_rate,
     near_contact,
+    planar,
     spline_couples,
 )
 from jaxrod._pytree import pytree, static
@@ -41,7 +44,7 @@ from jaxrod.envs.legacy_arm import (
     VISCOSITY,
     modern_arm,
 )
-from jaxrod.scene import Plane
+from jaxrod.methods.planar_verlet import PlaneName
 
 
 @pytree
@@ -67,8 +70,8 @@ class CleanArm:
     """Contact with what is in the way."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
     """Beyond these the arm is frozen."""
-    plane: Plane | None = static(default=None)
-    """The plane of motion, where there is one."""
+    method: Method = dataclasses.field(default_factory=consistent)
+    """How it is stepped: in its plane of motion, where there is one."""
     nearest: int | None = static(default=None)
     """How many obstacles each point of the arm looks at in a control step; `None` for
     all."""
@@ -128,7 +131,7 @@ class CleanArm:
             spline_couples(self.rod, self.spline, controls, self.couple_density),
             *obstacles,
         )
-        return Scene(self.rod, effects, plane=self.plane)
+        return Scene(self.rod, effects, self.method)
 
 
 def clean_arm(
@@ -143,7 +146,7 @@ def clean_arm(
     nearest: int | None = None,
     smallest_stretch: float = 0.3,
     largest_stretch: float = 2.5,
-    plane: Plane | None = None,
+    plane: PlaneName | None = None,
 ) -> CleanArm:
     """The arm at rest.
 
@@ -183,6 +186,6 @@ def clean_arm(
                 smallest_stretch=smallest_stretch, largest_stretch=largest_stretch
             ),
         ),
-        plane=plane,
+        method=consistent() if plane is None else planar(plane),
         nearest=nearest,
     )

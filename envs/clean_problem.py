@@ -20,6 +20,7 @@ from jaxrod import (
     RodState,
     Scene,
     clamp,
+    consistent,
     control_spline,
     spline_couples,
 )
@@ -29,7 +30,7 @@ from jaxrod.envs.legacy_arm import LENGTH
 from jaxrod.envs.obstacle_task import ObstacleTask
 from jaxrod.envs.reaching import Reaching
 from jaxrod.envs.tracking import Tracking
-from jaxrod.scene import Mode
+from jaxrod.scene import Law
 from jaxrod.tradeoff import Problem
 
 CleanTask = Tracking | Reaching | ObstacleTask
@@ -61,17 +62,17 @@ def clean_problem(
     with jax.enable_x64(True):
         arm = _arm(task)
         controls = _controls(arm, np.asarray(actions, np.float64))
-        plane = arm.plane
+        plane = task.plane if isinstance(task, ObstacleTask) else None
         couple_density = float(arm.couple_density)
     points = task.control_points() if isinstance(task, ObstacleTask) else None
     n_controls = arm.spline.n_controls
 
-    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
-        if mode != "consistent":
-            raise ValueError("the clean variants are of the consistent mode only")
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
+        if law != "consistent":
+            raise ValueError("the clean variants have the consistent law only")
         arm = _arm(dataclasses.replace(task, n_elements=n_elements))
         scene = arm.scene(jnp.zeros((3, n_controls), arm.rod.radii.dtype))
-        return dataclasses.replace(scene, plane=None), arm.rest
+        return dataclasses.replace(scene, method=consistent()), arm.rest
 
     def act(scene: Scene) -> Callable[[Array], Scene]:
         spline = control_spline(

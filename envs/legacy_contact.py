@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float
 from jaxrod import Effect, Loads, Motion, Rod, vectors
 from jaxrod._pytree import pytree, static
 from jaxrod.envs.cylinders import Cylinders
-from jaxrod.scene import PLANES, Plane
+from jaxrod.methods.planar_verlet import PLANES, PlaneName
 from jaxrod.vectors import Vec3
 
 Components = tuple[Array, ...]
@@ -56,7 +56,7 @@ class LegacyContact(Effect):
     """k [N/m]"""
     damping: Float[Array, ""]
     """nu [kg/s]"""
-    plane: Plane | None = static(default=None)
+    plane: PlaneName | None = static(default=None)
     """The plane to which all cylinders are perpendicular and in which the arm and all
     that acts on it stay: forces out of it are not looked at."""
 

@@ -37,7 +37,7 @@ from jaxrod.envs.clean_arm import clean_arm
 from jaxrod.envs.cylinders import OBSERVED_POINTS, Cylinders, points_along
 from jaxrod.envs.legacy_arm import LENGTH
 from jaxrod.envs.published_arm import published_arm
-from jaxrod.scene import Plane
+from jaxrod.methods.planar_verlet import PlaneName
 
 Variant = Literal["paper", "clean"]
 VARIANTS: tuple[Variant, ...] = ("paper", "clean")
@@ -137,7 +137,7 @@ class ObstacleTask:
     """Number of cylinders."""
     target_position: ClassVar[tuple[float, float, float]]
     """Where the target is [m]."""
-    plane: ClassVar[Plane | None]
+    plane: ClassVar[PlaneName | None]
     """The plane of motion, where there is one."""
     contact_points: ClassVar[int]
     """Where contact is looked for, per element ("clean")."""

@@ -21,12 +21,16 @@ from jaxrod import (
     Effect,
     ElementCouples,
     FixedEnd,
+    Planar,
+    PyElastica,
     Rod,
     RodState,
     Scene,
     fixed_end,
+    planar,
+    pyelastica,
 )
-from jaxrod._pytree import pytree, static
+from jaxrod._pytree import pytree
 from jaxrod.envs.cylinders import Cylinders
 from jaxrod.envs.legacy_arm import (
     TORQUE_PER_ELEMENT,
@@ -36,10 +40,8 @@ from jaxrod.envs.legacy_arm import (
 )
 from jaxrod.envs.legacy_contact import LegacyContact
 from jaxrod.envs.legacy_muscles import MuscleParams, Muscles, contract, relaxed
-from jaxrod.planar_pyelastica import PlanarPyElasticaStepper
-from jaxrod.pyelastica import PyElasticaStepper
-from jaxrod.scene import Plane
-from jaxrod.verlet import Verlet
+from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.methods.verlet import Verlet
 
 CONTACT_STIFFNESS = 8e4
 CONTACT_DAMPING = 4.0
@@ -61,8 +63,8 @@ class PublishedArm:
     """What moves it."""
     contact: LegacyContact | None
     """With the obstacles; `None` where there are none."""
-    plane: Plane | None = static(default=None)
-    """The plane of motion, where there is one."""
+    method: PyElastica | Planar
+    """PyElastica's, in the plane of motion where there is one."""
 
     def relaxed(self) -> Muscles:
         """The muscles at the start of an episode."""
@@ -88,11 +90,15 @@ class PublishedArm:
         Returns:
             The arm, the muscles, and whether a node is no longer anywhere.
         """
-        stepper = self._stepper(state, dt)
+        effects: tuple[Effect, ...] = (self.held, self.drag)
+        if self.contact is not None:
+            effects = (*effects, self.contact)
+        scene = Scene(self.rod, effects, self.method)
+        stepper = self.method.stepper(scene, state, dt)
 
         def driven_by(couples: Array) -> Verlet:
-            effects = (*stepper.scene.effects, ElementCouples(couples))
-            return replace(stepper, scene=replace(stepper.scene, effects=effects))
+            acting = (*effects, ElementCouples(couples))
+            return replace(stepper, scene=replace(scene, effects=acting))
 
         def cycle(
             carry: tuple[Any, Muscles], given: tuple[Array, Array]
@@ -112,16 +118,6 @@ class PublishedArm:
         state = stepper.leave(motion)
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
-    def _stepper(self, state: RodState, dt: Array) -> Verlet:
-        """The step under all that acts on the arm but its muscles."""
-        effects: tuple[Effect, ...] = (self.held, self.drag)
-        if self.contact is not None:
-            effects = (*effects, self.contact)
-        scene = Scene(self.rod, effects, "pyelastica", self.plane)
-        if self.plane is None:
-            return PyElasticaStepper.create(scene, dt)
-        return PlanarPyElasticaStepper.create(scene, state, dt)
-
 
 def published_arm(
     n_elements: int,
@@ -131,7 +127,7 @@ def published_arm(
     *,
     largest_change: float = float("inf"),
     obstacles: Cylinders | None = None,
-    plane: Plane | None = None,
+    plane: PlaneName | None = None,
 ) -> PublishedArm:
     """The arm at rest, with the published numbers.
 
@@ -164,5 +160,5 @@ def published_arm(
             spline, number(TORQUE_PER_ELEMENT), number(largest_change)
         ),
         contact=contact,
-        plane=plane,
+        method=pyelastica() if plane is None else planar(plane, pyelastica()),
     )

@@ -34,9 +34,11 @@ from jaxrod import (
     RodState,
     Scene,
     advance,
+    consistent,
     control_spline,
     freeze,
     health,
+    pyelastica,
     spline_couples,
 )
 from jaxrod._pytree import pytree
@@ -249,14 +251,14 @@ class Tracking:
                     ViscousDrag(params.viscosity),
                     couples,
                 ),
-                "pyelastica",
+                pyelastica(),
             )
         effects: tuple[Effect, ...] = (
             Clamp(rest.orientations[:, 0]),
             viscous_damping(rod, params.viscosity),
             spline_couples(rod, params.spline, controls, params.torque),
         )
-        return Scene(rod, effects)
+        return Scene(rod, effects, consistent())
 
     def observe(self, state: TrackingState) -> Float[Array, " observation"]:
         """Points of the arm, speed and direction of the tip, and of the target."""

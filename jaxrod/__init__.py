@@ -28,7 +28,6 @@ __version__ = "0.1.0"
 _NAMES = {
     "_contact": ("Contact", "contact"),
     "_health": ("Health", "HealthLimits", "freeze", "health"),
-    "_implicit": ("Implicit", "implicit"),
     "_near_contact": ("near_contact",),
     "actuation": (
         "ControlSpline",
@@ -54,6 +53,7 @@ _NAMES = {
         "signed_distance",
         "sphere",
     ),
+    "composition": ("make_scene",),
     "clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
     "effects": (
         "Effect",
@@ -71,6 +71,11 @@ _NAMES = {
     "factories": ("rod_along", "straight_rod", "unstressed"),
     "frequency": ("highest_frequency",),
     "inertia_scaling": ("InertiaScaling", "frequency_changes", "scale_inertia"),
+    "methods.consistent": ("Consistent", "consistent"),
+    "methods.implicit": ("Implicit", "implicit"),
+    "methods.planar": ("Planar", "planar"),
+    "methods.pyelastica": ("PyElastica", "pyelastica"),
+    "methods.torsion_free": ("TorsionFree", "torsion_free"),
     "modes": ("natural_frequencies",),
     "motion": ("Loads", "Motion"),
     "rod": (
@@ -81,10 +86,10 @@ _NAMES = {
         "with_angular_velocities",
     ),
     "scene": (
+        "Method",
         "Scene",
         "angular_momentum",
         "kinetic_energy",
-        "make_scene",
         "momentum",
         "potential_energy",
         "total_energy",

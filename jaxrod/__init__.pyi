@@ -12,8 +12,6 @@ from jaxrod._health import Health as Health
 from jaxrod._health import HealthLimits as HealthLimits
 from jaxrod._health import freeze as freeze
 from jaxrod._health import health as health
-from jaxrod._implicit import Implicit as Implicit
-from jaxrod._implicit import implicit as implicit
 from jaxrod._near_contact import near_contact as near_contact
 from jaxrod.actuation import ControlSpline as ControlSpline
 from jaxrod.actuation import ElementAverages as ElementAverages
@@ -39,6 +37,7 @@ from jaxrod.clamps import Clamp as Clamp
 from jaxrod.clamps import FixedEnd as FixedEnd
 from jaxrod.clamps import clamp as clamp
 from jaxrod.clamps import fixed_end as fixed_end
+from jaxrod.composition import make_scene as make_scene
 from jaxrod.effects import Effect as Effect
 from jaxrod.effects import EndLoad as EndLoad
 from jaxrod.effects import ExponentialDamping as ExponentialDamping
@@ -58,6 +57,16 @@ from jaxrod.frequency import highest_frequency as highest_frequency
 from jaxrod.inertia_scaling import InertiaScaling as InertiaScaling
 from jaxrod.inertia_scaling import frequency_changes as frequency_changes
 from jaxrod.inertia_scaling import scale_inertia as scale_inertia
+from jaxrod.methods.consistent import Consistent as Consistent
+from jaxrod.methods.consistent import consistent as consistent
+from jaxrod.methods.implicit import Implicit as Implicit
+from jaxrod.methods.implicit import implicit as implicit
+from jaxrod.methods.planar import Planar as Planar
+from jaxrod.methods.planar import planar as planar
+from jaxrod.methods.pyelastica import PyElastica as PyElastica
+from jaxrod.methods.pyelastica import pyelastica as pyelastica
+from jaxrod.methods.torsion_free import TorsionFree as TorsionFree
+from jaxrod.methods.torsion_free import torsion_free as torsion_free
 from jaxrod.modes import natural_frequencies as natural_frequencies
 from jaxrod.motion import Loads as Loads
 from jaxrod.motion import Motion as Motion
@@ -66,10 +75,10 @@ from jaxrod.rod import RodState as RodState
 from jaxrod.rod import angular_velocities as angular_velocities
 from jaxrod.rod import compensated as compensated
 from jaxrod.rod import with_angular_velocities as with_angular_velocities
+from jaxrod.scene import Method as Method
 from jaxrod.scene import Scene as Scene
 from jaxrod.scene import angular_momentum as angular_momentum
 from jaxrod.scene import kinetic_energy as kinetic_energy
-from jaxrod.scene import make_scene as make_scene
 from jaxrod.scene import momentum as momentum
 from jaxrod.scene import potential_energy as potential_energy
 from jaxrod.scene import total_energy as total_energy

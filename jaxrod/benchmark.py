@@ -21,8 +21,9 @@ from jaxrod.benchmark_arms import (
     even_share,
 )
 from jaxrod.benchmark_pyelastica import TIME_STEP, pyelastica_steps_per_s
+from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rod import RodState
-from jaxrod.scene import MODES, Mode, Scene
+from jaxrod.scene import Law, Scene
 from jaxrod.stepping import advance
 
 BATCHES = (1, 64, 256, 1024, 4096)
@@ -49,7 +50,7 @@ class Row:
 
     batch: int
     dtype: str
-    mode: Mode
+    mode: Law
     rod_steps_per_s: float
     slowest: float
     fastest: float
@@ -80,7 +81,7 @@ class Report:
 def run_benchmark(
     batches: Sequence[int] = BATCHES,
     dtypes: Sequence[str] = DTYPES,
-    modes: Sequence[Mode] = MODES,
+    modes: Sequence[Law] = tuple(IN_SPACE),
     *,
     seconds: float = 1.5,
     devices: Sequence[jax.Device] | None = None,
@@ -139,7 +140,7 @@ def run_benchmark(
 def measure(
     batch: int,
     dtype: str = "float32",
-    mode: Mode = "consistent",
+    mode: Law = "consistent",
     *,
     seconds: float = 1.5,
     devices: Sequence[jax.Device] | None = None,
@@ -214,7 +215,7 @@ def _check_against_one_rod(
     actuated = dataclasses.replace(
         scene, effects=(*scene.effects, ElementCouples(couples))
     )
-    start = jax.tree.map(lambda leaf: leaf[0], arms(1, scene.mode)[2])
+    start = jax.tree.map(lambda leaf: leaf[0], arms(1, scene.method.law)[2])
     alone = advance(actuated, start, TIME_STEP, n_steps)
     _compare("a single rod", states, jax.tree.map(np.asarray, alone))
 
@@ -248,7 +249,7 @@ def _check(
     for batch in batches:
         if batch < 1:
             raise ValueError(f"batches must be at least 1, got {batch}")
-    for name, values, known in (("dtypes", dtypes, DTYPES), ("modes", modes, MODES)):
+    for name, values, known in (("dtypes", dtypes, DTYPES), ("modes", modes, IN_SPACE)):
         for value in values:
             if value not in known:
                 raise ValueError(

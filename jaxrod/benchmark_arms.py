@@ -18,10 +18,12 @@ from jaxtyping import Array, Float, Int
 from jaxrod.actuation import ElementCouples
 from jaxrod.benchmark_pyelastica import DAMPING_RATE, ELEMENT_COUPLE, TIME_STEP
 from jaxrod.clamps import clamp, fixed_end
+from jaxrod.composition import make_scene
 from jaxrod.effects import exponential_damping
 from jaxrod.factories import straight_rod
+from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rod import RodState
-from jaxrod.scene import Mode, Scene, make_scene
+from jaxrod.scene import Law, Scene
 from jaxrod.stepping import advance
 
 N_ELEMENTS = 20
@@ -30,13 +32,15 @@ _AXIS = "arm"
 AdvanceArms = Callable[[RodState, int], RodState]
 
 
-def arms(batch: int, mode: Mode) -> tuple[Scene, Float[Array, "batch 3 n"], RodState]:
+def arms(batch: int, law: Law) -> tuple[Scene, Float[Array, "batch 3 n"], RodState]:
     """The scene without its actuation, couples [N m] and states of all arms."""
     rod, state = straight_rod(
         N_ELEMENTS, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
     )
-    held = clamp(state) if mode == "consistent" else fixed_end(state)
-    scene = make_scene(rod, held, exponential_damping(DAMPING_RATE), mode=mode)
+    held = clamp(state) if law == "consistent" else fixed_end(state)
+    scene = make_scene(
+        rod, held, exponential_damping(DAMPING_RATE), method=IN_SPACE[law]
+    )
     couples = jnp.zeros((batch, 3, N_ELEMENTS)).at[:, 0].set(ELEMENT_COUPLE)
     states = jax.tree.map(
         lambda leaf: jnp.broadcast_to(leaf, (batch, *leaf.shape)), state

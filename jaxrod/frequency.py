@@ -23,8 +23,8 @@ from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod._validation import check_count
 from jaxrod.elasticity import elastic_law, internal_loads
+from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.motion import Loads, Motion, motion_of
-from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import Rod, RodState, check_size
 from jaxrod.rotations import multiply_quaternions, rotation_exp
 from jaxrod.scene import Scene, external_loads, hold_rates
@@ -147,7 +147,7 @@ def linearised(
         loads = _loads(scene, moved)
         assert loads.forces is not None and loads.couples is not None
         couples = loads.couples
-        if scene.mode == "consistent":
+        if scene.method.law == "consistent":
             # The change of couples in turning frames, made symmetric.
             fixed = vectors.split(lax.stop_gradient(vectors.join(couples)))
             half = vectors.scale(0.5, vectors.cross(turn, fixed))
@@ -159,7 +159,7 @@ def linearised(
     # Constraints stop some freedoms altogether and leave the others.
     velocity, spin = take_apart(jnp.ones_like(root))
     held = hold_rates(scene, replace(still, velocity=velocity, spin=spin))
-    about_axis = held.spin[2] if scene.twist else jnp.zeros_like(held.spin[2])
+    about_axis = held.spin[2] if scene.method.twist else jnp.zeros_like(held.spin[2])
     turning = (held.spin[0], held.spin[1], about_axis)
     free = jnp.concatenate([*held.velocity, *turning]) / root
 
@@ -174,14 +174,14 @@ def linearised(
 
 def _loads(scene: Scene, motion: Motion) -> Loads:
     """All loads of the scene's mode; couples such that inertia times turn follows."""
-    if scene.mode == "consistent":
+    if scene.method.law == "consistent":
         internal = internal_loads(elastic_law(scene.rod), motion)
     else:
         step = jnp.ones((), scene.rod.rest_lengths.dtype)
         internal = PyElasticaStepper.create(scene, step).internal_loads(motion)
     assert internal.forces is not None and internal.couples is not None
     loads = external_loads(scene, motion, internal.forces, internal.couples)
-    if scene.mode == "consistent":
+    if scene.method.law == "consistent":
         return loads
     assert loads.couples is not None
     stretch = motion.lengths / scene.rod.rest_lengths

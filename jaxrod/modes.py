@@ -37,9 +37,9 @@ def natural_frequencies(
     Raises:
         ValueError: If the scene's loads have no potential, or there are fewer modes.
     """
-    if scene.mode != "consistent":
+    if scene.method.law != "consistent":
         raise ValueError(
-            f"natural_frequencies needs mode='consistent', got mode={scene.mode!r}: "
+            f"natural_frequencies needs the consistent law, got {scene.method!r}: "
             "PyElastica's loads are not the gradient of an energy"
         )
     matrix = np.asarray(_stiffness(scene, state), np.float64)

@@ -1,34 +1,76 @@
-"""A scene: one rod, the effects that act on it, and the law it follows."""
+"""A scene: one rod, the effects that act on it, and the method that steps it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Any, ClassVar, Literal, Protocol
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod import vectors
-from jaxrod._pytree import pytree, static
+from jaxrod._pytree import pytree
 from jaxrod.effects import Effect
 from jaxrod.elasticity import stored_energy
 from jaxrod.motion import Loads, Motion, accumulate
 from jaxrod.rod import Rod, RodState, angular_velocities
 from jaxrod.vectors import Vec3
 
-if TYPE_CHECKING:
-    from jaxrod._implicit import Implicit
+Law = Literal["consistent", "pyelastica"]
+"""Elastic laws: loads from a stored energy, and PyElastica 1.0's."""
 
-Mode = Literal["consistent", "pyelastica"]
-MODES: tuple[Mode, ...] = ("consistent", "pyelastica")
 
-Plane = Literal["xy", "yz", "zx"]
-PLANES: dict[Plane, tuple[int, int, int]] = {
-    "xy": (0, 1, 2),
-    "yz": (1, 2, 0),
-    "zx": (2, 0, 1),
-}
-"""The planes a scene can be reduced to: indices of their two axes and their normal."""
+class Stepper(Protocol):
+    """An integrator with its constants worked out: what `advance` runs.
+
+    `begin` takes a state apart into whatever the integrator carries, `cycle` is what
+    the loop repeats, `end` finishes and puts the state together. Position Verlet's
+    cycle ends where the kick of the next step acts, half a step on, so that
+    neighbouring half drifts are one: `end(cycle(cycle(begin(state))))` is three
+    steps, the last one finished by `end`.
+    """
+
+    steps_of_end: ClassVar[int]
+    """How many steps `end` finishes, 1 or 0."""
+
+    def begin(self, state: RodState) -> Any:
+        """From a state to the carry before the first step."""
+
+    def cycle(self, carry: Any) -> Any:
+        """A step that `end` does not finish."""
+
+    def end(self, carry: Any) -> RodState:
+        """What is left to do after the cycles."""
+
+
+@pytree
+class Method:
+    """How a scene is stepped: a law, what is left out of it, and an integrator.
+
+    One of those in `jaxrod.methods`, or a subclass of one's own that is a pytree.
+    """
+
+    twist: ClassVar[bool] = True
+    """Whether elements turn about their axes."""
+    explicit: ClassVar[bool] = True
+    """Whether `stable_dt` bounds the step."""
+
+    @property
+    def law(self) -> Law:
+        """The elastic law, which stability and statics ask for."""
+        return "consistent"
+
+    def stepper(self, scene: Scene, state: RodState, dt: Array) -> Stepper:
+        """The integrator, its constants worked out for one call."""
+        raise NotImplementedError
+
+    def check(self, scene: Scene) -> None:
+        """Raises ValueError if the scene is not one for this method in any state.
+
+        Values that are traced are not looked at.
+        """
+
+    def check_state(self, scene: Scene, state: RodState) -> None:
+        """Raises ValueError if this concrete state is not one for this method."""
 
 
 @pytree
@@ -41,94 +83,10 @@ class Scene:
 
     rod: Rod
     """The rod's parameters."""
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...]
     """What acts on the rod, in the order in which it is applied."""
-    mode: Mode = static(default="consistent")
-    """"consistent": loads from a stored energy, angular momentum as state, second
-    order. "pyelastica": PyElastica 1.0's law and stepping order, to round-off."""
-    plane: Plane | None = static(default=None)
-    """The plane in which everything happens: a cheaper program, the same result."""
-    implicit: Implicit | None = None
-    """Settings of the implicit integrator; `None` for explicit steps."""
-    twist: bool = static(default=True)
-    """Whether elements turn about their axes; without, an element is a direction."""
-
-
-def make_scene(
-    rod: Rod,
-    *effects: Effect,
-    mode: Mode = "consistent",
-    plane: Plane | None = None,
-    implicit: Implicit | None = None,
-    twist: bool = True,
-) -> Scene:
-    """Composes a scene from a rod and its effects.
-
-    Floating-point numbers of effects and settings are converted to the rod's type.
-
-    Args:
-        rod: The rod.
-        *effects: What acts on it.
-        mode: "consistent" (default) or "pyelastica"; see `Scene`.
-        plane: "xy", "yz" or "zx" if the rod and all that acts on it stay in a plane
-            parallel to that one: several times cheaper, for the same result. The
-            state is the same as in space.
-        implicit: `jaxrod.implicit(...)` to step implicitly: any step size is stable.
-            Consistent mode, in space, only.
-        twist: `False` to leave twist out of a naturally straight rod with sections
-            alike in all directions, under loads that do not twist it: half the
-            arithmetic, for what the polar inertia changes. Couples about the axis
-            that cannot be seen here (traced ones), and spin about it in a state, are
-            dropped. Explicit steps in consistent mode, in space, only.
-
-    Raises:
-        ValueError: If the mode or the plane is unknown, the choices exclude each
-            other, or `twist` is `False` where the rod or an effect has to do with it.
-        TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
-    """
-    if mode not in MODES:
-        raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
-    if plane is not None:
-        if plane not in PLANES:
-            raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
-    if implicit is not None:
-        if mode != "consistent":
-            raise ValueError(
-                f"implicit steps need mode='consistent', got mode={mode!r}"
-            )
-        if plane is not None:
-            raise ValueError(f"implicit steps are in space only, got plane={plane!r}")
-    if not twist and (
-        mode != "consistent" or plane is not None or implicit is not None
-    ):
-        raise ValueError(
-            "twist=False needs mode='consistent', no plane and explicit steps, got "
-            f"mode={mode!r}, plane={plane!r}, implicit={implicit!r}"
-        )
-    if not isinstance(rod, Rod):
-        raise TypeError(
-            f"rod must be a jaxrod.Rod, got {type(rod).__name__} "
-            "(factories return the pair rod, state)"
-        )
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise TypeError(
-                f"effects must be jaxrod effects, got {type(effect).__name__}"
-            )
-    dtype = rod.rest_lengths.dtype
-
-    def cast(leaf: Array) -> Array:
-        leaf = jnp.asarray(leaf)
-        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    listed = jax.tree.map(cast, tuple(effects))
-    scene = Scene(rod, listed, mode, plane, jax.tree.map(cast, implicit), bool(twist))
-    if not twist:
-        # Imported when asked for: it builds on scenes.
-        from jaxrod.untwisted_scenes import check_untwisted
-
-        check_untwisted(scene)
-    return scene
+    method: Method
+    """How it is stepped."""
 
 
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:

@@ -108,7 +108,7 @@ def compression(scene: Scene, state: RodState) -> Float[Array, ""]:
 
     Its frequencies grow as one over the stretch of compressed elements.
     """
-    if scene.mode == "consistent":
+    if scene.method.law == "consistent":
         return jnp.ones((), state.positions.dtype)
     edges = vectors.inner_difference(vectors.split(state.positions))
     stretch = vectors.safe_norm(edges) / scene.rod.rest_lengths
@@ -215,9 +215,9 @@ def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
     rates = damping_rates(scene)
     drags = (_total(scene, "node_drag"), _total(scene, "element_drag"))
     transverse, polar = rod.inertias
-    least = jnp.minimum(transverse, polar) if scene.twist else transverse
+    least = jnp.minimum(transverse, polar) if scene.method.twist else transverse
     inertias = (rod.node_masses, least)
-    added = _added_by_decay if scene.mode == "consistent" else _added_by_factor
+    added = _added_by_decay if scene.method.law == "consistent" else _added_by_factor
     factors = []
     for k in range(2):
         factor = jnp.ones_like(inertias[k])
@@ -258,7 +258,7 @@ def frequency_bounds(scene: Scene, factors: InertiaFactors) -> Float[Array, "3 n
     lengths = rod.rest_lengths
     mass = rod.element_masses * jnp.minimum(factors[0][1:], factors[0][:-1])
     transverse, polar = rod.inertias * factors[1][None, :]
-    least = jnp.minimum(transverse, polar) if scene.twist else transverse
+    least = jnp.minimum(transverse, polar) if scene.method.twist else transverse
     shear = jnp.maximum(rod.shear_stretch_stiffness[0], rod.shear_stretch_stiffness[1])
     stretch = rod.shear_stretch_stiffness[2]
 
@@ -266,7 +266,7 @@ def frequency_bounds(scene: Scene, factors: InertiaFactors) -> Float[Array, "3 n
     held = _total(scene, "elements")
     if held is not None:
         bend, twist = bend + held / least, twist + held / least
-    if not scene.twist:
+    if not scene.method.twist:
         twist = jnp.zeros_like(twist)
     across, along = (4 * part / (mass * lengths) for part in (shear, stretch))
     rocking = (1 + rod.rest_strains[2]) ** 2 * shear * lengths / transverse

@@ -74,10 +74,8 @@ def equilibrium(
         ValueError: If the mode is not "consistent", if nothing holds the rod, or if
             an argument is out of range.
     """
-    if scene.mode != "consistent":
-        raise ValueError(
-            f"equilibrium needs a scene with mode='consistent', got {scene.mode!r}"
-        )
+    if scene.method.law != "consistent":
+        raise ValueError(f"equilibrium needs the consistent law, got {scene.method!r}")
     dtype = scene.rod.rest_lengths.dtype
     check_size(scene.rod, state)
     max_iterations = check_count("max_iterations", max_iterations, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,59 +13,15 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod._validation import check_array, check_count, is_traced
-from jaxrod.consistent import ConsistentStepper
-from jaxrod.planar_scenes import check_planar, planar_stepper
-from jaxrod.pyelastica import PyElasticaStepper
 from jaxrod.rod import RodState, check_size
 from jaxrod.scene import Scene
 from jaxrod.stability import compression, stable_dt
-from jaxrod.untwisted import UntwistedStepper
-from jaxrod.untwisted_scenes import check_untwisted
 
 Carry = TypeVar("Carry")
 
 
-class Stepper(Protocol):
-    """An integrator with its constants worked out: what `advance` runs.
-
-    `begin` takes a state apart into whatever the integrator carries, `cycle` is what
-    the loop repeats, `end` finishes and puts the state together. Position Verlet's
-    cycle ends where the kick of the next step acts, half a step on, so that
-    neighbouring half drifts are one: `end(cycle(cycle(begin(state))))` is three
-    steps, the last one finished by `end`.
-    """
-
-    steps_of_end: ClassVar[int]
-    """How many steps `end` finishes, 1 or 0."""
-
-    def begin(self, state: RodState) -> Any:
-        """From a state to the carry before the first step."""
-
-    def cycle(self, carry: Any) -> Any:
-        """A step that `end` does not finish."""
-
-    def end(self, carry: Any) -> RodState:
-        """What is left to do after the cycles."""
-
-
 class UnstableStepWarning(UserWarning):
     """The time step is above the stability bound of the scene."""
-
-
-def stepper(scene: Scene, state: RodState, dt: Array) -> Stepper:
-    """The integrator that the scene asks for, its constants worked out."""
-    if scene.implicit is not None:
-        # Imported when asked for: most programs never need it.
-        from jaxrod._implicit import ImplicitStepper
-
-        return ImplicitStepper.create(scene, dt)
-    if scene.plane is not None:
-        return planar_stepper(scene, state, dt)
-    if scene.mode == "pyelastica":
-        return PyElasticaStepper.create(scene, dt)
-    if not scene.twist:
-        return UntwistedStepper.create(scene, state, dt)
-    return ConsistentStepper.create(scene, dt)
 
 
 def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
@@ -174,7 +130,7 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
         ValueError: If `dt` is not a positive number.
     """
     check_array("dt", dt, [()], "s", positive=True)
-    if scene.implicit is not None:
+    if not scene.method.explicit:
         return
     bound = stable_dt(scene, safety=1.0)
     factor = 1.0 if state is None else float(compression(scene, state))
@@ -205,10 +161,9 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
-    if scene.plane is not None and not is_traced(scene, state):
-        check_planar(scene, state)
-    if not scene.twist:
-        check_untwisted(scene)
+    scene.method.check(scene)
+    if not is_traced(scene, state):
+        scene.method.check_state(scene, state)
     return jnp.asarray(check_array("dt", dt, [()], "s", positive=True), dtype)
 
 
@@ -233,7 +188,7 @@ def _run(
     loop: Callable[[Callable[[Any], Any], Any, Any], Any],
 ) -> RodState:
     """At least one step."""
-    integrator = stepper(scene, state, dt)
+    integrator = scene.method.stepper(scene, state, dt)
     cycles = n_steps - integrator.steps_of_end
     return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
 

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod import benchmark
     from jaxrod.benchmark_arms import N_ELEMENTS
     from jaxrod.benchmark_pyelastica import TIME_STEP
-    from jaxrod.scene import MODES
+    from jaxrod.methods.laws import IN_SPACE
 
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     if args.out is not None:
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         report = benchmark.run_benchmark(
             args.batches or benchmark.BATCHES,
             args.dtypes or benchmark.DTYPES,
-            args.modes or MODES,
+            args.modes or tuple(IN_SPACE),
             seconds=args.seconds,
             say=lambda line: print(line, file=sys.stderr, flush=True),
         )

@@ -9,12 +9,14 @@ import jax
 import numpy as np
 
 from jaxrod._validation import check_array
-from jaxrod.planar_scenes import check_planar
+from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.planar import Planar
+from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.resampling import resampled
 from jaxrod.rod import RodState, check_size
-from jaxrod.scene import Mode, Plane, Scene
+from jaxrod.scene import Law, Scene
 
-Build = Callable[[int, Mode], tuple[Scene, RodState]]
+Build = Callable[[int, Law], tuple[Scene, RodState]]
 Act = Callable[[Scene], Callable[[jax.Array], Scene]]
 
 
@@ -32,7 +34,7 @@ class Problem:
     Attributes:
         name: What it is called.
         build: The scene and its initial state, in float64, given the number of
-            elements and the mode.
+            elements and the law.
         period: Length of a control period [s].
         controls: What acts during each period `(periods, controls)`; empty columns
             where nothing changes.
@@ -46,7 +48,7 @@ class Problem:
     period: float
     controls: np.ndarray
     act: Act = _unchanged
-    plane: Plane | None = None
+    plane: PlaneName | None = None
 
     @property
     def duration(self) -> float:
@@ -73,7 +75,7 @@ def problem_of(
         name: What to call it.
 
     Raises:
-        ValueError: If `duration` is not positive, `scene` is not in consistent mode,
+        ValueError: If `duration` is not positive, `scene` is not of the consistent law,
             `state` is not of its rod or not finite, or something leaves the plane of
             a planar scene.
         TypeError: If `scene` is not a scene or `state` not a state.
@@ -86,24 +88,24 @@ def problem_of(
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):
         raise ValueError("state must be finite")
     check_array("duration", duration, [()], "s", positive=True)
-    if scene.mode != "consistent":
+    if scene.method.law != "consistent":
         raise ValueError(
-            "a scene in PyElastica mode has no setting to choose: its clamp and its "
+            "a scene of PyElastica's law has no setting to choose: its clamp and its "
             "law are wrong by more than its steps are"
         )
-    if scene.plane is not None:
-        check_planar(scene, state)
+    scene.method.check_state(scene, state)
     with jax.enable_x64(True):
         scene, state = jax.tree.map(_double, (scene, state))
-        plain = dataclasses.replace(scene, plane=None, implicit=None, twist=True)
+        plain = dataclasses.replace(scene, method=Consistent())
 
-    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
-        if mode != "consistent":
-            raise ValueError("a scene of one's own is tuned in consistent mode only")
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
+        if law != "consistent":
+            raise ValueError("a scene of one's own is tuned with the consistent law")
         return resampled(plain, state, n_elements)
 
     controls = np.zeros((periods, 0))
-    return Problem(name, build, duration / periods, controls, plane=scene.plane)
+    plane = scene.method.plane if isinstance(scene.method, Planar) else None
+    return Problem(name, build, duration / periods, controls, plane=plane)
 
 
 def _double(leaf: jax.Array) -> jax.Array:

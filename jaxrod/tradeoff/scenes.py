@@ -14,10 +14,12 @@ from jaxrod._contact import contact
 from jaxrod.actuation import control_spline, spline_couples
 from jaxrod.bodies import cylinder
 from jaxrod.clamps import clamp, fixed_end
+from jaxrod.composition import make_scene
 from jaxrod.effects import Effect, exponential_damping, gravity
 from jaxrod.factories import straight_rod
+from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rod import Rod, RodState
-from jaxrod.scene import Mode, Scene, make_scene
+from jaxrod.scene import Law, Scene
 from jaxrod.tradeoff.problem import Problem
 
 N_CONTROLS = 6
@@ -33,9 +35,9 @@ def swing() -> Problem:
     1 m long, 5 cm in radius, 10 MPa, clamped, lightly damped; it stays in a plane.
     """
 
-    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        return _clamped(rod, state, mode, 0.5, gravity((0.0, -9.81, 0.0)))
+        return _clamped(rod, state, law, 0.5, gravity((0.0, -9.81, 0.0)))
 
     return Problem("swing", build, 0.01, np.zeros((100, 0)), plane="xy")
 
@@ -46,9 +48,9 @@ def rope() -> Problem:
     Elements much longer than thick: the scene for enlarged inertia and implicit steps.
     """
 
-    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         rod, state = _arm(n_elements, 0.002, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        return _clamped(rod, state, mode, 1.0, gravity((0.0, -9.81, 0.0)))
+        return _clamped(rod, state, law, 1.0, gravity((0.0, -9.81, 0.0)))
 
     return Problem("rope", build, 0.01, np.zeros((30, 0)), plane="xy")
 
@@ -60,12 +62,12 @@ def slam() -> Problem:
     of the arm's length. Contact is soft: it is to be resolved by few elements.
     """
 
-    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         post = cylinder((0.65, -0.3, -0.5), (0.65, -0.3, 0.5), radius=0.15)
         touch = contact(post, stiffness=3e5, damping=300.0, points_per_element=2)
         weight = gravity((0.0, -9.81, 0.0))
-        return _clamped(rod, state, mode, 0.5, weight, touch)
+        return _clamped(rod, state, law, 0.5, weight, touch)
 
     return Problem("slam", build, 0.01, np.zeros((60, 0)), plane="xy")
 
@@ -81,15 +83,17 @@ def tracking_arm() -> Problem:
     with resources.as_file(resources.files("jaxrod.data") / name) as path:
         actions = np.load(path) / 127
 
-    def build(n_elements: int, mode: Mode) -> tuple[Scene, RodState]:
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         rod, state = _arm(n_elements, 0.05, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         # One viscosity for translation and rotation, as rates.
         rates = (
             VISCOSITY / float(rod.linear_density[0]),
             VISCOSITY / float(rod.rotary_inertia[0, 0]),
         )
-        held = clamp(state) if mode == "consistent" else fixed_end(state)
-        return make_scene(rod, held, exponential_damping(*rates), mode=mode), state
+        held = clamp(state) if law == "consistent" else fixed_end(state)
+        return make_scene(
+            rod, held, exponential_damping(*rates), method=IN_SPACE[law]
+        ), state
 
     def act(scene: Scene) -> Callable[[jax.Array], Scene]:
         spline = control_spline(N_CONTROLS, 1.0, scene.rod.rest_lengths.dtype)
@@ -135,8 +139,8 @@ def _arm(
 
 
 def _clamped(
-    rod: Rod, state: RodState, mode: Mode, damping_rate: float, *effects: Effect
+    rod: Rod, state: RodState, law: Law, damping_rate: float, *effects: Effect
 ) -> tuple[Scene, RodState]:
-    held = clamp(state) if mode == "consistent" else fixed_end(state)
+    held = clamp(state) if law == "consistent" else fixed_end(state)
     damping = exponential_damping(damping_rate)
-    return make_scene(rod, held, damping, *effects, mode=mode), state
+    return make_scene(rod, held, damping, *effects, method=IN_SPACE[law]), state

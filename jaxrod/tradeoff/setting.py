@@ -11,13 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod._implicit import implicit
 from jaxrod.inertia_scaling import scale_inertia
+from jaxrod.methods.implicit import implicit
+from jaxrod.methods.laws import IN_SPACE
+from jaxrod.methods.planar import planar
+from jaxrod.methods.torsion_free import torsion_free
 from jaxrod.rod import RodState, compensated
-from jaxrod.scene import Mode, Scene
+from jaxrod.scene import Law, Scene
 from jaxrod.stability import stable_dt
 from jaxrod.tradeoff.problem import Problem
-from jaxrod.untwisted_scenes import check_untwisted
 
 Integrator = Literal["explicit", "implicit"]
 Reduction = Literal["planar", "untwisted", "inertia", "compensated"]
@@ -32,7 +34,7 @@ class Setting:
         dt: Step [s]; `None` for the largest stable one that divides the control
             period, with the safety factor below.
         dtype: "float32" or "float64".
-        mode: "consistent" or "pyelastica".
+        mode: the law, "consistent" or "pyelastica".
         integrator: "explicit" or "implicit".
         reductions: "planar" (motion in a plane), "untwisted" (without twist),
             "inertia" (enlarged transverse inertia), "compensated" (compensated
@@ -43,7 +45,7 @@ class Setting:
     n_elements: int
     dt: float | None = None
     dtype: str = "float32"
-    mode: Mode = "consistent"
+    mode: Law = "consistent"
     integrator: Integrator = "explicit"
     reductions: tuple[Reduction, ...] = ()
     safety: float = 0.9
@@ -88,8 +90,8 @@ def prepare(problem: Problem, setting: Setting) -> Prepared:
     with jax.enable_x64(True):
         scene, state = problem.build(setting.n_elements, setting.mode)
         if "untwisted" in setting.reductions:
-            scene = dataclasses.replace(scene, twist=False)
-            check_untwisted(scene)
+            scene = dataclasses.replace(scene, method=torsion_free())
+            scene.method.check(scene)
         if "inertia" in setting.reductions:
             scene = scale_inertia(scene).scene
         limit = float(stable_dt(scene, 1.0).dt)
@@ -108,9 +110,10 @@ def prepare(problem: Problem, setting: Setting) -> Prepared:
         if "planar" in setting.reductions:
             if problem.plane is None:
                 raise ValueError(f"{problem.name} has no plane that it stays in")
-            scene = dataclasses.replace(scene, plane=problem.plane)
+            method = planar(problem.plane, IN_SPACE[setting.mode])
+            scene = dataclasses.replace(scene, method=method)
         if setting.integrator == "implicit":
-            scene = dataclasses.replace(scene, implicit=implicit())
+            scene = dataclasses.replace(scene, method=implicit())
         if "compensated" in setting.reductions:
             state = compensated(state)
     chosen = dataclasses.replace(setting, dt=problem.period / substeps)
@@ -123,7 +126,7 @@ def may_be_untwisted(problem: Problem) -> bool:
         scene, _ = problem.build(4, "consistent")
         acted = problem.act(scene)(jnp.asarray(problem.controls[0]))
         try:
-            check_untwisted(dataclasses.replace(acted, twist=False))
+            torsion_free().check(acted)
         except ValueError:
             return False
     return True

@@ -159,7 +159,9 @@ def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     arm, rest = params.arm, params.arm.rest
     scene = arm.scene(jnp.zeros((3, env.n_controls)))
     # What moves in the plane moves in space.
-    free = dataclasses.replace(scene, effects=scene.effects[:3], plane=None)
+    free = dataclasses.replace(
+        scene, effects=scene.effects[:3], method=jaxrod.consistent()
+    )
     base = rest.positions[:, :1]
     stretched = base + getattr(arm.limits, limit) * (rest.positions - base)
     state = dataclasses.replace(rest, positions=stretched)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxrod import pyelastica
 from jaxrod.envs import make
 
 KEY = jax.random.key(0)
@@ -68,7 +69,7 @@ def test_in_the_plane_the_arm_is_the_one_in_space():
     env = make("structured")
     params = env.default_params()
     arm = params.arm
-    free = replace(arm, plane=None, contact=replace(arm.contact, plane=None))
+    free = replace(arm, method=pyelastica(), contact=replace(arm.contact, plane=None))
     actions = jax.random.uniform(KEY, (50, 50, 2), minval=-1)
     actions = actions.at[:25].set(actions[:25, :1])
 

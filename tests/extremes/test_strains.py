@@ -97,7 +97,7 @@ def test_a_rod_let_go_at_a_twentieth_of_its_length(record):
 
 def test_pyelasticas_law_compressed_to_a_twentieth_at_a_step_as_much_shorter():
     rod, state = arm(5)
-    scene = jaxrod.make_scene(rod, mode="pyelastica")
+    scene = jaxrod.make_scene(rod, method=jaxrod.pyelastica())
     short = stretched(state, 0.05)
     dt = 0.2 * 0.05 * jaxrod.stable_dt(scene).dt
     after = jaxrod.advance(scene, short, dt, 50)

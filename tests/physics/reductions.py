@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod.stepping import stepper
 from physics.rods import arm
 
 
@@ -41,7 +40,7 @@ def arithmetic_left(**changes):
 
     def flops(scene):
         """Of one step within many."""
-        integrator = stepper(scene, state, jnp.asarray(1e-4))
+        integrator = scene.method.stepper(scene, state, jnp.asarray(1e-4))
         carry = integrator.begin(state)
         return jax.jit(integrator.cycle).lower(carry).compile().cost_analysis()["flops"]
 

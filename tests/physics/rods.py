@@ -11,6 +11,7 @@ import numpy as np
 import jaxrod
 from jaxrod import vectors
 from jaxrod.elasticity import elastic_law, internal_loads
+from jaxrod.methods.laws import IN_SPACE
 from jaxrod.motion import Motion
 from jaxrod.rotations import (
     join_quaternion,
@@ -135,7 +136,7 @@ def mixed_load(scene_rod, mode="consistent", state=None):
         jaxrod.ElementCouples(jnp.asarray(wave)),
         held(state),
         jaxrod.exponential_damping(0.7, 1.9),
-        mode=mode,
+        method=IN_SPACE[mode],
     )
 
 

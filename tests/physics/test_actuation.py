@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import jaxrod
+from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm
 
 
@@ -107,7 +108,9 @@ def test_a_couple_turns_its_element_about_the_material_axis(mode):
     for axis in range(3):
         rod, state = arm(3, direction=(1.0, 2.0, -0.5))
         couples = jnp.zeros((3, 3)).at[axis, 1].set(2.0)
-        scene = jaxrod.make_scene(rod, jaxrod.ElementCouples(couples), mode=mode)
+        scene = jaxrod.make_scene(
+            rod, jaxrod.ElementCouples(couples), method=IN_SPACE[mode]
+        )
         after = jaxrod.advance(scene, state, 1e-7, 1)
         expected = 2.0 * 1e-7 * state.directors[axis, :, 1]
         np.testing.assert_allclose(after.angular_momenta[:, 1], expected, atol=1e-14)

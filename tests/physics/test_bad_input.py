@@ -112,9 +112,7 @@ CASES = {
         jnp.zeros(3), jnp.ones(3), -1.0
     ),
     # Scenes and steps.
-    "mode must be one of consistent, pyelastica, got 'fast'": lambda: jaxrod.make_scene(
-        ROD, mode="fast"
-    ),
+    "plane must be one of xy, yz, zx, got 'xz'": lambda: jaxrod.planar("xz"),
     "safety must be positive, got 0": lambda: jaxrod.stable_dt(SCENE, 0.0),
     "safety must be at most 1, got 2": lambda: jaxrod.stable_dt(SCENE, 2.0),
     "n_steps must be a multiple of every, got 5 and 2": lambda: jaxrod.rollout(
@@ -232,5 +230,5 @@ def test_effects_take_the_type_of_the_rod():
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), ROD)
     scene = jaxrod.make_scene(single, jaxrod.gravity(), jaxrod.exponential_damping(1.0))
     assert {leaf.dtype for leaf in jax.tree.leaves(scene)} == {jnp.dtype("float32")}
-    again = replace(scene, mode="pyelastica")
+    again = replace(scene, method=jaxrod.pyelastica())
     assert again.rod is scene.rod

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.methods.laws import IN_SPACE
 from physics.rods import AREA, YOUNG, arm
 
 
@@ -17,7 +18,7 @@ def swing(dtype, remember, damping, plane):
     effects = [jaxrod.clamp(state), jaxrod.gravity((0.0, -9.81, 0.0))]
     if damping:
         effects.append(jaxrod.exponential_damping(damping))
-    scene = jaxrod.make_scene(rod, *effects, plane=plane)
+    scene = jaxrod.make_scene(rod, *effects, method=plane and jaxrod.planar(plane))
     if remember:
         state = jaxrod.compensated(state)
     states = jaxrod.rollout(scene, state, 2e-4, 10_000, 50)
@@ -75,7 +76,7 @@ def test_displacements_below_rounding_add_up():
 def test_in_float64_it_changes_nothing_but_round_off(mode):
     rod, state = arm(6)
     wall = jaxrod.clamp(state) if mode == "consistent" else jaxrod.fixed_end(state)
-    scene = jaxrod.make_scene(rod, wall, jaxrod.gravity(), mode=mode)
+    scene = jaxrod.make_scene(rod, wall, jaxrod.gravity(), method=IN_SPACE[mode])
     state = replace(state, velocities=state.velocities.at[0].set(0.5))
     plain = jaxrod.advance(scene, state, 2e-4, 500)
     kept = jaxrod.advance(scene, jaxrod.compensated(state), 2e-4, 500)

@@ -10,7 +10,7 @@ import pytest
 
 import jaxrod
 from jaxrod._pytree import pytree
-from jaxrod.stepping import stepper
+from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm, difference
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -85,7 +85,7 @@ def test_changing_numbers_compiles_nothing(compilations):
 )
 def test_the_precision_asked_for_is_kept(kind, mode):
     scene, state, dt = whole_scene(0, jnp.dtype(kind))
-    scene = replace(scene, mode=mode)
+    scene = replace(scene, method=IN_SPACE[mode])
     results = (
         jaxrod.advance(scene, state, dt, 3),
         jaxrod.rollout(scene, state, dt, 2),
@@ -206,8 +206,8 @@ def test_a_bare_rod_costs_what_it_did_before_there_were_other_features(kind, fig
     rod, state = arm(20, dtype=jnp.float32)
     if kind == "compensated":
         state = jaxrod.compensated(state)
-    choice = {"pyelastica": {"mode": kind}, "xy": {"plane": kind}}.get(kind, {})
-    scene = jaxrod.make_scene(rod, **choice)
-    integrator = stepper(scene, state, jnp.asarray(1e-4, jnp.float32))
+    methods = {"pyelastica": jaxrod.pyelastica(), "xy": jaxrod.planar("xy")}
+    scene = jaxrod.make_scene(rod, method=methods.get(kind))
+    integrator = scene.method.stepper(scene, state, jnp.asarray(1e-4, jnp.float32))
     cycle = jax.jit(integrator.cycle).lower(integrator.begin(state))
     assert cycle.cost_analysis()["flops"] <= figure

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm, deformed, largest, random_rod
 
 
@@ -72,7 +73,7 @@ def butterfly(n, mode):
     folded = np.stack([np.minimum(s, s[-1] - s), np.zeros(n + 1), s])
     normal = (0.0, 1.0, 0.0)
     _, state = jaxrod.rod_along(folded, radius=0.25, normal=normal, **properties)
-    return jaxrod.make_scene(rod, mode=mode), state
+    return jaxrod.make_scene(rod, method=IN_SPACE[mode]), state
 
 
 def energy_drift(n, dt_over_spacing, mode="consistent"):
@@ -120,7 +121,9 @@ def test_pyelastica_s_law_gains_energy(record):
 @pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
 def test_gravity_alone_makes_a_rod_fall_as_a_stone_does(mode):
     rod, state = random_rod(6, n_elements=5)
-    scene = jaxrod.make_scene(rod, jaxrod.gravity((0.0, 1.0, -9.0)), mode=mode)
+    scene = jaxrod.make_scene(
+        rod, jaxrod.gravity((0.0, 1.0, -9.0)), method=IN_SPACE[mode]
+    )
     dt = float(jaxrod.stable_dt(scene).dt)
     after = jaxrod.advance(scene, state, dt, 1000)
     fallen = 0.5 * (1000 * dt) ** 2 * np.array([[0.0], [1.0], [-9.0]])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.planar_scenes import check_planar
+from jaxrod.methods.planar import check_planar
 from physics.rods import DENSITY, RADIUS, arm, difference
 from physics.touching import (
     DEPTH,
@@ -190,7 +190,7 @@ def thrown_in_a_plane(plane):
             damping=100.0,
             friction=0.4,
         ),
-        plane=plane,
+        method=plane and jaxrod.planar(plane),
     )
     falls = state.velocities.at[1].set(-2.0).at[0].set(0.5)
     return scene, replace(state, velocities=falls)

@@ -249,8 +249,8 @@ def test_bad_arguments_are_refused():
         jaxrod.equilibrium(scene, state, tolerance=0.0)
     with pytest.raises(ValueError, match="max_iterations must be at least 1"):
         jaxrod.equilibrium(scene, state, max_iterations=0)
-    other = jaxrod.make_scene(rod, jaxrod.fixed_end(state), mode="pyelastica")
-    with pytest.raises(ValueError, match="mode='consistent', got 'pyelastica'"):
+    other = jaxrod.make_scene(rod, jaxrod.fixed_end(state), method=jaxrod.pyelastica())
+    with pytest.raises(ValueError, match=r"consistent law, got PyElastica\(\)"):
         jaxrod.equilibrium(other, state)
 
 

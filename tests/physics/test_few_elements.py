@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from jaxrod.stepping import stepper
 from physics.rods import arm
 
 FEW, USUAL, MANY = 10, 20, 160
@@ -57,7 +56,7 @@ def test_the_cost_of_ten_elements(record):
     def cost(n, dt):
         """Operations per simulated second."""
         scene, state = clamped(n)
-        integrator = stepper(scene, state, jnp.asarray(dt))
+        integrator = scene.method.stepper(scene, state, jnp.asarray(dt))
         cycle = jax.jit(integrator.cycle).lower(integrator.begin(state))
         return cycle.cost_analysis()["flops"] / dt
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm, largest, turn
 
 # Reverse mode of every parameter in both modes: minutes of compiling.
@@ -33,7 +34,7 @@ def scene_and_state(mode, moving):
         jaxrod.ElementCouples(jnp.asarray(size * wave)),
         wall,
         jaxrod.exponential_damping(2.0 * size, 5.0 * size),
-        mode=mode,
+        method=IN_SPACE[mode],
     )
     if moving:
         turns = 0.1 * np.cos(np.arange(3 * N).reshape(3, N))

@@ -34,14 +34,14 @@ def loaded(load=1.0, damping=0.0, radius=0.5, n=N, dtype=jnp.float64, **settings
         jaxrod.end_load(load * np.array([2.0, 0.0, 1.0]), (0.3 * load, 0.2 * load, 0)),
         jaxrod.ElementCouples(jnp.full((3, n), 0.5 * load)),
         jaxrod.exponential_damping(damping, 2 * damping),
-        implicit=jaxrod.implicit(radius, **settings),
+        method=jaxrod.implicit(radius, **settings),
     )
     return scene, rest
 
 
 def free(radius):
     rod, _ = arm(N, youngs_modulus=1e6)
-    return jaxrod.make_scene(rod, implicit=jaxrod.implicit(radius))
+    return jaxrod.make_scene(rod, method=jaxrod.implicit(radius))
 
 
 def moving(scene):
@@ -49,7 +49,7 @@ def moving(scene):
 
 
 def explicit_limit(scene):
-    return float(jaxrod.stable_dt(replace(scene, implicit=None), 1.0).dt)
+    return float(jaxrod.stable_dt(replace(scene, method=jaxrod.consistent()), 1.0).dt)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5, 1.0])
@@ -90,7 +90,9 @@ def test_implicit_and_explicit_steps_agree_as_dt_goes_to_zero(record):
         fine = jaxrod.advance(scene, state, dt / 2, 128)
         return jax.tree.map(lambda a, b: b + (b - a) / 3, coarse, fine)
 
-    ends = [extrapolated(s) for s in (scene, replace(scene, implicit=None))]
+    ends = [
+        extrapolated(s) for s in (scene, replace(scene, method=jaxrod.consistent()))
+    ]
     moved = difference(ends[0].positions, state.positions)
     record(
         "Implicit against explicit steps, both extrapolated to dt = 0 [of the way]",
@@ -370,9 +372,3 @@ def test_gradients_through_implicit_steps_agree_with_differences(record):
 def test_bad_settings_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         jaxrod.implicit(**arguments)
-
-
-def test_pyelastica_mode_is_refused():
-    rod, _ = arm(3)
-    with pytest.raises(ValueError, match="implicit steps need mode='consistent'"):
-        jaxrod.make_scene(rod, mode="pyelastica", implicit=jaxrod.implicit())

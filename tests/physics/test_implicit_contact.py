@@ -31,13 +31,13 @@ def dropped(radius=0.5):
             floor, stiffness=LINE * G / DEPTH, damping=60.0 * LINE, onset=0.1
         ),
         jaxrod.exponential_damping(2.0),
-        implicit=jaxrod.implicit(radius),
+        method=jaxrod.implicit(radius),
     )
     return scene, replace(state, positions=positions)
 
 
 def explicit_limit(scene):
-    return float(jaxrod.stable_dt(replace(scene, implicit=None), 1.0).dt)
+    return float(jaxrod.stable_dt(replace(scene, method=jaxrod.consistent()), 1.0).dt)
 
 
 def test_implicit_steps_converge_to_what_explicit_ones_find_through_an_impact(record):
@@ -58,7 +58,7 @@ def test_implicit_steps_converge_to_what_explicit_ones_find_through_an_impact(re
         np.log2(largest_gap(coarse, fine) / largest_gap(fine, finer)),
         between=(1.7, 2.3),
     )
-    explicit = replace(scene, implicit=None)
+    explicit = replace(scene, method=jaxrod.consistent())
     rough, exact = end(explicit, 16), end(explicit, 64)
     assert largest_gap(exact, finer) < 0.5 * largest_gap(rough, finer)
     record(

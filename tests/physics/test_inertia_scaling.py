@@ -119,6 +119,8 @@ def test_a_free_rod_has_six_rigid_motions():
 def test_natural_frequencies_refuse_what_they_cannot_do():
     rod, state = arm(3)
     with pytest.raises(ValueError, match="not the gradient of an energy"):
-        jaxrod.natural_frequencies(jaxrod.make_scene(rod, mode="pyelastica"), state)
+        jaxrod.natural_frequencies(
+            jaxrod.make_scene(rod, method=jaxrod.pyelastica()), state
+        )
     with pytest.raises(ValueError, match="n_modes must be at most 21"):
         jaxrod.natural_frequencies(jaxrod.make_scene(rod), state, 22)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.planar_scenes import check_planar
+from jaxrod.methods.laws import IN_SPACE
 from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm
 
@@ -52,11 +52,16 @@ def swinging(plane, aligned=True, dtype=jnp.float64, n=12, mode="consistent"):
     )
     spin = jnp.zeros((3, n)).at[out].set(1e-3)
     state = replace(state, angular_momenta=spin.astype(dtype))
-    return jaxrod.make_scene(rod, *effects, plane=plane, mode=mode), state
+    method = jaxrod.planar(plane, IN_SPACE[mode])
+    return jaxrod.make_scene(rod, *effects, method=method), state
+
+
+def checked(scene, state):
+    scene.method.check_state(scene, state)
 
 
 def in_space(scene):
-    return replace(scene, plane=None)
+    return replace(scene, method=scene.method.of)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +149,7 @@ def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
     record(
         "Arithmetic of a planar step over that of a step in space",
         "compiled programs",
-        arithmetic_left(plane="zx"),
+        arithmetic_left(method=jaxrod.planar("zx")),
         at_most=0.4,
     )
 
@@ -227,7 +232,7 @@ def test_small_parts_out_of_the_plane_do_not_hide(dtype):
     pulled = jaxrod.end_load((1e5, 0.0, 0.0)), jaxrod.end_load((0.0, 0.0, 1.0))
     for effects, word in [((ahead,), "surfaces of bodies"), (pulled, "forces")]:
         with pytest.raises(ValueError, match=word):
-            check_planar(jaxrod.make_scene(rod, *effects, plane="xy"), state)
+            checked(jaxrod.make_scene(rod, *effects, method=jaxrod.planar("xy")), state)
     tiny, resting = jaxrod.straight_rod(
         10,
         length=1e-6,
@@ -238,9 +243,11 @@ def test_small_parts_out_of_the_plane_do_not_hide(dtype):
         normal=(0.0, 0.0, 1.0),
         dtype=dtype,
     )
-    falling = jaxrod.make_scene(tiny, jaxrod.gravity((0.0, 0.0, -9.81)), plane="xy")
+    falling = jaxrod.make_scene(
+        tiny, jaxrod.gravity((0.0, 0.0, -9.81)), method=jaxrod.planar("xy")
+    )
     with pytest.raises(ValueError, match="forces"):
-        check_planar(falling, resting)
+        checked(falling, resting)
 
 
 def test_what_rounding_leaves_out_of_the_plane_is_accepted():
@@ -250,11 +257,13 @@ def test_what_rounding_leaves_out_of_the_plane_is_accepted():
     settled = replace(state, velocities=state.velocities + noise)
     post = jaxrod.cylinder((0.7, -0.3, -0.1), (0.7, -0.3, 0.1), 0.2)
     contact = jaxrod.contact(post, stiffness=1e5)
-    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), contact, plane="xy")
-    check_planar(scene, settled)
+    scene = jaxrod.make_scene(
+        rod, jaxrod.clamp(state), contact, method=jaxrod.planar("xy")
+    )
+    checked(scene, settled)
 
 
-def test_planes_are_named():
-    rod, _ = arm(4)
-    with pytest.raises(ValueError, match="plane must be one of xy, yz, zx"):
-        jaxrod.make_scene(rod, plane="xz")
+@pytest.mark.parametrize("other", ["implicit", "torsion_free"])
+def test_methods_without_a_planar_step_are_refused(other):
+    with pytest.raises(TypeError, match="methods that have a planar step"):
+        jaxrod.planar("xy", getattr(jaxrod, other)())

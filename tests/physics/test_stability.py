@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 import jaxrod
 from jaxrod._pytree import pytree
 from jaxrod.envs.tracking import tracking
+from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm, deformed, random_rod
 from physics.small_motions import (
     frequencies,
@@ -143,10 +144,10 @@ def test_the_limit_of_well_known_rods(name, record):
 @pytest.mark.parametrize("rates", [(0.0, 0.0), (0.02, 1.0)])
 def test_stable_below_the_measured_limit_and_not_above(mode, rates):
     rod, state = arm(5, radius=0.02)
-    bare = jaxrod.make_scene(rod, mode=mode)
+    bare = jaxrod.make_scene(rod, method=IN_SPACE[mode])
     frequency = float(jaxrod.highest_frequency(bare, state))
     damping = jaxrod.exponential_damping(*(frequency * np.asarray(rates)))
-    scene = jaxrod.make_scene(rod, damping, mode=mode)
+    scene = jaxrod.make_scene(rod, damping, method=IN_SPACE[mode])
     limit = jaxrod.stable_dt(scene, 1.0, state=state).dt
     assert (limit > 1.1 * 2 / frequency) == any(rates)
     assert excursion(scene, state, 0.99 * limit) < 1e-6
@@ -174,11 +175,13 @@ def squeezed(state, stretch):
 
 def test_the_guard_knows_that_compression_stiffens_pyelasticas_law():
     rod, state = arm(5)
-    scene = jaxrod.make_scene(rod, mode="pyelastica")
+    scene = jaxrod.make_scene(rod, method=jaxrod.pyelastica())
     dt = 0.9 * jaxrod.stable_dt(scene, 1.0).dt
     with pytest.warns(jaxrod.UnstableStepWarning, match="compressed to 0.5"):
         jaxrod.advance(scene, squeezed(state, 0.5), dt, 1)
-    jaxrod.advance(replace(scene, mode="consistent"), squeezed(state, 0.5), dt, 1)
+    jaxrod.advance(
+        replace(scene, method=jaxrod.consistent()), squeezed(state, 0.5), dt, 1
+    )
 
 
 def test_the_limiting_motion_is_named():
@@ -259,7 +262,7 @@ def accelerations(scene, state, moves):
 @pytest.mark.parametrize("stretch", [0.5, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
     rod, state = arm(2, radius=0.02)
-    scene = jaxrod.make_scene(rod, mode="pyelastica")
+    scene = jaxrod.make_scene(rod, method=jaxrod.pyelastica())
     short = squeezed(state, stretch)
     moves, unravel = ravel_pytree(no_moves(state))
     tangent = jax.jacfwd(
@@ -271,7 +274,7 @@ def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
     assert measured == pytest.approx(exact, rel=2e-3)
     rest = float(jaxrod.stable_dt(scene).angular_frequency)
     assert measured <= rest / stretch * (1 + 1e-3)
-    consistent = replace(scene, mode="consistent")
+    consistent = replace(scene, method=jaxrod.consistent())
     assert float(jaxrod.highest_frequency(consistent, short)) <= 1.1 * rest
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 import jaxrod
 from jaxrod import vectors
+from jaxrod.methods.laws import IN_SPACE
 from jaxrod.motion import motion_of
 from jaxrod.scene import external_loads
 from physics.rods import AREA, DENSITY, RADIUS, arm, deformed, random_rod
@@ -41,7 +42,7 @@ def on_the_floor(slope=0.0, n=3, mode="consistent", **changes):
         rod,
         jaxrod.gravity((0.0, -G, 0.0)),
         floor_contact(slope, **changes),
-        mode=mode,
+        method=IN_SPACE[mode],
     )
     return scene, state
 

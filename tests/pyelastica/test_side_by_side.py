@@ -64,7 +64,7 @@ def same_scene(drawn):
     moving = jaxrod.with_angular_velocities(
         rod, moving, jnp.asarray(drawn.angular_velocities)
     )
-    return jaxrod.make_scene(rod, *effects, mode="pyelastica"), moving
+    return jaxrod.make_scene(rod, *effects, method=jaxrod.pyelastica()), moving
 
 
 @pytest.mark.parametrize("seed", range(len(DRAWN)))

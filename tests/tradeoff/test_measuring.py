@@ -104,7 +104,7 @@ def test_own_scenes_become_problems():
     with pytest.raises(ValueError, match="duration must be positive"):
         problem_of(scene, state, duration=0.0)
     with pytest.raises(ValueError, match="PyElastica mode has no setting"):
-        problem_of(dataclasses.replace(scene, mode="pyelastica"), state)
+        problem_of(dataclasses.replace(scene, method=jaxrod.pyelastica()), state)
 
 
 def test_the_grid_has_every_way_of_simulating(swinging):

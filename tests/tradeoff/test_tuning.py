@@ -93,6 +93,8 @@ def test_bad_input_is_refused():
     broken = dataclasses.replace(state, velocities=state.velocities * np.nan)
     with pytest.raises(ValueError, match="state must be finite"):
         jaxrod.tune(scene, broken)
-    aside = jaxrod.make_scene(rod, jaxrod.gravity((0.0, 9.81, 0.0)), plane="zx")
+    aside = jaxrod.make_scene(
+        rod, jaxrod.gravity((0.0, 9.81, 0.0)), method=jaxrod.planar("zx")
+    )
     with pytest.raises(ValueError, match="zx plane needs forces of effects"):
         jaxrod.tune(aside, state)

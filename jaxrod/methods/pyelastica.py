@@ -25,6 +25,7 @@ from jaxtyping import Array
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import joint_rotations
+from jaxrod.methods.verlet import Verlet
 from jaxrod.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rod import Rod, RodState, angular_velocities, with_angular_velocities
 from jaxrod.rotations import (
@@ -35,9 +36,16 @@ from jaxrod.rotations import (
     to_material,
     to_world,
 )
-from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
+from jaxrod.scene import (
+    Law,
+    Method,
+    Scene,
+    damping_rates,
+    external_loads,
+    hold,
+    hold_rates,
+)
 from jaxrod.vectors import Vec3
-from jaxrod.verlet import Verlet
 
 
 @pytree
@@ -171,3 +179,26 @@ class PyElasticaStepper(Verlet):
             velocity=vectors.scale(self.decay[0], held.velocity),
             spin=vectors.scale(self.decay[1], held.spin),
         )
+
+
+@pytree
+class PyElastica(Method):
+    """PyElastica's law and stepping order in space; see the module."""
+
+    @property
+    def law(self) -> Law:
+        """PyElastica's."""
+        return "pyelastica"
+
+    def stepper(self, scene: Scene, state: RodState, dt: Array) -> PyElasticaStepper:
+        """Constants of the step."""
+        return PyElasticaStepper.create(scene, dt)
+
+
+def pyelastica() -> PyElastica:
+    """PyElastica 1.0's law and stepping order, to round-off.
+
+    Returns:
+        What `make_scene` takes as `method`.
+    """
+    return PyElastica()

@@ -1,4 +1,4 @@
-r"""Planar scenes: motion in a plane, one angle per element.
+r"""Position Verlet in a plane: one angle per element.
 
 Everything is left out that is zero in a plane: with in-plane edge $\Delta x$, direction
 $d$ and transverse $t = n \times d$ of an element, $n$ the plane's normal,
@@ -6,25 +6,27 @@ $d$ and transverse $t = n \times d$ of an element, $n$ the plane's normal,
 $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell - 1,
   \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D.$$
 
-Each law has a planar step of its own: `jaxrod.planar_consistent` and
-`jaxrod.planar_pyelastica`. They equal those in space to round-off, for a third of the
-arithmetic or less. What is zero out of the plane stays exactly zero, for any number of
-calls; joint angles have no bound within a call.
+Each law has a planar step of its own, `planar_consistent` and `planar_pyelastica`
+beside this file. They equal those in space to round-off, for a third of the arithmetic
+or less. What is zero out of the plane stays exactly zero, for any number of calls;
+joint angles have no bound within a call.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import replace
+from typing import Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod import vectors
-from jaxrod._pytree import pytree
+from jaxrod._pytree import pytree, static
 from jaxrod.elasticity import joint_rotations
+from jaxrod.methods.verlet import Verlet
 from jaxrod.motion import Loads, Motion
-from jaxrod.rod import RodState
+from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import (
     Quaternion,
     directors,
@@ -34,11 +36,18 @@ from jaxrod.rotations import (
     sine_ratio_and_cosine,
     split_quaternion,
 )
-from jaxrod.scene import PLANES, Scene, hold_rates
+from jaxrod.scene import hold_rates
 from jaxrod.vectors import Vec3
-from jaxrod.verlet import Verlet
 
 Vec2 = tuple[Array, Array]
+
+PlaneName = Literal["xy", "yz", "zx"]
+PLANES: dict[PlaneName, tuple[int, int, int]] = {
+    "xy": (0, 1, 2),
+    "yz": (1, 2, 0),
+    "zx": (2, 0, 1),
+}
+"""The planes: indices of their two axes and their normal, right-handed."""
 
 
 @pytree
@@ -98,10 +107,9 @@ class PlanarRod:
     """Joint angle at the start of the call less that at rest [rad]."""
 
     @staticmethod
-    def create(scene: Scene, state: RodState) -> PlanarRod:
+    def create(rod: Rod, state: RodState, plane: PlaneName) -> PlanarRod:
         """Works out the constants once, outside the loop."""
-        rod = scene.rod
-        _, _, out = axes(scene)
+        _, _, out = PLANES[plane]
         orientation = split_quaternion(state.orientations)
         d1, d2, _ = directors(orientation)
         n1, n2 = d1[out], d2[out]
@@ -138,6 +146,8 @@ class PlanarRod:
 class PlanarVerlet(Verlet):
     """Position Verlet of a rod in a plane, whatever the law."""
 
+    plane: PlaneName = static()
+    """The plane of motion."""
     start: RodState
     """The state at the start of the call: what lies out of the plane stays so."""
     constants: PlanarRod
@@ -167,7 +177,7 @@ class PlanarVerlet(Verlet):
 
     def enter(self, state: RodState) -> PlanarMotion:
         """Takes the in-plane part of a state apart."""
-        a, b, out = axes(self.scene)
+        a, b, out = PLANES[self.plane]
         _, _, d3 = directors(split_quaternion(state.orientations))
         remainders = state.remainders
         motion = PlanarMotion(
@@ -182,7 +192,7 @@ class PlanarVerlet(Verlet):
 
     def leave(self, motion: PlanarMotion) -> RodState:
         """Puts the state together again."""
-        a, b, out = axes(self.scene)
+        a, b, out = PLANES[self.plane]
         start = self.start
         remainders = start.remainders
         if motion.remainder is not None and remainders is not None:
@@ -224,7 +234,7 @@ class PlanarVerlet(Verlet):
         self, motion: PlanarMotion, forces: Vec2, couple: Array
     ) -> tuple[Vec2, Array]:
         """Adds the in-plane part of the loads of all effects."""
-        a, b, _ = axes(self.scene)
+        a, b, _ = PLANES[self.plane]
         n1, n2 = self.constants.normal
         in_space = self.in_space(motion)
         none = jnp.zeros_like(motion.position[0])
@@ -242,7 +252,7 @@ class PlanarVerlet(Verlet):
 
     def hold_rates(self, motion: PlanarMotion) -> PlanarMotion:
         """Applies all constraints on rates."""
-        a, b, _ = axes(self.scene)
+        a, b, _ = PLANES[self.plane]
         held = hold_rates(self.scene, self.in_space(motion))
         velocity = held.velocity[a], held.velocity[b]
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
@@ -261,7 +271,7 @@ class PlanarVerlet(Verlet):
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
         """Three components from the two in the plane and the one out of it."""
-        a, b, _ = axes(self.scene)
+        a, b, _ = PLANES[self.plane]
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside
         return components[0], components[1], components[2]
@@ -270,16 +280,10 @@ class PlanarVerlet(Verlet):
         """The orientation at the start, turned about the normal."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
-        turn[axes(self.scene)[2]] = jnp.sin(0.5 * motion.turn)
+        turn[PLANES[self.plane][2]] = jnp.sin(0.5 * motion.turn)
         turned = (jnp.cos(0.5 * motion.turn), turn[0], turn[1], turn[2])
         start = split_quaternion(self.start.orientations)
         return normalise(multiply_quaternions(turned, start))
-
-
-def axes(scene: Scene) -> tuple[int, int, int]:
-    """Indices of the two axes of the plane and of its normal, right-handed."""
-    assert scene.plane is not None
-    return PLANES[scene.plane]
 
 
 def spread(a: Array) -> Array:

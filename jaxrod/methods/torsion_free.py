@@ -1,4 +1,4 @@
-r"""Scenes without twist: an element is a direction, not a frame.
+r"""The method without twist: an element is a direction, not a frame.
 
 In a naturally straight rod with sections alike in all directions, under loads that do
 not twist it, twist is a fast motion of no consequence: nothing drives it but the small
@@ -13,12 +13,13 @@ $$W = \tfrac12 \sum \hat\ell\,
 which is the consistent law at its minimum over all twists. Between kicks elements turn
 along great circles, at $\dot d = P/J_1 \times d$; couples are world vectors.
 Symplectic, second order, conserving momentum and angular momentum like
-`jaxrod.consistent`, whose limit for a vanishing polar inertia it is.
+`jaxrod.methods.consistent`, whose limit for a vanishing polar inertia it is.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import lax
@@ -29,7 +30,13 @@ from jaxrod._pytree import pytree, static
 from jaxrod.clamps import Clamp
 from jaxrod.directions import angle_over_sine, frame_along, transported, turned_to
 from jaxrod.ends import End, at_end
-from jaxrod.kick import Kick
+from jaxrod.methods.kick import Kick
+from jaxrod.methods.torsion_free_checks import (
+    check_structure,
+    check_torsion_free,
+    held_end,
+)
+from jaxrod.methods.verlet import Verlet
 from jaxrod.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
@@ -38,14 +45,12 @@ from jaxrod.rotations import (
     split_quaternion,
     to_material,
 )
-from jaxrod.scene import Scene, damping_rates, hold, hold_rates
-from jaxrod.untwisted_scenes import check_structure, held_end
+from jaxrod.scene import Method, Scene, damping_rates, hold, hold_rates
 from jaxrod.vectors import Vec3
-from jaxrod.verlet import Verlet
 
 
 @pytree
-class UntwistedMotion:
+class TorsionFreeMotion:
     """A rod without twist, as the inside of a step sees it."""
 
     position: Vec3
@@ -72,7 +77,7 @@ class UntwistedMotion:
 
 
 @pytree
-class UntwistedStepper(Verlet):
+class TorsionFreeStepper(Verlet):
     """Constants of the step without twist, for one scene and one step size."""
 
     start: RodState
@@ -95,7 +100,7 @@ class UntwistedStepper(Verlet):
     """The end whose frame the others follow."""
 
     @staticmethod
-    def create(scene: Scene, state: RodState, dt: Array) -> UntwistedStepper:
+    def create(scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
         """Works out the constants once, outside the loop."""
         check_structure(scene)
         rod = scene.rod
@@ -112,7 +117,7 @@ class UntwistedStepper(Verlet):
             joints = [joint, joint]
             joints[part] = wall[None]
             joint = jnp.concatenate(joints)
-        return UntwistedStepper(
+        return TorsionFreeStepper(
             scene=scene,
             dt=dt,
             start=state,
@@ -127,11 +132,11 @@ class UntwistedStepper(Verlet):
             root="start" if held is None else held.end,
         )
 
-    def enter(self, state: RodState) -> UntwistedMotion:
+    def enter(self, state: RodState) -> TorsionFreeMotion:
         """Takes directions and what turns them from a state."""
         motion = hold_rates(self.scene, hold(self.scene, motion_of(state)))
         direction = directors(motion.orientation)[2]
-        return UntwistedMotion(
+        return TorsionFreeMotion(
             position=motion.position,
             direction=direction,
             velocity=motion.velocity,
@@ -139,7 +144,7 @@ class UntwistedStepper(Verlet):
             remainder=motion.remainder,
         )
 
-    def leave(self, motion: UntwistedMotion) -> RodState:
+    def leave(self, motion: TorsionFreeMotion) -> RodState:
         """Puts the state together again, with frames that are not twisted."""
         direction = motion.direction
         held = held_end(self.scene)
@@ -154,7 +159,7 @@ class UntwistedStepper(Verlet):
         spin = _across(motion.spin, direction)
         return state_of(replace(motion.in_space, orientation=orientation, spin=spin))
 
-    def drift(self, motion: UntwistedMotion, dt: Array) -> UntwistedMotion:
+    def drift(self, motion: TorsionFreeMotion, dt: Array) -> TorsionFreeMotion:
         """Moves nodes and turns elements freely for a time `dt` [s]."""
         d = motion.direction
         turn = vectors.scale(dt * self.inverse_inertia, motion.spin)
@@ -174,7 +179,7 @@ class UntwistedStepper(Verlet):
             )
         )
 
-    def kick(self, motion: UntwistedMotion) -> UntwistedMotion:
+    def kick(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
         """Changes velocities and angular momenta by all loads over one step."""
         d = motion.direction
         edges = motion.in_space.edges
@@ -219,7 +224,7 @@ class UntwistedStepper(Verlet):
         return on_elements(moment[0]), on_elements(moment[1]), on_elements(moment[2])
 
     def add_loads(
-        self, motion: UntwistedMotion, forces: Vec3, couples: Vec3
+        self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
     ) -> tuple[Vec3, Vec3]:
         """Adds the loads of all effects, but for what would twist the rod."""
         in_space = motion.in_space
@@ -238,7 +243,7 @@ class UntwistedStepper(Verlet):
                 couples = vectors.add(couples, vectors.scale(second, d2))
         return forces, couples
 
-    def hold(self, motion: UntwistedMotion) -> UntwistedMotion:
+    def hold(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
         """Applies all constraints on configuration."""
         free = motion.in_space
         held = hold(self.scene, free)
@@ -254,3 +259,31 @@ def _across(vector: Vec3, direction: Vec3) -> Vec3:
     """The part of a vector perpendicular to a direction."""
     along = vectors.dot(vector, direction)
     return vectors.subtract(vector, vectors.scale(along, direction))
+
+
+@pytree
+class TorsionFree(Method):
+    """The consistent law without twist; see `torsion_free`."""
+
+    twist: ClassVar[bool] = False
+
+    def stepper(self, scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
+        """Constants of the step."""
+        return TorsionFreeStepper.create(scene, state, dt)
+
+    def check(self, scene: Scene) -> None:
+        """Raises ValueError if the rod or an effect has to do with twist."""
+        check_torsion_free(scene)
+
+
+def torsion_free() -> TorsionFree:
+    """Leaves twist out: half the arithmetic, for what the polar inertia changes.
+
+    For a naturally straight rod with sections alike in all directions, under loads that
+    do not twist it. Couples about the axis that cannot be seen on the host (traced
+    ones), and spin about it in a state, are dropped.
+
+    Returns:
+        What `make_scene` takes as `method`.
+    """
+    return TorsionFree()

@@ -1,4 +1,4 @@
-r"""PyElastica's law in a plane; see `jaxrod.planar` and `jaxrod.pyelastica`.
+r"""PyElastica's law in a plane; see `planar_verlet` and `pyelastica` beside it.
 
 With $e = \ell/\hat\ell$ the stretch of an element, $\varepsilon$ that of a joint and
 $\omega$ the angular velocity about the normal:
@@ -19,7 +19,13 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod._pytree import pytree
-from jaxrod.planar import PlanarMotion, PlanarRod, PlanarVerlet, spread
+from jaxrod.methods.planar_verlet import (
+    PlanarMotion,
+    PlanarRod,
+    PlanarVerlet,
+    PlaneName,
+    spread,
+)
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene, damping_rates
 from jaxrod.vectors import Vec3
@@ -39,16 +45,19 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     """[1/m]"""
 
     @staticmethod
-    def create(scene: Scene, state: RodState, dt: Array) -> PlanarPyElasticaStepper:
+    def create(
+        scene: Scene, plane: PlaneName, state: RodState, dt: Array
+    ) -> PlanarPyElasticaStepper:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
         transverse, _ = rod.inertias
         rates = damping_rates(scene)
         return PlanarPyElasticaStepper(
             scene=scene,
+            plane=plane,
             dt=dt,
             start=state,
-            constants=PlanarRod.create(scene, state),
+            constants=PlanarRod.create(rod, state, plane),
             inverse_inertia=1 / transverse,
             decay=rates and (jnp.exp(-rates[0] * dt), jnp.exp(-rates[1] * dt)),
             inverse_masses=1 / rod.node_masses,

@@ -1,4 +1,4 @@
-"""The consistent law in a plane; see `jaxrod.planar` and `jaxrod.consistent`.
+"""The consistent law in a plane; see `planar_verlet` and `consistent` beside it.
 
 Elements turn at the rate P/J about the normal between kicks.
 """
@@ -11,8 +11,15 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod._pytree import pytree
-from jaxrod.kick import Kick
-from jaxrod.planar import PlanarMotion, PlanarRod, PlanarVerlet, axes, spread
+from jaxrod.methods.kick import Kick
+from jaxrod.methods.planar_verlet import (
+    PLANES,
+    PlanarMotion,
+    PlanarRod,
+    PlanarVerlet,
+    PlaneName,
+    spread,
+)
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene, damping_rates
 from jaxrod.vectors import Vec3
@@ -26,16 +33,19 @@ class PlanarConsistentStepper(PlanarVerlet):
     spin_kick: Kick
 
     @staticmethod
-    def create(scene: Scene, state: RodState, dt: Array) -> PlanarConsistentStepper:
+    def create(
+        scene: Scene, plane: PlaneName, state: RodState, dt: Array
+    ) -> PlanarConsistentStepper:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
         transverse, _ = rod.inertias
         rates = damping_rates(scene) or (None, None)
         return PlanarConsistentStepper(
             scene=scene,
+            plane=plane,
             dt=dt,
             start=state,
-            constants=PlanarRod.create(scene, state),
+            constants=PlanarRod.create(rod, state, plane),
             inverse_inertia=1 / transverse,
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
@@ -57,12 +67,12 @@ class PlanarConsistentStepper(PlanarVerlet):
         """Angular momentum, world frame."""
         zero = jnp.zeros_like(spin)
         components = [zero, zero, zero]
-        components[axes(self.scene)[2]] = spin
+        components[PLANES[self.plane][2]] = spin
         return (components[0], components[1], components[2]), False
 
     def spin_in_plane(self, spin: Vec3) -> Array:
         """Its component along the normal."""
-        return spin[axes(self.scene)[2]]
+        return spin[PLANES[self.plane][2]]
 
     def kick(self, motion: PlanarMotion) -> PlanarMotion:
         """Changes velocities and angular momenta by all loads over one step."""

@@ -1,4 +1,4 @@
-"""Scenes in a plane: their step, and checks of what they need, in words."""
+"""The method for motion in a plane, and checks of what it needs, in words."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxrod._pytree import pytree, static
 from jaxrod.effects import Effect
+from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.planar_consistent import PlanarConsistentStepper
+from jaxrod.methods.planar_pyelastica import PlanarPyElasticaStepper
+from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
+from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.motion import Loads, Motion
-from jaxrod.planar import PlanarVerlet
-from jaxrod.planar_consistent import PlanarConsistentStepper
-from jaxrod.planar_pyelastica import PlanarPyElasticaStepper
 from jaxrod.rod import RodState
-from jaxrod.scene import PLANES, Scene
+from jaxrod.scene import Law, Method, Scene
 
 _PARTS = (
     "node positions",
@@ -33,18 +36,65 @@ _PARTS = (
 )
 
 
-def planar_stepper(scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
-    """The step of the scene's law in the scene's plane."""
-    if scene.mode == "pyelastica":
-        return PlanarPyElasticaStepper.create(scene, state, dt)
-    return PlanarConsistentStepper.create(scene, state, dt)
+@pytree
+class Planar(Method):
+    """A law in a plane; see `planar`."""
+
+    plane: PlaneName = static()
+    """The plane of motion."""
+    of: Consistent | PyElastica
+    """The law, as a method in space."""
+
+    @property
+    def law(self) -> Law:
+        """That of the method in space."""
+        return self.of.law
+
+    def stepper(self, scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
+        """Constants of the step."""
+        if isinstance(self.of, PyElastica):
+            return PlanarPyElasticaStepper.create(scene, self.plane, state, dt)
+        return PlanarConsistentStepper.create(scene, self.plane, state, dt)
+
+    def check_state(self, scene: Scene, state: RodState) -> None:
+        """Raises ValueError if the rod or a load leaves the plane."""
+        check_planar(scene, self, state)
 
 
-def check_planar(scene: Scene, state: RodState) -> None:
+def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Planar:
+    """Motion in a plane: several times cheaper, for the same result to round-off.
+
+    The rod and all that acts on it stay in a plane parallel to the one named. The state
+    is the same as in space; what is zero out of the plane stays exactly zero.
+
+    Args:
+        plane: "xy", "yz" or "zx".
+        law: `consistent()` (default) or `pyelastica()`.
+
+    Returns:
+        What `make_scene` takes as `method`.
+
+    Raises:
+        ValueError: If the plane is unknown.
+        TypeError: If the law is another method, which is in space only.
+    """
+    if plane not in PLANES:
+        raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
+    law = Consistent() if law is None else law
+    if not isinstance(law, Consistent | PyElastica):
+        raise TypeError(
+            "law must be consistent() or pyelastica(), the methods that have a planar "
+            f"step, got {law!r}"
+        )
+    return Planar(plane, law)
+
+
+def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
     """Checks that a rod is in the scene's plane and that nothing takes it out.
 
     Args:
-        scene: A scene with a plane.
+        scene: The scene.
+        method: The method, which has the plane.
         state: Its concrete state.
 
     Raises:
@@ -52,23 +102,24 @@ def check_planar(scene: Scene, state: RodState) -> None:
             have parts out of the plane, or if bending about the normal is not
             bending about one principal axis.
     """
-    shares = np.asarray(_shares_outside(scene, state))
+    shares = np.asarray(_shares_outside(scene, method, state))
     tolerance = np.sqrt(np.finfo(shares.dtype).eps)
     for what, share in zip(_PARTS, shares, strict=True):
         if not share <= tolerance:
             raise ValueError(
-                f"a scene in the {scene.plane} plane needs {what} in that plane, got "
-                f"{share:.2g} of their size out of it; leave out plane={scene.plane!r} "
-                "for a motion in space"
+                f"a scene in the {method.plane} plane needs {what} in that plane, got "
+                f"{share:.2g} of their size out of it; leave out "
+                f"planar({method.plane!r}) for a motion in space"
             )
 
 
 # Compiled: operation by operation, this takes longer than thousands of steps.
 @jax.jit
-def _shares_outside(scene: Scene, state: RodState) -> Float[Array, " parts"]:
+def _shares_outside(
+    scene: Scene, method: Planar, state: RodState
+) -> Float[Array, " parts"]:
     """How far out of the plane each of `_PARTS` is, relative to its own scale."""
-    assert scene.plane is not None
-    a, b, out = PLANES[scene.plane]
+    a, b, out = PLANES[method.plane]
     rod = scene.rod
     frame = state.directors
     n1, n2, n3 = frame[0, out], frame[1, out], frame[2, out]
@@ -82,7 +133,7 @@ def _shares_outside(scene: Scene, state: RodState) -> Float[Array, " parts"]:
     # A rod this slow, compared with its waves, has come to rest but for rounding.
     wave_speed = jnp.sqrt(jnp.max(shear[2]) / jnp.min(rod.linear_density))
     still = 1e-6 * wave_speed
-    force, couple, tilt = _shares_of_effects(scene, state, n1, n2)
+    force, couple, tilt = _shares_of_effects(scene, method, state, n1, n2)
     shares = {
         "node positions": _largest(heights - heights[0]) / length,
         "velocities": _share(state.velocities[out], state.velocities, still),
@@ -107,13 +158,12 @@ def _shares_outside(scene: Scene, state: RodState) -> Float[Array, " parts"]:
 
 
 def _shares_of_effects(
-    scene: Scene, state: RodState, n1: Array, n2: Array
+    scene: Scene, method: Planar, state: RodState, n1: Array, n2: Array
 ) -> tuple[Array, Array, Array]:
     """What leaves the plane of forces, couples, and unit vectors of forces to come."""
-    assert scene.plane is not None
     rod = scene.rod
-    out = PLANES[scene.plane][2]
-    stepper = planar_stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
+    out = PLANES[method.plane][2]
+    stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
     motion = stepper.in_space(stepper.enter(state))
     zero = jnp.zeros_like(rod.rest_lengths[0])
     # An element that is held feels couples from the rounding of its own angle.

@@ -16,8 +16,7 @@ from jaxrod.scene import (
     potential_energy,
     total_energy,
 )
-from jaxrod.stepping import stepper
-from physics.untwisted import free, largest_gap, swinging, with_twist
+from physics.torsion_free import free, largest_gap, swinging, with_twist
 
 # What holds at one end holds at the other: the longer run looks at both.
 ENDS = ["start", pytest.param("finish", marks=pytest.mark.slow)]
@@ -26,7 +25,7 @@ ENDS = ["start", pytest.param("finish", marks=pytest.mark.slow)]
 @pytest.mark.parametrize("end", ENDS)
 def test_in_a_plane_it_is_the_scene_with_twist_and_the_planar_one(end, record):
     scene, state = swinging(end=end)
-    flat = replace(with_twist(scene), plane="zx")
+    flat = replace(with_twist(scene), method=jaxrod.planar("zx"))
     bare, full, flat = (
         jaxrod.rollout(each, state, 2e-4, 1500, 100)
         for each in (scene, with_twist(scene), flat)
@@ -59,8 +58,8 @@ def test_out_of_a_plane_it_differs_by_the_polar_inertia(record):
         inertia = scene.rod.rotary_inertia.at[1].mul(polar)
         rod = replace(scene.rod, rotary_inertia=inertia)
         return [
-            np.asarray(jaxrod.advance(replace(scene, rod=rod, twist=twist), *run).tip)
-            for twist in (False, True)
+            np.asarray(jaxrod.advance(replace(each, rod=rod), *run).tip)
+            for each in (scene, with_twist(scene))
         ]
 
     run = (state, 1e-4, 2000)
@@ -132,7 +131,7 @@ def test_loads_are_minus_the_gradient_of_the_energy(record):
     scene = replace(scene, effects=(jaxrod.clamp(state),))
     n = scene.rod.n_elements
     one = jnp.ones(())
-    integrator = stepper(scene, state, one)
+    integrator = scene.method.stepper(scene, state, one)
     inside = integrator.enter(state)
 
     def energy(moves):
@@ -207,7 +206,10 @@ def test_gradients_agree_with_finite_differences(at_rest, record):
 def test_an_end_held_fast_stays(end):
     scene, state = swinging(n=6, end=end, sideways=1.0)
     held = jaxrod.make_scene(
-        scene.rod, jaxrod.fixed_end(state, end), *scene.effects[1:3], twist=False
+        scene.rod,
+        jaxrod.fixed_end(state, end),
+        *scene.effects[1:3],
+        method=jaxrod.torsion_free(),
     )
     bare = jaxrod.advance(held, state, 2e-4, 300)
     index = 0 if end == "start" else -1

@@ -51,7 +51,7 @@ def check_structure(scene: Scene) -> None:
         _refuse("at most one held end, because two store twist", f"{held} of them")
 
 
-def check_untwisted(scene: Scene) -> None:
+def check_torsion_free(scene: Scene) -> None:
     """Checks that nothing would twist the rod of a scene but its own inertia.
 
     Where values are traced, or of many rods at once, the structure alone is checked.
@@ -98,7 +98,7 @@ def check_untwisted(scene: Scene) -> None:
 
 def _refuse(demand: str, found: str) -> None:
     raise ValueError(
-        f"a scene without twist needs {demand}, got {found}; leave out twist=False"
+        f"torsion_free() needs {demand}, got {found}; another method has no such needs"
     )
 
 

@@ -1,4 +1,4 @@
-r"""Implicit mode: steps as large as the motion allows, however stiff the rod.
+r"""The implicit method: steps as large as the motion allows, however stiff the rod.
 
 Two stages of a singly diagonally implicit Runge-Kutta method of second order, with
 coefficient $\gamma$ and stages at $\gamma h$ and $(1 - \gamma) h$ of equal weight.
@@ -42,13 +42,15 @@ from jaxrod.rotations import (
     to_material,
     to_world,
 )
-from jaxrod.scene import Scene, damping_rates, hold, hold_rates
+from jaxrod.scene import Method, Scene, damping_rates, hold, hold_rates
 from jaxrod.vectors import Vec3
 
 
 @pytree
-class Implicit:
-    """The choice of the implicit integrator, and its settings. See `implicit`."""
+class Implicit(Method):
+    """Implicit steps, and their settings; see `implicit`."""
+
+    explicit: ClassVar[bool] = False
 
     spectral_radius: Float[Array, ""]
     """What is left of an infinitely stiff motion after a step [1]."""
@@ -57,6 +59,10 @@ class Implicit:
     radians [1]; the error that is left is about its square. `None`: by precision."""
     max_iterations: int = static(default=20)
     """Per stage. A step that needs more yields a state that is not finite."""
+
+    def stepper(self, scene: Scene, state: RodState, dt: Array) -> ImplicitStepper:
+        """Constants of the step."""
+        return ImplicitStepper.create(scene, self, dt)
 
 
 def implicit(
@@ -81,7 +87,7 @@ def implicit(
         max_iterations: Corrections allowed per stage.
 
     Returns:
-        What `make_scene` takes as `implicit`.
+        What `make_scene` takes as `method`.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -136,10 +142,8 @@ class ImplicitStepper:
     damping: tuple[Array, Array] | None
 
     @staticmethod
-    def create(scene: Scene, dt: Array) -> ImplicitStepper:
+    def create(scene: Scene, settings: Implicit, dt: Array) -> ImplicitStepper:
         """Works out the constants once, outside the loop."""
-        settings = scene.implicit
-        assert settings is not None
         coefficient = 0.5 / (1 + jnp.sqrt(0.5 * (1 + settings.spectral_radius)))
         return ImplicitStepper(
             scene=scene,

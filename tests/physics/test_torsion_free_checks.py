@@ -15,7 +15,7 @@ from jaxrod.resampling import resampled
 from jaxrod.rotations import directors
 from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm
-from physics.untwisted import largest_gap, swinging, with_twist
+from physics.torsion_free import largest_gap, swinging, with_twist
 
 
 def test_batches_and_numbers_do_not_recompile():
@@ -26,7 +26,7 @@ def test_it_costs_about_half_the_arithmetic(record):
     record(
         "Arithmetic of a step without twist over that of one with it",
         "compiled programs",
-        arithmetic_left(twist=False),
+        arithmetic_left(method=jaxrod.torsion_free()),
         at_most=0.55,
     )
 
@@ -111,12 +111,16 @@ class Vane(Effect):
 def test_effects_of_ones_own_work_unless_they_turn_with_the_elements():
     scene, state = swinging(n=6)
     own = (Drag(jnp.asarray(0.3)), Magnet(jnp.array([0.0, 0.0, 3.0])))
-    scene = jaxrod.make_scene(scene.rod, *scene.effects, *own, twist=False)
+    scene = jaxrod.make_scene(
+        scene.rod, *scene.effects, *own, method=jaxrod.torsion_free()
+    )
     bare = jaxrod.advance(scene, state, 2e-4, 500)
     full = jaxrod.advance(with_twist(scene), state, 2e-4, 500)
     assert largest_gap(bare, full) < 1e-11
     with pytest.raises(ValueError, match="turn with the elements, got Vane"):
-        jaxrod.make_scene(scene.rod, Vane(jnp.asarray(1.0)), twist=False)
+        jaxrod.make_scene(
+            scene.rod, Vane(jnp.asarray(1.0)), method=jaxrod.torsion_free()
+        )
 
 
 def refused(rod, state):
@@ -147,19 +151,12 @@ def test_what_twists_is_refused_in_words():
     rod, state = arm(4)
     for words, spoiled in refused(rod, state).items():
         effects = spoiled if isinstance(spoiled, tuple) else (spoiled,)
-        with pytest.raises(ValueError, match=f"without twist needs.*{words}"):
+        with pytest.raises(ValueError, match=rf"torsion_free\(\) needs.*{words}"):
             if isinstance(spoiled, jaxrod.Rod):
-                jaxrod.make_scene(spoiled, twist=False)
+                jaxrod.make_scene(spoiled, method=jaxrod.torsion_free())
             else:
-                jaxrod.make_scene(rod, *effects, twist=False)
-    scene = jaxrod.make_scene(rod, twist=False)
+                jaxrod.make_scene(rod, *effects, method=jaxrod.torsion_free())
+    scene = jaxrod.make_scene(rod, method=jaxrod.torsion_free())
     driven = replace(scene, effects=(jaxrod.ElementCouples(jnp.zeros((3, 4))),))
     with pytest.raises(ValueError, match="ElementCouples"):
         jax.jit(lambda s: jaxrod.advance(driven, s, 1e-4, 5))(state)
-    for other in (
-        {"plane": "xy"},
-        {"implicit": jaxrod.implicit()},
-        {"mode": "pyelastica"},
-    ):
-        with pytest.raises(ValueError, match="twist=False needs mode='consistent'"):
-            jaxrod.make_scene(rod, twist=False, **other)

@@ -21,7 +21,8 @@ from jaxtyping import Array
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import ElasticLaw, elastic_law, internal_loads
-from jaxrod.kick import Kick
+from jaxrod.methods.kick import Kick
+from jaxrod.methods.verlet import Verlet
 from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.rod import RodState
 from jaxrod.rotations import (
@@ -32,8 +33,7 @@ from jaxrod.rotations import (
     sine_ratio_and_cosine,
     to_world,
 )
-from jaxrod.scene import Scene, damping_rates, external_loads, hold, hold_rates
-from jaxrod.verlet import Verlet
+from jaxrod.scene import Method, Scene, damping_rates, external_loads, hold, hold_rates
 
 
 @pytree
@@ -113,3 +113,21 @@ class ConsistentStepper(Verlet):
             spin=vectors.apply(self.spin_kick, motion.spin, couples),
         )
         return hold_rates(self.scene, kicked)
+
+
+@pytree
+class Consistent(Method):
+    """The consistent law in space, stepped by position Verlet; see the module."""
+
+    def stepper(self, scene: Scene, state: RodState, dt: Array) -> ConsistentStepper:
+        """Constants of the step."""
+        return ConsistentStepper.create(scene, dt)
+
+
+def consistent() -> Consistent:
+    """Loads from a stored energy, angular momentum as state, second order: the default.
+
+    Returns:
+        What `make_scene` takes as `method`.
+    """
+    return Consistent()

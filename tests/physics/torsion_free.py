@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod.stepping import stepper
 from physics.rods import arm, perturb
 
 
@@ -24,12 +23,12 @@ def swinging(n=8, dtype=jnp.float64, end="start", sideways=0.0):
         jaxrod.end_load((0.0, 0.0, 4.0), end="finish" if end == "start" else "start"),
         jaxrod.uniform_load((1.0, 0.0, 2.0)),
     )
-    scene = jaxrod.make_scene(rod, *effects, twist=False)
+    scene = jaxrod.make_scene(rod, *effects, method=jaxrod.torsion_free())
     return scene, replace(state, velocities=velocities)
 
 
 def with_twist(scene):
-    return replace(scene, twist=True)
+    return replace(scene, method=jaxrod.consistent())
 
 
 def free(n=6, dtype=jnp.float64):
@@ -41,9 +40,9 @@ def free(n=6, dtype=jnp.float64):
     velocities = jnp.asarray(random.normal(size=(3, n + 1)), dtype)
     momenta = jnp.asarray(1e-2 * random.normal(size=(3, n)), dtype)
     state = replace(state, velocities=velocities, angular_momenta=momenta)
-    scene = jaxrod.make_scene(rod, twist=False)
+    scene = jaxrod.make_scene(rod, method=jaxrod.torsion_free())
     # The state without the twist that a scene without twist does not see.
-    integrator = stepper(scene, state, jnp.asarray(1e-4, dtype))
+    integrator = scene.method.stepper(scene, state, jnp.asarray(1e-4, dtype))
     return scene, integrator.leave(integrator.enter(state))
 
 
