@@ -26,6 +26,7 @@ from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.elasticity import joint_rotations
 from jaxrod.envs.legacy_arm import TORQUE_PER_ELEMENT, VISCOSITY, modern_arm
+from jaxrod.methods.laws import IN_SPACE
 
 N_ELEMENTS, DT, SUBSTEPS = 50, 1e-4, 14
 CONTROL_POINTS = (0.4, 0.9)
@@ -92,7 +93,9 @@ def episode(index, key, mode, dtype, control_steps):
         applied = jaxrod.limit_rate(applied, wanted, change)
         controls = jnp.concatenate([applied, jnp.zeros_like(applied[:1])])
         couples = TORQUE_PER_ELEMENT * spline(controls, rod.arc_length_midpoints)
-        scene = jaxrod.Scene(rod, (*effects, jaxrod.ElementCouples(couples)), mode)
+        scene = jaxrod.make_scene(
+            rod, *effects, jaxrod.ElementCouples(couples), method=IN_SPACE[mode]
+        )
         after = jaxrod.advance(scene, state, dt, SUBSTEPS)
         report = jaxrod.health(scene, after, dt)
         work = work + jnp.sum(couples * turned(state, after))

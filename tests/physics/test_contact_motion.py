@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.methods.planar import check_planar
 from physics.rods import DENSITY, RADIUS, arm, difference
 from physics.touching import (
     DEPTH,
@@ -214,7 +213,7 @@ def test_a_body_that_pushes_out_of_the_plane_is_refused_in_words():
         contact = jaxrod.contact(tilted, stiffness=1e5)
         aside = replace(scene, effects=(scene.effects[0], contact))
         if fits:
-            check_planar(aside, state)
+            aside.method.check_state(aside, state)
             continue
         with pytest.raises(ValueError, match="surfaces of bodies in that plane"):
-            check_planar(aside, state)
+            aside.method.check_state(aside, state)

@@ -52,7 +52,7 @@ def contact_loads(contact, rod, state):
     """Forces on nodes and couples on elements, world frame for both [N, N m]."""
     motion = motion_of(state)
     zero = jax.tree.map(jnp.zeros_like, (motion.velocity, motion.spin))
-    loads = external_loads(jaxrod.Scene(rod, (contact,)), motion, *zero)
+    loads = external_loads(jaxrod.make_scene(rod, contact), motion, *zero)
     frame = jaxrod.rotations.directors(motion.orientation)
     couples = jaxrod.rotations.to_world(frame, loads.couples)
     return vectors.join(loads.forces), vectors.join(couples)
