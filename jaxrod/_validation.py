@@ -56,9 +56,9 @@ def check_count(name: str, value: Any, smallest: int, largest: int = MOST) -> in
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise ValueError(f"{name} must be an integer, got {_shown(value)}")
     if value < smallest:
-        raise ValueError(f"{name} must be at least {smallest}, got {value}")
+        raise ValueError(f"{name} must be at least {smallest}, got {_shown(value)}")
     if value > largest:
-        raise ValueError(f"{name} must be at most {largest}, got {float(value):.4g}")
+        raise ValueError(f"{name} must be at most {largest}, got {_shown(value)}")
     return int(value)
 
 
@@ -247,10 +247,10 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
             complex numbers are none), or the nest is not regular.
     """
     leaves = list(_leaves(value))
-    traced = is_traced(leaves)
     wanted = f"{name} must be real numbers{f' in {unit}' if unit else ''}"
     if not all(map(_is_real, leaves)):
         raise ValueError(f"{wanted}, got {_shown(value)}")
+    traced = is_traced(leaves)
     if traced and len(leaves) > 1:
         # What is not traced is lost to view once it is in an array with what is.
         for leaf in leaves:
@@ -296,5 +296,8 @@ def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
 
 def _shown(value: Any) -> str:
     """A value as it was given, cut short if it is long."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integers of thousands of digits
+        text = f"a huge {type(value).__name__}"
     return text if len(text) <= 80 else f"{text[:76]} ..."

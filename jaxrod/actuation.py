@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -162,6 +163,13 @@ def control_spline(
     origins = xp.concatenate([np.zeros(1), breaks])
     powers = end ** np.arange(4)
     coefficients = _cardinal_coefficients(knots, breaks, origins)
+    if not is_traced(coefficients):
+        size = np.max(np.abs(coefficients))
+        if not size < jnp.finfo(kind).max:
+            raise ValueError(
+                "controls must be further apart, and further from the ends, for a "
+                f"spline in {kind}, got {controls}"
+            )
     return ControlSpline(
         breaks=jnp.asarray(breaks * end, kind),
         origins=jnp.asarray(origins * end, kind),
@@ -197,7 +205,10 @@ def _cardinal_coefficients(knots: Any, breaks: Any, origins: Any) -> Any:
     cubes = xp.maximum(knots[:, None] - breaks[None, :], 0.0) ** 3
     powers = xp.stack([xp.ones_like(knots), knots, knots**2, knots**3], axis=1)
     system = xp.concatenate([powers, cubes], axis=1)
-    solution = xp.linalg.solve(system, np.eye(len(knots))[:, 1:-1])
+    try:
+        solution = xp.linalg.solve(system, np.eye(len(knots))[:, 1:-1])
+    except np.linalg.LinAlgError:
+        return np.full((len(origins), 4, len(knots) - 2), np.inf)
     pieces = []
     for index, origin in enumerate(origins):
         # Taylor coefficients of the active cubes and the first cubic at the origin.
@@ -275,20 +286,19 @@ def limit_rate(
     Raises:
         ValueError: If `largest_change` is negative.
     """
-    for name, value in (("applied", applied), ("commanded", commanded)):
-        numeric(name, value)
-    applied, commanded = jnp.asarray(applied), jnp.asarray(commanded)
-    if commanded.shape != applied.shape:
+    now, wanted = numeric("applied", applied), numeric("commanded", commanded)
+    given = applied, commanded
+    arrays = [value for value in given if isinstance(value, np.ndarray | jax.Array)]
+    kind = jnp.result_type(*arrays, float)
+    if wanted.shape != now.shape:
         raise ValueError(
-            f"commanded must have shape {applied.shape}, as applied has, got "
-            f"{commanded.shape}"
+            f"commanded must have shape {now.shape}, as applied has, got {wanted.shape}"
         )
+    allowed = [(), now.shape]
     bound = as_array(
-        "largest_change",
-        largest_change,
-        "",
-        [(), applied.shape],
-        non_negative=True,
-        dtype=jnp.result_type(applied, commanded, float),
+        "largest_change", largest_change, "", allowed, non_negative=True, dtype=kind
     )
-    return applied + jnp.clip(commanded - applied, -bound, bound)
+    # Commands that are not finite are data, for health to find.
+    with np.errstate(over="ignore"):
+        now, wanted = jnp.asarray(now, kind), jnp.asarray(wanted, kind)
+    return now + jnp.clip(wanted - now, -bound, bound)

@@ -7,14 +7,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxrod._validation import (
     Numbers,
     check_array,
     check_count,
     check_dtype,
-    check_held,
     is_traced,
     numeric,
 )
@@ -29,6 +27,7 @@ from jaxrod.material_frames import (
 )
 from jaxrod.rod import Rod, RodState, check_state
 from jaxrod.rotations import split_quaternion
+from jaxrod.sections import round_rod
 from jaxrod.vectors import inner_difference, join, split
 
 TIMOSHENKO_SHEAR_CORRECTION = 27 / 28
@@ -197,61 +196,16 @@ def _build(
     straight: bool,
 ) -> tuple[Rod, RodState]:
     n = orientations.shape[1]
-
-    def per_element(name: str, value: Numbers, unit: str) -> Any:
-        return check_array(name, value, [(), (n,)], unit, positive=True, dtype=dtype)
-
-    radii = _radii(radius, n, dtype)
-    densities = per_element("density", density, "kg/m^3")
-    young = per_element("youngs_modulus", youngs_modulus, "Pa")
-    correction = per_element("shear_correction", shear_correction, "")
-    if shear_modulus is None:
-        ratio = check_array("poisson_ratio", poisson_ratio, [(), (n,)], "")
-        if not is_traced(ratio) and np.any((ratio <= -1) | (ratio > 0.5)):
-            raise ValueError(f"poisson_ratio must be in (-1, 0.5], got {poisson_ratio}")
-        shear = young / (2 * (1 + ratio))
-    else:
-        shear = per_element("shear_modulus", shear_modulus, "Pa")
-
-    def check(name: str, unit: str, value: Any) -> None:
-        if not is_traced(value):
-            check_held(name, value, unit, dtype, each=True)
-
-    def leaf(name: str, unit: str, value: Any) -> Array:
-        check(name, unit, value)
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
-
-    # What the type cannot hold is said in words, not in NumPy's warnings.
-    with np.errstate(all="ignore"):
-        area = np.pi * radii**2
-        second_moment = area**2 / (4 * np.pi)
-        line = leaf("density times area", "kg/m", densities * area)
-        rotary = densities * second_moment
-        transverse = leaf("density times second moment of area", "kg m", rotary)
-        shearing = leaf("shear stiffness", "N", correction * shear * area)
-        stretching = leaf("axial stiffness", "N", young * area)
-        bending = leaf("bending stiffness", "N m^2", young * second_moment)
-        twisting = leaf("twisting stiffness", "N m^2", 2 * shear * second_moment)
-        # Not stored, but worked out in every step.
-        joint = young * second_moment / rest_lengths
-        inertia = rotary * rest_lengths
-        check("square of the length of an element", "m^2", rest_lengths**2)
-        check("mass of an element", "kg", densities * area * rest_lengths)
-        check("rotary inertia of an element", "kg m^2", inertia)
-        check("bending stiffness over length of an element", "N m", joint)
-        check("square of the frequency of bending", "1/s^2", joint / inertia)
-        check("square of the frequency of shear", "1/s^2", shear * area / rotary)
-        waves = young / densities / rest_lengths**2
-        check("square of the frequency of stretch", "1/s^2", waves)
-    rod = Rod(
-        rest_lengths=leaf("rest length of an element", "m", rest_lengths),
-        radii=leaf("radius", "m", radii),
-        linear_density=line,
-        rotary_inertia=jnp.stack([transverse, 2 * transverse]),
-        shear_stretch_stiffness=jnp.stack([shearing, shearing, stretching]),
-        bend_twist_stiffness=jnp.stack([bending, bending, twisting]),
-        rest_strains=jnp.zeros((3, n), dtype),
-        rest_curvatures=jnp.zeros((3, n - 1), dtype),
+    rod = round_rod(
+        n,
+        rest_lengths=rest_lengths,
+        radius=radius,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=shear_modulus,
+        poisson_ratio=poisson_ratio,
+        shear_correction=shear_correction,
+        dtype=dtype,
     )
     if not is_traced(positions):
         _check_resolved(placed_by, positions, dtype)
@@ -262,22 +216,6 @@ def _build(
         angular_momenta=jnp.zeros((3, n), dtype),
     )
     return (rod if straight else unstressed(rod, state)), state
-
-
-def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
-    """One radius, or one for each element; for a pair those of the taper."""
-    shapes = [(), (2,), (n,)]
-    radii = check_array("radius", radius, shapes, "m", positive=True, dtype=dtype)
-    if radii.shape != (2,):
-        return radii
-    if n == 2:
-        raise ValueError(
-            "radius must be one number for a rod of 2 elements: two could be those of "
-            "the elements or, as for every other rod, of base and tip; got "
-            f"{radius}. Take 3 elements"
-        )
-    base, tip = radii
-    return base + (tip - base) * (np.arange(n) + 0.5) / n
 
 
 def _check_resolved(name: str, positions: np.ndarray, dtype: Any) -> None:

@@ -56,8 +56,8 @@ def transported_frames(tangents: Any, normal: Numbers | None) -> Any:
         ValueError: If the normal is along the first tangent, or the line turns back
             on itself.
     """
-    xp = module_for(tangents, normal)
-    first = _first_normal(xp, tangents[:, 0], normal)
+    first = _first_normal(tangents[:, 0], normal)
+    xp = module_for(tangents, first)
     if xp is np:
         if np.any(np.sum(tangents[:, 1:] * tangents[:, :-1], axis=0) <= -1 + 1e-12):
             raise ValueError("positions must not turn back on themselves by 180 deg")
@@ -73,17 +73,19 @@ def transported_frames(tangents: Any, normal: Numbers | None) -> Any:
 
 def straight_frame(axis: Any, normal: Numbers | None) -> Any:
     """Directors (rows) with d3 along a unit axis and d1 near `normal`."""
-    xp = module_for(axis, normal)
-    d1 = _first_normal(xp, axis, normal)
+    d1 = _first_normal(axis, normal)
+    xp = module_for(axis, d1)
     return xp.stack([d1, xp.cross(axis, d1), axis])
 
 
-def _first_normal(xp: ModuleType, axis: Any, normal: Numbers | None) -> Any:
+def _first_normal(axis: Any, normal: Numbers | None) -> Any:
     if normal is None:
         # The world axis least aligned with the rod, so that the choice is stable.
+        xp = module_for(axis)
         guess = xp.eye(3)[xp.argmin(xp.abs(axis))]
     else:
         guess = unit_vector("normal", normal)
+    xp = module_for(axis, guess)
     d1 = guess - axis * xp.sum(axis * guess)
     length = xp.sqrt(xp.sum(d1 * d1))
     if xp is np and length <= 1e-6:

@@ -89,14 +89,18 @@ def make_scene(
             other, or `twist` is `False` where the rod or an effect has to do with it.
         TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
     """
-    if mode not in MODES:
+    if not isinstance(mode, str) or mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
     if plane is not None:
-        if plane not in PLANES:
+        if not isinstance(plane, str) or plane not in PLANES:
             raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
         if mode != "consistent":
             raise ValueError(f"a plane needs mode='consistent', got mode={mode!r}")
     if implicit is not None:
+        # Imported when asked for: it builds on scenes.
+        from jaxrod._implicit import Implicit
+
+        check_kind("implicit", implicit, Implicit)
         if mode != "consistent":
             raise ValueError(
                 f"implicit steps need mode='consistent', got mode={mode!r}"

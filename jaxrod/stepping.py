@@ -176,8 +176,8 @@ def rollout_times(
         ValueError: If an argument is out of range.
     """
     records = _check_records(n_steps, every)
-    dt = as_array("dt", dt, "s", positive=True, dtype=jnp.result_type(dt, float))
-    return jnp.arange(records + 1) * (every * dt)
+    step = as_array("dt", dt, "s", positive=True)
+    return jnp.arange(records + 1) * (every * step)
 
 
 def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
