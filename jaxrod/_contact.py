@@ -38,7 +38,13 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod._validation import Numbers, check_array, check_count, is_traced
+from jaxrod._validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_count,
+    is_traced,
+)
 from jaxrod.bodies import Body
 from jaxrod.contact_points import Points, contact_points
 from jaxrod.effects import Effect, Resistance
@@ -46,6 +52,9 @@ from jaxrod.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import directors, to_material
 from jaxrod.vectors import Vec3
+
+MOST_POINTS = 1000
+"""Contact points per element: each is in the program; more are taken for a mistake."""
 
 
 @pytree
@@ -325,32 +334,35 @@ def contact(
         )
     return Contact(
         body=body,
-        stiffness=_number("stiffness", stiffness, "N/m^2", positive=True),
-        onset=_number("onset", onset, "", positive=True),
+        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
+        onset=as_array("onset", onset, "", positive=True),
         damping=damps,
         friction=rubs,
         friction_drag=None if rubs is None else drags,
         n_bodies=n_bodies,
-        points_per_element=check_count("points_per_element", points_per_element, 1),
+        points_per_element=check_count(
+            "points_per_element", points_per_element, 1, MOST_POINTS
+        ),
     )
-
-
-def _number(name: str, value: Numbers, unit: str, positive: bool = False) -> Array:
-    bounds = {"positive": True} if positive else {"non_negative": True}
-    checked = check_array(name, value, [()], unit, **bounds)
-    return jnp.asarray(checked, jnp.result_type(float))
 
 
 def _or_none(name: str, value: Numbers, unit: str) -> Array | None:
     """A number, or nothing at all where it is known to be zero."""
-    number = _number(name, value, unit)
-    return None if not is_traced(number) and float(number) == 0 else number
+    dtype = jnp.result_type(float)
+    checked = check_array(name, value, [()], unit, non_negative=True, dtype=dtype)
+    known_zero = not is_traced(checked) and checked == 0
+    return None if known_zero else jnp.asarray(checked, dtype)
 
 
 def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
     """One body, or several as one with a leading axis and their number."""
     if isinstance(bodies, Body):
         return bodies, bodies.count
+    if not isinstance(bodies, Sequence):
+        raise TypeError(
+            "bodies must be a jaxrod body or a sequence of them, got "
+            f"{type(bodies).__name__}"
+        )
     listed = list(bodies)
     if not listed:
         raise ValueError("bodies must be at least one, got none")

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
+from jaxrod._validation import check_kind
 from jaxrod.effects import Effect, Resistance
 from jaxrod.elasticity import joint_couples
 from jaxrod.ends import (
@@ -145,11 +146,13 @@ def clamp(state: RodState, end: End = "start") -> Clamp:
 
     The wall's frame is the end element's orientation in `state`.
     """
+    check_kind("state", state, RodState)
     index = 0 if check_end(end) == "start" else -1
     return Clamp(state.orientations[:, index], end)
 
 
 def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
     """Holds one end node and end element where the given state has them."""
+    check_kind("state", state, RodState)
     index = 0 if check_end(end) == "start" else -1
     return FixedEnd(state.positions[:, index], state.orientations[:, index], end)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
+from jaxrod._validation import check_held, check_kind, is_traced
 from jaxrod.effects import Effect
 from jaxrod.elasticity import stored_energy
 from jaxrod.motion import Loads, Motion, accumulate
-from jaxrod.rod import Rod, RodState, angular_velocities
+from jaxrod.rod import Rod, RodState, angular_velocities, check_state
 from jaxrod.vectors import Vec3
 
 if TYPE_CHECKING:
@@ -86,12 +89,16 @@ def make_scene(
             other, or `twist` is `False` where the rod or an effect has to do with it.
         TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
     """
-    if mode not in MODES:
+    if not isinstance(mode, str) or mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
     if plane is not None:
-        if plane not in PLANES:
+        if not isinstance(plane, str) or plane not in PLANES:
             raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
     if implicit is not None:
+        # Imported when asked for: it builds on scenes.
+        from jaxrod._implicit import Implicit
+
+        check_kind("implicit", implicit, Implicit)
         if mode != "consistent":
             raise ValueError(
                 f"implicit steps need mode='consistent', got mode={mode!r}"
@@ -105,30 +112,49 @@ def make_scene(
             "twist=False needs mode='consistent', no plane and explicit steps, got "
             f"mode={mode!r}, plane={plane!r}, implicit={implicit!r}"
         )
-    if not isinstance(rod, Rod):
-        raise TypeError(
-            f"rod must be a jaxrod.Rod, got {type(rod).__name__} "
-            "(factories return the pair rod, state)"
-        )
+    check_kind("rod", rod, Rod)
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
     dtype = rod.rest_lengths.dtype
-
-    def cast(leaf: Array) -> Array:
-        leaf = jnp.asarray(leaf)
-        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    listed = jax.tree.map(cast, tuple(effects))
-    scene = Scene(rod, listed, mode, plane, jax.tree.map(cast, implicit), bool(twist))
+    listed, settings = jax.tree_util.tree_map_with_path(
+        partial(_cast, dtype), (tuple(effects), implicit)
+    )
+    scene = Scene(rod, listed, mode, plane, settings, bool(twist))
     if not twist:
         # Imported when asked for: it builds on scenes.
         from jaxrod.untwisted_scenes import check_untwisted
 
         check_untwisted(scene)
     return scene
+
+
+def _cast(dtype: Any, path: Any, leaf: Any) -> Array:
+    """A number of an effect or setting, in the rod's type if it is a real one."""
+    if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
+        return jnp.asarray(leaf)
+    if not is_traced(leaf) and leaf.dtype != dtype:
+        name = jax.tree_util.keystr(path[1:])
+        check_held(f"effects{name}", np.asarray(leaf, np.float64), "", dtype)
+    return jnp.asarray(leaf, dtype)
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises a `TypeError` unless a scene is one."""
+    check_kind("scene", scene, Scene)
+
+
+def check_scene_and_state(scene: Scene, state: RodState) -> None:
+    """Checks that they are a scene and a state of its rod.
+
+    Raises:
+        TypeError: If they are something else.
+        ValueError: If the state has other numbers of elements and nodes.
+    """
+    check_scene(scene)
+    check_state(scene.rod, state)
 
 
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:
@@ -168,6 +194,7 @@ def damping_rates(scene: Scene) -> tuple[Array, Array] | None:
 
 def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     """Kinetic energy of translation and rotation [J]."""
+    check_state(rod, state)
     translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
     spin = angular_velocities(rod, state)
     transverse, polar = rod.inertias
@@ -177,6 +204,7 @@ def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
 
 def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Stored elastic energy plus the potential of all effects [J]."""
+    check_scene_and_state(scene, state)
     total = stored_energy(scene.rod, state)
     for effect in scene.effects:
         total = total + effect.energy(scene.rod, state)
@@ -185,16 +213,19 @@ def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
 
 def total_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Kinetic plus potential energy [J]."""
+    check_scene_and_state(scene, state)
     return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
 
 
 def momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
     """Linear momentum, world frame [kg m/s]."""
+    check_state(rod, state)
     return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
 
 
 def angular_momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
     """Angular momentum about the origin, world frame [kg m^2/s]."""
+    check_state(rod, state)
     position = vectors.split(state.positions)
     velocity = vectors.split(state.velocities)
     orbital = vectors.join(vectors.cross(position, velocity))

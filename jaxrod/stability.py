@@ -35,15 +35,15 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree
-from jaxrod._validation import check_array
+from jaxrod._validation import as_array
 from jaxrod.frequency import (
     InertiaFactors,
     Vibration,
     fastest_vibration,
     no_damping,
 )
-from jaxrod.rod import Rod, RodState, check_size
-from jaxrod.scene import Scene, damping_rates
+from jaxrod.rod import Rod, RodState
+from jaxrod.scene import Scene, check_scene, check_scene_and_state, damping_rates
 
 Details = TypeVar("Details")
 
@@ -91,14 +91,14 @@ def stable_dt(
     Raises:
         ValueError: If `safety` is not in (0, 1], or the state is not of the scene's
             rod.
+        TypeError: If `scene` or `state` is something else.
     """
-    factor = check_array("safety", safety, [()], "", positive=True)
-    if not isinstance(factor, jax.core.Tracer) and factor > 1:
-        raise ValueError(f"safety must be at most 1, got {factor:g}")
-    factor = jnp.asarray(factor, scene.rod.rest_lengths.dtype)
+    check_scene(scene)
+    dtype = scene.rod.rest_lengths.dtype
+    factor = as_array("safety", safety, "", positive=True, at_most=1, dtype=dtype)
     if state is None:
         return _bounded(scene, factor)
-    check_size(scene.rod, state)
+    check_scene_and_state(scene, state)
     return _measured(scene, factor, state)
 
 

@@ -12,12 +12,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from jaxrod._validation import check_array, check_count, is_traced
+from jaxrod._validation import (
+    as_array,
+    check_array,
+    check_count,
+    is_traced,
+)
 from jaxrod.consistent import ConsistentStepper
 from jaxrod.planar_scenes import check_planar, planar_stepper
 from jaxrod.pyelastica import PyElasticaStepper
-from jaxrod.rod import RodState, check_size
-from jaxrod.scene import Scene
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene, check_scene, check_scene_and_state
 from jaxrod.stability import compression, stable_dt
 from jaxrod.untwisted import UntwistedStepper
 from jaxrod.untwisted_scenes import check_untwisted
@@ -82,7 +87,7 @@ def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
     Raises:
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
     """
-    return _run_static(scene, state, _check(scene, state, dt), 1)
+    return _static_compiled(scene, state, _check(scene, state, dt), 1)
 
 
 def advance(
@@ -112,15 +117,16 @@ def advance(
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
     """
-    if not isinstance(n_steps, jax.Array):
+    if isinstance(n_steps, jax.Array):
+        _check_counter(n_steps)
+    else:
         n_steps = check_count("n_steps", n_steps, 0)
     dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt, n_steps):
         check_step(scene, dt, state)
-        return _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
-    if isinstance(n_steps, int):
-        return _run_static(scene, state, dt, n_steps)
-    return _run_traced(scene, state, dt, n_steps)
+    elif isinstance(n_steps, int):
+        return _static_compiled(scene, state, dt, n_steps)
+    return _traced_compiled(scene, state, dt, jnp.asarray(n_steps))
 
 
 def rollout(
@@ -145,21 +151,32 @@ def rollout(
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
     """
-    n_steps = check_count("n_steps", n_steps, 0)
-    every = check_count("every", every, 1)
-    if n_steps % every:
-        raise ValueError(
-            f"n_steps must be a multiple of every, got {n_steps} and {every}"
-        )
+    records = _check_records(n_steps, every)
     dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt):
         check_step(scene, dt, state)
-    return _rollout_compiled(scene, state, dt, n_steps // every, every)
+    return _rollout_compiled(scene, state, dt, records, every)
 
 
-def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " records"]:
-    """The times [s] of the records of `rollout`, counted in integers."""
-    return jnp.arange(n_steps // every + 1) * (every * dt)
+def rollout_times(
+    dt: ArrayLike, n_steps: int, every: int = 1
+) -> Float[Array, " records"]:
+    """The times of the records of `rollout`, counted in integers.
+
+    Args:
+        dt: Step size [s].
+        n_steps: How many steps, a multiple of `every`.
+        every: Steps between records, at least 1.
+
+    Returns:
+        Times [s], `n_steps / every + 1` of them; the first is zero.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    records = _check_records(n_steps, every)
+    step = as_array("dt", dt, "s", positive=True)
+    return jnp.arange(records + 1) * (every * step)
 
 
 def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
@@ -173,6 +190,7 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
     Raises:
         ValueError: If `dt` is not a positive number.
     """
+    check_scene(scene)
     check_array("dt", dt, [()], "s", positive=True)
     if scene.implicit is not None:
         return
@@ -195,21 +213,40 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
     )
 
 
+def _check_counter(n_steps: Array) -> None:
+    """Checks a number of steps that may be traced."""
+    if n_steps.shape != () or not jnp.issubdtype(n_steps.dtype, jnp.integer):
+        raise ValueError(
+            f"n_steps must be one integer, got {n_steps.dtype}{list(n_steps.shape)}"
+        )
+
+
+def _check_records(n_steps: int, every: int) -> int:
+    """Checks how a run is recorded; returns the number of records but the first."""
+    n_steps = check_count("n_steps", n_steps, 0)
+    every = check_count("every", every, 1)
+    if n_steps % every:
+        raise ValueError(
+            f"n_steps must be a multiple of every, got {n_steps} and {every}"
+        )
+    return n_steps // every
+
+
 def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
     """Checks the arguments of a run; gives the step the type of the scene."""
-    if not isinstance(state, RodState):
-        raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
+    check_scene_and_state(scene, state)
     dtype = scene.rod.rest_lengths.dtype
-    check_size(scene.rod, state)
+    step = as_array("dt", dt, "s", positive=True, dtype=dtype)
     if state.positions.dtype != dtype:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
-    if scene.plane is not None and not is_traced(scene, state):
+    # Within jit the step is traced, and so is whatever is worked out there.
+    if scene.plane is not None and not is_traced(scene, state, step):
         check_planar(scene, state)
     if not scene.twist:
         check_untwisted(scene)
-    return jnp.asarray(check_array("dt", dt, [()], "s", positive=True), dtype)
+    return step
 
 
 def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:
@@ -266,7 +303,10 @@ def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Ca
     return inner(carry, rest) if rest else carry
 
 
-_advance_compiled = jax.jit(_run_traced)
+# Within another jit these change nothing. Under a transformation alone they keep a
+# run from being compiled again in every call.
+_traced_compiled = jax.jit(_run_traced)
+_static_compiled = jax.jit(_run_static, static_argnames="n_steps")
 
 
 @jax.jit(static_argnames=("records", "every"))
