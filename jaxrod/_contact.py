@@ -40,7 +40,7 @@ from jaxrod import vectors
 from jaxrod._pytree import pytree, static
 from jaxrod._validation import Numbers, check_array, check_count, is_traced
 from jaxrod.bodies import Body
-from jaxrod.contact_points import Points, contact_points
+from jaxrod.contact_points import Points, check_spacing, contact_points
 from jaxrod.effects import Effect, Resistance
 from jaxrod.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rod import Rod, RodState
@@ -120,6 +120,22 @@ class Contact(Effect):
         for points, bodies in self._in_view(rod):
             total = total + self._energy_at(rod, position, points, bodies)
         return total
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Deepest penetration of a node over the radius.
+
+        One where the centreline reaches a surface: no force that fits the rest of the
+        rod lets it come so far.
+        """
+        position = motion_of(state).position
+        nodes, bodies = self._in_view(rod)[0]
+        radii = nodes.of_elements(rod.radii)
+        gaps = [jnp.min(body.surface(position)[0] / radii) for body in bodies]
+        return jnp.maximum(1 - functools.reduce(jnp.minimum, gaps), 0)
+
+    def check(self, rod: Rod) -> None:
+        """Warns where a body is so thin that it fits between two contact points."""
+        check_spacing(self.body.inradius, rod, self.points_per_element)
 
     def directions(self, rod: Rod, motion: Motion) -> Vec3:
         """The bodies' normals, whether the rod touches or not.

@@ -51,6 +51,11 @@ class Body(ABC):
         """How many bodies this is, if its numbers have a leading axis."""
         return None
 
+    @property
+    def inradius(self) -> Array | None:
+        """Radius of the largest ball inside [m]; `None` where that is not known."""
+        return None
+
 
 @pytree
 class Sphere(Body):
@@ -69,6 +74,11 @@ class Sphere(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """Its own."""
+        return self.radius
 
 
 @pytree
@@ -94,6 +104,11 @@ class Capsule(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder."""
+        return self.radius
 
 
 @pytree
@@ -127,6 +142,12 @@ class Cylinder(Body):
         """By the shape of its numbers."""
         return _count(self.radius.shape)
 
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder, or half its length."""
+        axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
+        return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
+
 
 @pytree
 class Plane(Body):
@@ -148,6 +169,11 @@ class Plane(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.normal.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Without end."""
+        return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
 
 @pytree
@@ -175,6 +201,11 @@ class Box(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.centre.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Half its least thickness."""
+        return jnp.min(self.half_lengths, axis=-1)
 
 
 @pytree

@@ -117,6 +117,7 @@ def make_scene(
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
+        effect.check(rod)
     dtype = rod.rest_lengths.dtype
 
     def cast(leaf: Array) -> Array:

@@ -25,6 +25,11 @@ from jaxrod.untwisted_scenes import check_untwisted
 
 Carry = TypeVar("Carry")
 
+COMPRESSED = 0.9
+"""Of the bound, what is left of it in consistent mode however a rod is compressed."""
+ROUNDING = 1e-4
+"""Of the bound, what is lost to rounding of positions where nothing is compressed."""
+
 
 class Stepper(Protocol):
     """An integrator with its constants worked out: what `advance` runs.
@@ -93,9 +98,11 @@ def advance(
 
     Called with plain arrays it runs a program compiled once for any `dt`, any
     number of steps and any numbers in the scene, and warns when `dt` is above
-    `stable_dt`. Inside another transformation it becomes part of that program: with
-    an `int` number of steps it is differentiable in reverse mode (memory grows with
-    the square root of the number of steps), with a traced one in forward mode.
+    `stable_dt`. Compression, which takes a tenth from that, is seen before and after
+    the steps, not between. Inside another transformation it becomes part of that
+    program: with an `int` number of steps it is differentiable in reverse mode (memory
+    grows with the square root of the number of steps), with a traced one in forward
+    mode.
 
     Args:
         scene: The scene.
@@ -117,8 +124,11 @@ def advance(
         n_steps = check_count("n_steps", n_steps, 0)
     dt = _check(scene, state, dt)
     if not is_traced(scene, state, dt, n_steps):
-        check_step(scene, dt, state)
-        return _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
+        near_bound = check_step(scene, dt, state)
+        after = _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
+        if near_bound:
+            check_step(scene, dt, after)
+        return after
     if isinstance(n_steps, int):
         return _run_static(scene, state, dt, n_steps)
     return _run_traced(scene, state, dt, n_steps)
@@ -153,9 +163,13 @@ def rollout(
             f"n_steps must be a multiple of every, got {n_steps} and {every}"
         )
     dt = _check(scene, state, dt)
-    if not is_traced(scene, state, dt):
-        check_step(scene, dt, state)
-    return _rollout_compiled(scene, state, dt, n_steps // every, every)
+    if is_traced(scene, state, dt):
+        return _rollout_compiled(scene, state, dt, n_steps // every, every)
+    near_bound = check_step(scene, dt, state)
+    records = _rollout_compiled(scene, state, dt, n_steps // every, every)
+    if near_bound:
+        check_step(scene, dt, jax.tree.map(lambda leaf: leaf[-1], records))
+    return records
 
 
 def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " records"]:
@@ -163,37 +177,45 @@ def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " rec
     return jnp.arange(n_steps // every + 1) * (every * dt)
 
 
-def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
+def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
     """Warns when a concrete time step is above the scene's stability bound.
 
     Args:
         scene: The scene.
         dt: Step size [s].
-        state: Where the rod is, if the bound is to account for compression.
+        state: Where the rod is, if the bound is to account for compression. In
+            consistent mode it is looked at, and so waited for, only where that matters.
+
+    Returns:
+        Whether the rod, compressed further, might not be stable at this step: true
+        for one near the bound, unless it was warned of.
 
     Raises:
         ValueError: If `dt` is not a positive number.
     """
     check_array("dt", dt, [()], "s", positive=True)
     if scene.implicit is not None:
-        return
+        return False
     bound = stable_dt(scene, safety=1.0)
-    factor = 1.0 if state is None else float(compression(scene, state))
-    largest = factor * float(bound.dt)
+    largest, where = float(bound.dt), ""
+    near = float(dt) > COMPRESSED * largest
+    if state is not None and (near or scene.mode == "pyelastica"):
+        factor, shortest = map(float, compression(scene, state))
+        if factor < 1 - ROUNDING:
+            largest *= factor
+            where = f" in a rod compressed to {shortest:.3g} of its length"
     if not float(dt) > largest:
-        return
-    cause = bound.limiting_mode
-    if factor < 1:
-        cause += f" in a rod compressed to {factor:.2g} of its length"
+        return near
     warnings.warn(
         f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
-        f"{cause}: expect the simulation to blow up, with or without NaN. Use "
+        f"{bound.limiting_mode}{where}: expect the simulation to blow up, with or without NaN. Use "
         "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod; "
         'warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes this an '
         "error.",
         UnstableStepWarning,
         stacklevel=3,
     )
+    return False
 
 
 def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
