@@ -131,7 +131,7 @@ class FixedEnd(Effect):
         """How far the end section's rim is from where it is held, over the radius."""
         actual = at_end(split_quaternion(state.orientations), self.end)
         held = split_quaternion(self.orientation)
-        w, x, y, z = multiply_quaternions(conjugate(held), actual)
+        _, x, y, z = multiply_quaternions(conjugate(held), actual)
         turned = 2 * vectors.safe_norm((x, y, z))
         return _offset(self.position, self.end, rod, state) + turned
 

@@ -208,10 +208,10 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
         return near
     warnings.warn(
         f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
-        f"{bound.limiting_mode}{where}: expect the simulation to blow up, with or without NaN. Use "
-        "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod; "
-        'warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes this an '
-        "error.",
+        f"{bound.limiting_mode}{where}: expect the simulation to blow up, with or "
+        "without NaN. Use jaxrod.stable_dt(scene).dt, fewer elements, or a softer or "
+        'thicker rod; warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes '
+        "this an error.",
         UnstableStepWarning,
         stacklevel=3,
     )
