@@ -55,6 +55,7 @@ _NAMES = {
         "sphere",
     ),
     "clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
+    "contact_points": ("ThinBodyWarning",),
     "effects": (
         "Effect",
         "EndLoad",

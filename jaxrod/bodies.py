@@ -53,6 +53,11 @@ class Body(ABC):
         """How many bodies this is, if its numbers have a leading axis."""
         return None
 
+    @property
+    def inradius(self) -> Array | None:
+        """Radius of the largest ball inside [m]; `None` where that is not known."""
+        return None
+
 
 @pytree
 class Sphere(Body):
@@ -71,6 +76,11 @@ class Sphere(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """Its own."""
+        return self.radius
 
 
 @pytree
@@ -96,6 +106,11 @@ class Capsule(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder."""
+        return self.radius
 
 
 @pytree
@@ -129,6 +144,12 @@ class Cylinder(Body):
         """By the shape of its numbers."""
         return _count(self.radius.shape)
 
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder, or half its length."""
+        axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
+        return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
+
 
 @pytree
 class Plane(Body):
@@ -150,6 +171,11 @@ class Plane(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.normal.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Without end."""
+        return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
 
 @pytree
@@ -177,6 +203,11 @@ class Box(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.centre.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Half its least thickness."""
+        return jnp.min(self.half_lengths, axis=-1)
 
 
 @pytree

@@ -88,6 +88,21 @@ class Effect:
         """Potential energy of the effect [J], zero where there is none."""
         return 0.0
 
+    def violation(self, rod: Rod, state: RodState) -> Array | None:
+        """How far a state is from what the effect ties the rod to [1].
+
+        Zero where that is kept, above one where no sound simulation gets: then
+        `health` flags the state. `None` for an effect that is the same wherever the
+        rod is.
+        """
+        return None
+
+    def check(self, rod: Rod) -> None:
+        """Warns or raises where the effect does not fit the rod; for `make_scene`.
+
+        Numbers may be traced, and then cannot be looked at.
+        """
+
     def directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
         """Unit vectors along which forces may act that `loads` does not have yet.
 

@@ -118,6 +118,7 @@ def make_scene(
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
+        effect.check(rod)
     dtype = rod.rest_lengths.dtype
     listed, settings = jax.tree_util.tree_map_with_path(
         partial(_cast, dtype), (tuple(effects), implicit)

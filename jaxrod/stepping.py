@@ -29,6 +29,11 @@ from jaxrod.untwisted_scenes import check_untwisted
 
 Carry = TypeVar("Carry")
 
+COMPRESSED = 0.9
+"""Of the bound, what is left of it in consistent mode however a rod is compressed."""
+ROUNDING = 1e-4
+"""Of the bound, what is lost to rounding of positions where nothing is compressed."""
+
 
 class Stepper(Protocol):
     """An integrator with its constants worked out: what `advance` runs.
@@ -97,9 +102,11 @@ def advance(
 
     Called with plain arrays it runs a program compiled once for any `dt`, any
     number of steps and any numbers in the scene, and warns when `dt` is above
-    `stable_dt`. Inside another transformation it becomes part of that program: with
-    an `int` number of steps it is differentiable in reverse mode (memory grows with
-    the square root of the number of steps), with a traced one in forward mode.
+    `stable_dt`. Compression, which takes a tenth from that, is seen before and after
+    the steps, not between. Inside another transformation it becomes part of that
+    program: with an `int` number of steps it is differentiable in reverse mode (memory
+    grows with the square root of the number of steps), with a traced one in forward
+    mode.
 
     Args:
         scene: The scene.
@@ -122,11 +129,15 @@ def advance(
     else:
         n_steps = check_count("n_steps", n_steps, 0)
     dt = _check(scene, state, dt)
-    if not is_traced(scene, state, dt, n_steps):
-        check_step(scene, dt, state)
-    elif isinstance(n_steps, int):
-        return _static_compiled(scene, state, dt, n_steps)
-    return _traced_compiled(scene, state, dt, jnp.asarray(n_steps))
+    if is_traced(scene, state, dt, n_steps):
+        if isinstance(n_steps, int):
+            return _static_compiled(scene, state, dt, n_steps)
+        return _traced_compiled(scene, state, dt, n_steps)
+    near_bound = check_step(scene, dt, state)
+    after = _traced_compiled(scene, state, dt, jnp.asarray(n_steps))
+    if near_bound:
+        check_step(scene, dt, after)
+    return after
 
 
 def rollout(
@@ -153,9 +164,13 @@ def rollout(
     """
     records = _check_records(n_steps, every)
     dt = _check(scene, state, dt)
-    if not is_traced(scene, state, dt):
-        check_step(scene, dt, state)
-    return _rollout_compiled(scene, state, dt, records, every)
+    if is_traced(scene, state, dt):
+        return _rollout_compiled(scene, state, dt, records, every)
+    near_bound = check_step(scene, dt, state)
+    states = _rollout_compiled(scene, state, dt, records, every)
+    if near_bound:
+        check_step(scene, dt, jax.tree.map(lambda leaf: leaf[-1], states))
+    return states
 
 
 def rollout_times(
@@ -179,13 +194,18 @@ def rollout_times(
     return jnp.arange(records + 1) * (every * step)
 
 
-def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
+def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
     """Warns when a concrete time step is above the scene's stability bound.
 
     Args:
         scene: The scene.
         dt: Step size [s].
-        state: Where the rod is, if the bound is to account for compression.
+        state: Where the rod is, if the bound is to account for compression. In
+            consistent mode it is looked at, and so waited for, only where that matters.
+
+    Returns:
+        Whether the rod, compressed further, might not be stable at this step: true
+        for one near the bound, unless it was warned of.
 
     Raises:
         ValueError: If `dt` is not a positive number.
@@ -193,24 +213,27 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
     check_scene(scene)
     check_array("dt", dt, [()], "s", positive=True)
     if scene.implicit is not None:
-        return
+        return False
     bound = stable_dt(scene, safety=1.0)
-    factor = 1.0 if state is None else float(compression(scene, state))
-    largest = factor * float(bound.dt)
+    largest, where = float(bound.dt), ""
+    near = float(dt) > COMPRESSED * largest
+    if state is not None and (near or scene.mode == "pyelastica"):
+        factor, shortest = map(float, compression(scene, state))
+        if factor < 1 - ROUNDING:
+            largest *= factor
+            where = f" in a rod compressed to {shortest:.3g} of its length"
     if not float(dt) > largest:
-        return
-    cause = bound.limiting_mode
-    if factor < 1:
-        cause += f" in a rod compressed to {factor:.2g} of its length"
+        return near
     warnings.warn(
         f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
-        f"{cause}: expect the simulation to blow up, with or without NaN. Use "
-        "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod; "
-        'warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes this an '
-        "error.",
+        f"{bound.limiting_mode}{where}: expect the simulation to blow up, with or "
+        "without NaN. Use jaxrod.stable_dt(scene).dt, fewer elements, or a softer or "
+        'thicker rod; warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes '
+        "this an error.",
         UnstableStepWarning,
         stacklevel=3,
     )
+    return False
 
 
 def _check_counter(n_steps: Array) -> None:
