@@ -154,7 +154,15 @@ def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) 
     ]
     if apart:
         more = f", and {len(apart) - 3} more" if len(apart) > 3 else ""
-        raise ValueError(f"checkpoint {file} {', '.join(apart[:3])}{more}")
+        raise ValueError(
+            f"checkpoint {file} {', '.join(apart[:3])}{more}{_hint(apart)}"
+        )
+
+
+def _hint(apart: list[str]) -> str:
+    """What mostly makes every number another one."""
+    double = all("float32" in one and "float64" in one for one in apart[:3])
+    return " (is JAX_ENABLE_X64 as it was?)" if double else ""
 
 
 def _leaves(tree: Any) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.checkpoint import Checkpoints
 from jaxrod.training.run import Result, Run
+from jaxrod.training.owned_folder import CONFIG
 from jaxrod.training.run_folder import RunFolder, differences, plain, recorded
 from jaxrod.training.settings import check_steps
 
@@ -200,8 +201,8 @@ def _check_folder(
     changed = differences(folder.config(), asked)
     if changed:
         raise ValueError(
-            f"resume needs what the run in {name!r} was started with; "
-            f"{', '.join(changed)}"
+            f"resume needs what {CONFIG} in {name!r} says that the run was started "
+            f"with; {', '.join(changed)}"
         )
     # In replacing what it does not know it could lose it.
     folder.check_replaceable()
@@ -214,7 +215,8 @@ def _check_folder(
         ]
         if others:
             raise ValueError(
-                f"{folder.summary_file} is of another run: its {', '.join(others)}"
+                f"{folder.summary_file} is of another run than {CONFIG}: its "
+                f"{', '.join(others)}"
             )
     begun = result or (folder.policy / "policy.json").exists()
     if begun and not Checkpoints(folder.checkpoints).steps():

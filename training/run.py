@@ -31,9 +31,16 @@ from jaxrod.training.checkpoint import Checkpoints
 from jaxrod.training.devices import compile_updates, device_mesh, place
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.interruption import Interruption
+from jaxrod.training.owned_folder import CONFIG
 from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.progress import ProgressBar
-from jaxrod.training.run_folder import LEARNING_CURVE, REPLAY, RunFolder
+from jaxrod.training.run_folder import (
+    LEARNING_CURVE,
+    REPLAY,
+    RunFolder,
+    differences,
+    plain,
+)
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
 from jaxrod.training.table import check_mark
@@ -225,6 +232,7 @@ class Run:
         self._stop_if(["the policy"] if lost else [])
         if self.folder and self.checkpoints:
             facts = {
+                "config": self.asked,
                 "updates": self.done,
                 "wall_s": self._clock(),
                 # On the disk before the checkpoint that counts on them.
@@ -242,7 +250,7 @@ class Run:
     def _export(self, policy: Policy) -> None:
         """Writes the policy into the folder, if there is one."""
         if self.folder:
-            names = ("case", "variant", "algorithm")
+            names = ("case", "variant", "algorithm", "seed")
             about = {name: self.asked[name] for name in names}
             save_policy(policy, self.folder.policy, about)
 
@@ -255,10 +263,16 @@ class Run:
             try:
                 state, facts = self.checkpoints.restore(template, step)
                 with reading(self.checkpoints.path(step)):
-                    _check_facts(facts, step, self.total)
+                    _check_facts(facts, step)
             except DamagedFileError as error:
                 damaged.append(str(error))
                 continue
+            changed = differences(facts["config"], plain(self.asked))
+            if changed:
+                raise ValueError(
+                    f"{self.checkpoints.path(step)} is of a run of another "
+                    f"{CONFIG}: {', '.join(changed)}"
+                )
             _check_same_task(state.env_params, template.env_params)
             for name, table in tables.items():
                 table.check(facts[name])
@@ -312,12 +326,13 @@ class Run:
         }
 
 
-def _check_facts(facts: dict[str, Any], step: int, total: int) -> None:
+def _check_facts(facts: dict[str, Any], step: int) -> None:
     """Raises ValueError unless these can be the facts of a checkpoint."""
     check_entries(
         facts,
         {
-            "updates": whole(1, total),
+            "config": OBJECT,
+            "updates": whole(1),
             "wall_s": POSITIVE,
             "progress": OBJECT,
             "episodes": OBJECT,
@@ -334,7 +349,7 @@ def _check_same_task(stored: Any, given: Any) -> None:
     for (path, was), now in zip(
         jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
     ):
-        # A run in single precision may be looked at in double.
+        # Another machine may have computed the last digit otherwise.
         if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
             raise ValueError(
                 "resume needs the env_params that the run was started with; "

@@ -143,8 +143,10 @@ def recorded(settings: Any) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """A value as JSON holds it; what JSON cannot hold stays what it is."""
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return [plain(one) for one in value]
+    if isinstance(value, dict):
+        return {name: plain(one) for name, one in value.items()}
     arrays = (jax.Array, np.ndarray, np.generic)
     return value.tolist() if isinstance(value, arrays) else value
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod._files import reading
+from jaxrod._files import read_json, reading
 from jaxrod.cli._text import printable
 
 if TYPE_CHECKING:
@@ -66,10 +66,21 @@ class StoredRun:
         folder = self.path / "policy"
         if not (folder / "policy.json").exists():
             raise ValueError(
-                f"{self.path} holds no policy yet: it is saved with the first "
-                "checkpoint and at the end of training"
+                f"{self.path} holds no policy yet (no policy/policy.json): it is "
+                "saved with the first checkpoint and at the end of training"
             )
         policy = load_policy(folder)
+        file = folder / "policy.json"
+        others = [
+            f"{name} is {value!r}"
+            for name, value in read_json(file).get("about", {}).items()
+            if name in self.config and value != self.config[name]
+        ]
+        if others:
+            raise ValueError(
+                f"{file} is of another run than {self.path / 'config.json'}: its "
+                f"{', '.join(others)}"
+            )
         sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]
         wanted = self.env.observation_size, self.env.action_size
         if sizes != wanted:

@@ -129,6 +129,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod._validation import check_seed
     from jaxrod.cli import _runs
     from jaxrod.training import RunFolder, find_algorithm, train
+    from jaxrod.training.settings import check_steps
 
     stored = None
     if args.resume:
@@ -147,6 +148,7 @@ def run(args: argparse.Namespace) -> int:
         with reading(_folder(args, None) / "config.json"):
             config = _settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
+            check_steps(stored["steps"], learner.steps_per_update(config))
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant

@@ -49,7 +49,7 @@ def test_lost_rows_are_counted_and_nothing_is_touched(table, keep, said):
 def test_changed_rows_are_noticed(table):
     mark = table.mark()
     table.path.write_text(table.path.read_text().replace("3,1.5", "3,2.5"))
-    with pytest.raises(ValueError, match="table.csv is not what the checkpoint"):
+    with pytest.raises(ValueError, match=r"table\.csv is not what the checkpoint"):
         Table(table.path).cut(mark)
 
 
@@ -58,13 +58,13 @@ def test_rows_of_somebody_else_are_noticed_before_the_next_is_written(table):
     other.cut(table.mark())
     other.append([{"step": 9, "return": 0.0}])
     content = table.path.read_bytes()
-    with pytest.raises(ValueError, match="table.csv was written to by somebody else"):
+    with pytest.raises(ValueError, match=r"table\.csv was written to by somebody else"):
         table.append([{"step": 5, "return": 0.0}])
     assert table.path.read_bytes() == content
 
 
 def test_rows_of_other_columns_are_not_mixed_in(table):
-    with pytest.raises(ValueError, match="the columns step,return; .* step,loss does"):
+    with pytest.raises(ValueError, match=r"the columns step,return; .* step,loss does"):
         table.append([{"step": 5, "loss": 0.0}])
 
 
