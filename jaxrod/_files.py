@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import json
 import os
 import tempfile
@@ -130,6 +132,30 @@ def read_json(path: Path) -> dict[str, Any]:
         if not isinstance(content, dict):
             raise ValueError(f"it holds {_shown(content)}, not an object")
         return content
+
+
+def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Reads the columns and the rows of a CSV file.
+
+    A last line that has no end and lacks values is being written, and left out.
+
+    Raises:
+        DamagedFileError: it is no CSV, or not all rows have as many values as there
+            are columns.
+        OSError: the file cannot be opened.
+    """
+    with reading(path):
+        text = path.read_bytes().decode()
+        lines = csv.reader(io.StringIO(text, newline=""), strict=True)
+        columns, rows = next(lines, []), list(lines)
+        if rows and len(rows[-1]) < len(columns) and not text.endswith("\n"):
+            rows.pop()
+        for number, row in enumerate(rows, 1):
+            if len(row) != len(columns):
+                raise ValueError(
+                    f"row {number} has {len(row)} values for {len(columns)} columns"
+                )
+    return columns, rows
 
 
 def _refuse_constant(name: str) -> None:

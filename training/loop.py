@@ -14,8 +14,8 @@ from jaxrod._validation import check_count, check_seed
 from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.checkpoint import Checkpoints
-from jaxrod.training.run import Result, Run
 from jaxrod.training.owned_folder import CONFIG
+from jaxrod.training.run import Result, Run
 from jaxrod.training.run_folder import RunFolder, differences, plain, recorded
 from jaxrod.training.settings import check_steps
 

@@ -135,7 +135,8 @@ class OwnedFolder:
                 in JSON. Then nothing is removed.
         """
         text = as_json(CONFIG, {"format": self._mark, **config})
-        self.clear()
+        self.check_replaceable()
+        self._remove_results()
         self.path.mkdir(parents=True, exist_ok=True)
         write_atomically(self.path / CONFIG, text)
 
@@ -146,14 +147,19 @@ class OwnedFolder:
             ValueError: see `check_replaceable`; then nothing is removed.
         """
         self.check_replaceable()
+        self._remove_results()
+        _remove(self.path / CONFIG)
+
+    def _remove_results(self) -> None:
+        """Removes all but the mark, by which the folder is known for what it is."""
         for folder, names in self._folders.items():
             for file in _matching(self.path / folder, names):
                 _remove(file)
             with suppress(OSError):  # There is more in it, or it is a link.
                 (self.path / folder).rmdir()
-        # The mark last: until then the folder is known for what it is.
-        for name in reversed(self._files):
-            _remove(self.path / name)
+        for name in self._files:
+            if name != CONFIG:
+                _remove(self.path / name)
         self.remove_temporary()
 
     def remove_temporary(self, but: Sequence[str] = ()) -> None:

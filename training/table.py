@@ -15,7 +15,7 @@ from jaxrod._files import (
     TEXT,
     check_entries,
     naming,
-    reading,
+    read_csv,
     whole,
     write_atomically,
 )
@@ -125,20 +125,10 @@ class Table:
         Raises:
             ValueError: the file is damaged.
         """
-        with reading(self.path):
-            # A line without an end is being written.
-            text = self._content().decode()
-            lines = csv.reader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
-            columns = next(lines, [])
-            rows = []
-            for number, line in enumerate(lines, 1):
-                if len(line) != len(columns):
-                    raise ValueError(
-                        f"row {number} has {len(line)} values for "
-                        f"{len(columns)} columns"
-                    )
-                rows.append(dict(zip(columns, line, strict=True)))
-        return rows
+        if not self.path.exists():
+            return []
+        columns, rows = read_csv(self.path)
+        return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def _content(self) -> bytes:
         return self.path.read_bytes() if self.path.exists() else b""

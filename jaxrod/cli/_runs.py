@@ -108,6 +108,8 @@ def open_run(path: Path) -> StoredRun:
         )
     with reading(path / "config.json"):
         env = make_case(case, config["env_options"])
+        if env.name != case:
+            raise ValueError(f"its 'env_options' make {env.name!r}, not {case!r}")
         if config.get("variant") != getattr(env, "variant", None):
             raise ValueError(
                 f"'variant' is {config.get('variant')!r}, but what its 'env_options' "

@@ -119,5 +119,5 @@ def path(text: str) -> Path:
             of the shell that is not set, and would be the current folder.
     """
     if not text.strip():
-        raise argparse.ArgumentTypeError(f"must be a name, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must name a file or folder, got {text!r}")
     return Path(text)

@@ -8,7 +8,8 @@ arm in a nest) or `trivial` (solved in seconds, to try things out). Variants are
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
 learning_curve.png and replay.html. Ctrl-C saves and stops; --resume goes on, and
-ends as if nothing had happened.
+ends as if nothing had happened. While a process trains in a folder no other can;
+what jaxrod has not written there stays as it is, with --overwrite too.
 """
 
 from __future__ import annotations

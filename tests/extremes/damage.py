@@ -251,8 +251,8 @@ def _lines(change):
 
 def _with_cell(value):
     def change(lines):
-        row = lines[2].split(",")
-        return [*lines[:2], ",".join([row[0], value, *row[2:]]), *lines[3:]]
+        row = lines[1].split(",")
+        return [lines[0], ",".join([row[0], value, *row[2:]]), *lines[2:]]
 
     return _lines(change)
 
@@ -265,13 +265,13 @@ TABLES = {
     "a row less in the middle": _lines(lambda lines: lines[:3] + lines[4:]),
     "a row twice": _lines(lambda lines: [*lines[:3], lines[2], *lines[3:]]),
     "two rows exchanged": _lines(
-        lambda lines: [*lines[:1], lines[2], lines[1], *lines[3:]]
+        lambda lines: [*lines[:1], *lines[2:3], *lines[1:2], *lines[3:]]
     ),
     "the head twice": _lines(lambda lines: lines[:1] + lines),
     "a torn row at the end": appended(b"12,3"),
     "a row more": _lines(lambda lines: [*lines, lines[-1]]),
     "a torn row in the middle": _lines(
-        lambda lines: [*lines[:2], lines[2][:2] + "\n", *lines[3:]]
+        lambda lines: [lines[0], lines[1][:2] + "\n", *lines[2:]]
     ),
     "a cell of text": _with_cell("x"),
     "a cell that is empty": _with_cell(""),

@@ -52,6 +52,8 @@ READ_BY = {
 """Which commands read a file."""
 
 
+NOTHING_YET = re.compile("no learning curve: .*(logged anything yet|got none)")
+
 UNKNOWABLE = {
     "a third of the rows",
     "a row less",
@@ -192,15 +194,9 @@ class Attack:
             return f"raw control characters: {err!r}"
         if code == 0:
             made = outcome(command, self.copy, printed)
-            if (
-                command == "render"
-                and "jaxrod" not in err
-                and "no learning curve" in err
-            ):
-                return None  # There is nothing to draw, and it is said.
-            if command == "render" and what.partition(": ")[2] in UNKNOWABLE:
-                return None
-            same = made == self.sound[command]
+            said = command == "render" and NOTHING_YET.search(err)
+            drawn = command == "render" and what.partition(": ")[2] in UNKNOWABLE
+            same = made == self.sound[command] or said or drawn
             return None if same else "accepted, and something else came of it"
         said = [line for line in err.splitlines() if line.startswith("jaxrod ")]
         if len(said) != 1 or len(said[0]) > 1500:
@@ -234,7 +230,7 @@ def main():
     parser.add_argument("--every", type=int, default=1, help="leave some out")
     options = parser.parse_args()
     jaxrod.configure_cpu(1)
-    began, faults, codes = time.monotonic(), 0, 0
+    began, faults = time.monotonic(), 0
     with tempfile.TemporaryDirectory() as folder:
         attack = Attack(Path(folder))
         trials = [t for t in attack.trials() if options.only in f"{t[3]} {t[0]}"]
