@@ -79,9 +79,16 @@ def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
     )
 
 
-def shown_distance(distance_squared: Array, crashed: Bool[Array, ""]) -> Array:
-    """The distance [m] as a step reports it: finite, zero after a crash."""
-    return jnp.where(crashed, 0, jnp.sqrt(jnp.maximum(distance_squared, 1e-12)))
+def shown_distance(arm: RodState, target: Float[Array, "3"]) -> Array:
+    """Distance of the tip from the target as a step reports it [m].
+
+    Args:
+        arm: The last sound arm: after a crash the one before. Of what has crashed
+            nothing is known, and zero would be the best distance there is.
+        target: Where the target is [m].
+    """
+    squared = jnp.sum((arm.tip - target) ** 2)
+    return jnp.sqrt(jnp.maximum(squared, 1e-12))
 
 
 def observed_points(arm: RodState) -> Float[Array, "33"]:

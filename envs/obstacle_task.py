@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Rod, RodState, contact, control_spline
+from jaxrod import Rod, RodState, contact, control_spline, freeze
 from jaxrod._pytree import pytree
 from jaxrod._validation import Numbers
 from jaxrod.bodies import Body
@@ -282,8 +282,9 @@ class ObstacleTask:
             terminated, truncated = crashed, timeout
         else:
             terminated, truncated = jnp.zeros((), bool), timeout | crashed
+        sound = freeze(crashed, before.arm, arm)
         info = {
-            "distance": shown_distance(distance_squared, crashed),
+            "distance": shown_distance(sound, state.target.position),
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info

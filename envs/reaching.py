@@ -35,7 +35,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Rod, RodState, control_spline
+from jaxrod import Rod, RodState, control_spline, freeze
 from jaxrod._pytree import pytree
 from jaxrod.envs.arm_task import (
     CONTROL_PERIOD,
@@ -211,12 +211,11 @@ class Reaching:
         arm, muscles, crashed = params.arm.advance(
             state.arm, state.muscles, controls, params.dt, self.substeps
         )
-        steps = state.steps + 1
+        before, steps = state.arm, state.steps + 1
         state = ReachingState(arm, muscles, state.target, steps)
         observation = self.observe(state)
         distance_squared = jnp.sum((arm.tip - state.target.position) ** 2)
-        cosine = jnp.sum(tip_frame(arm) * state.target.orientation)
-        misalignment = 1 - cosine**2
+        misalignment = misaligned(arm, state.target)
         reward = reaching_reward(distance_squared, misalignment, params)
         timeout = steps >= self.episode_length
         if self.variant == "paper":
@@ -226,9 +225,10 @@ class Reaching:
             terminated, truncated = crashed, timeout
         else:
             terminated, truncated = jnp.zeros((), bool), timeout | crashed
+        sound = freeze(crashed, before, arm)
         info = {
-            "distance": shown_distance(distance_squared, crashed),
-            "misalignment": jnp.where(crashed, 0, misalignment),
+            "distance": shown_distance(sound, state.target.position),
+            "misalignment": misaligned(sound, state.target),
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
@@ -271,6 +271,11 @@ def tip_frame(arm: RodState) -> Float[Array, "4"]:
     w, x, y, z = arm.orientations[:, -1]
     sign = jnp.where(w < 0, -1, 1)
     return sign * jnp.stack([w, -x, -y, -z])
+
+
+def misaligned(arm: RodState, goal: Goal) -> Array:
+    """Misalignment of the last element's frame from the goal's, 0 to 1 [1]."""
+    return 1 - jnp.sum(tip_frame(arm) * goal.orientation) ** 2
 
 
 def reaching_reward(

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import (
-    Clamp,
     ControlSpline,
     Effect,
     ElementAverages,
@@ -34,6 +33,7 @@ from jaxrod import (
     RodState,
     Scene,
     advance,
+    clamp,
     consistent,
     control_spline,
     freeze,
@@ -49,6 +49,7 @@ from jaxrod.envs.arm_task import (
     check_sizes,
     check_variant,
     observed_points,
+    shown_distance,
     speed_and_direction,
     viscous_damping,
 )
@@ -195,12 +196,13 @@ class Tracking:
     ]:
         """One control period: the couples set by the action act for 1.4 ms."""
         scene = self.scene(state.arm, action, params)
-        arm = advance(scene, state.arm, params.dt, self.substeps)
+        before = state.arm
+        arm = advance(scene, before, params.dt, self.substeps)
         if self.variant == "paper":
             crashed = ~jnp.all(jnp.isfinite(arm.positions))
         else:
             crashed = health(scene, arm, params.dt).flagged
-            arm = freeze(crashed, state.arm, arm)
+            arm = freeze(crashed, before, arm)
         # The published walls are tested after every half step.
         target = moving_target.fly(
             state.target, params.target, 0.5 * params.dt, 2 * self.substeps
@@ -224,10 +226,9 @@ class Tracking:
             terminated, truncated = crashed, timeout
         else:
             terminated, truncated = jnp.zeros((), bool), timeout | crashed
+        sound = freeze(crashed, before, arm)
         info = {
-            "distance": jnp.where(
-                crashed, 0, jnp.sqrt(jnp.maximum(distance_squared, 1e-12))
-            ),
+            "distance": shown_distance(sound, target.position),
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
@@ -254,7 +255,7 @@ class Tracking:
                 pyelastica(),
             )
         effects: tuple[Effect, ...] = (
-            Clamp(rest.orientations[:, 0]),
+            clamp(rest),
             viscous_damping(rod, params.viscosity),
             spline_couples(rod, params.spline, controls, params.torque),
         )

@@ -55,6 +55,7 @@ _NAMES = {
     ),
     "composition": ("make_scene",),
     "clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
+    "contact_points": ("ThinBodyWarning",),
     "effects": (
         "Effect",
         "EndLoad",

@@ -38,6 +38,7 @@ from jaxrod.clamps import FixedEnd as FixedEnd
 from jaxrod.clamps import clamp as clamp
 from jaxrod.clamps import fixed_end as fixed_end
 from jaxrod.composition import make_scene as make_scene
+from jaxrod.contact_points import ThinBodyWarning as ThinBodyWarning
 from jaxrod.effects import Effect as Effect
 from jaxrod.effects import EndLoad as EndLoad
 from jaxrod.effects import ExponentialDamping as ExponentialDamping

@@ -1,19 +1,36 @@
-"""Files that are either the old ones or the new ones, never half of each."""
+"""Files written whole or not at all, and read with their names in every complaint."""
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
+import json
 import os
 import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, BinaryIO
+
+TEMPORARY = ".partial"
+"""How the names of files end that are not yet whole."""
 
 
-def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
+class DamagedFileError(ValueError):
+    """A file cannot be what it is there for."""
+
+
+def write_atomically(
+    path: str | os.PathLike[str], content: bytes | Callable[[BinaryIO], object]
+) -> None:
     """Replaces a file by new content in one step, whenever the process may die.
+
+    When this returns, the new content is on the disk.
 
     Args:
         path: file to write; its folder must exist.
-        content: the bytes to write.
+        content: the bytes to write, or what writes them into an open file.
 
     Raises:
         OSError: it cannot be written; with the name of the file.
@@ -21,17 +38,202 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     target = Path(path)
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    with naming(target):
+        handle, temporary = tempfile.mkstemp(
+            dir=target.parent, prefix=f".{target.name}.", suffix=TEMPORARY
+        )
+        try:
+            with os.fdopen(handle, "wb") as file:
+                if callable(content):
+                    content(file)
+                else:
+                    file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            # mkstemp makes private files; give this one the permissions of any other.
+            mask = os.umask(0)
+            os.umask(mask)
+            os.chmod(temporary, 0o666 & ~mask)
+            os.replace(temporary, target)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(temporary)
+            raise
+        _keep_names(target.parent)
+
+
+def _keep_names(folder: Path) -> None:
+    """Waits until a folder's list of files is on the disk, where systems can."""
+    if os.name != "posix":
+        return
+    with suppress(OSError):  # Some network file systems cannot.
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Gives errors of the operating system the name of the file they are about."""
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        # mkstemp makes private files; give this one the permissions of any other.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, target)
-    except BaseException:
-        os.unlink(temporary)
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename == str(path):
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turns whatever goes wrong in reading a file into an error that names it.
+
+    Raises:
+        DamagedFileError: anything was raised but by the operating system.
+        OSError: the file cannot be opened.
+    """
+    try:
+        yield
+    except (DamagedFileError, ImportError):
         raise
+    except OSError as error:
+        # Only the ones that opening raises know a file.
+        if error.filename is None:
+            raise DamagedFileError(f"{path} is damaged: {error}") from error
+        raise
+    except Exception as error:
+        raise DamagedFileError(f"{path} is damaged: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong, on one line."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, KeyError):
+        return f"it lacks {error}"
+    said = " ".join(str(error).split())
+    if len(said) > 300:
+        said = f"{said[:300]} ..."
+    known = isinstance(error, ValueError) and not isinstance(error, UnicodeError)
+    return said if known and said else f"{type(error).__name__}: {said}"
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Reads a JSON file that holds one object.
+
+    Raises:
+        DamagedFileError: it is no JSON, or none of an object.
+        OSError: the file cannot be opened.
+    """
+    with reading(path):
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text, parse_constant=_refuse_constant)
+        if not isinstance(content, dict):
+            raise ValueError(f"it holds {_shown(content)}, not an object")
+        return content
+
+
+def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Reads the columns and the rows of a CSV file.
+
+    A last line that has no end and lacks values is being written, and left out.
+
+    Raises:
+        DamagedFileError: it is no CSV, or not all rows have as many values as there
+            are columns.
+        OSError: the file cannot be opened.
+    """
+    with reading(path):
+        text = path.read_bytes().decode()
+        lines = csv.reader(io.StringIO(text, newline=""), strict=True)
+        columns, rows = next(lines, []), list(lines)
+        if rows and len(rows[-1]) < len(columns) and not text.endswith("\n"):
+            rows.pop()
+        for number, row in enumerate(rows, 1):
+            if len(row) != len(columns):
+                raise ValueError(
+                    f"row {number} has {len(row)} values for {len(columns)} columns"
+                )
+    return columns, rows
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON")
+
+
+Kind = tuple[str, Callable[[Any], bool]]
+"""What an entry must be, in words and as a test."""
+
+TEXT: Kind = ("text", lambda value: isinstance(value, str))
+OBJECT: Kind = ("an object", lambda value: isinstance(value, dict))
+NUMBER: Kind = (
+    "a number",
+    lambda value: isinstance(value, int | float) and not isinstance(value, bool),
+)
+POSITIVE: Kind = (
+    "a positive number",
+    lambda value: NUMBER[1](value) and 0 < value < float("inf"),
+)
+
+
+def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
+    """A whole number within bounds, both allowed."""
+    return (
+        f"a whole number from {smallest} to {largest}",
+        lambda value: type(value) is int and smallest <= value <= largest,
+    )
+
+
+def one_of(*choices: str) -> Kind:
+    """One of several words."""
+    return (
+        f"one of {', '.join(choices)}",
+        lambda value: isinstance(value, str) and value in choices,
+    )
+
+
+def optional(kind: Kind) -> Kind:
+    """Something or nothing."""
+    words, test = kind
+    return f"{words} or null", lambda value: value is None or test(value)
+
+
+def check_entries(
+    content: Mapping[str, Any],
+    kinds: Mapping[str, Kind],
+    may_lack: Mapping[str, Kind] | None = None,
+) -> None:
+    """Checks the entries of what was read; there may be others.
+
+    Args:
+        content: what was read.
+        kinds: what each entry must be.
+        may_lack: the same for those that need not be there.
+
+    Raises:
+        ValueError: an entry is missing or is something else.
+    """
+    for name, (words, test) in kinds.items():
+        if name not in content:
+            raise ValueError(f"it has no {name!r}")
+        _check_entry(name, content[name], words, test)
+    for name, (words, test) in (may_lack or {}).items():
+        if name in content:
+            _check_entry(name, content[name], words, test)
+
+
+def _check_entry(
+    name: str, value: Any, words: str, test: Callable[[Any], bool]
+) -> None:
+    if not test(value):
+        raise ValueError(f"{name!r} must be {words}, got {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    """A value as one short piece of a sentence."""
+    try:
+        said = repr(value)
+    except (ValueError, RecursionError):  # An integer of thousands of digits.
+        said = f"a {type(value).__name__}"
+    return said if len(said) <= 60 else f"{said[:60]} ..."

@@ -16,11 +16,11 @@ from jaxtyping import Array, Float, Int
 
 from jaxrod._contact import Contact
 from jaxrod._pytree import pytree
-from jaxrod._validation import check_count
+from jaxrod._validation import check_count, check_kind
 from jaxrod.bodies import Body
 from jaxrod.contact_points import contact_points
 from jaxrod.motion import motion_of
-from jaxrod.rod import Rod, RodState
+from jaxrod.rod import Rod, RodState, check_state
 from jaxrod.vectors import Vec3
 
 
@@ -72,7 +72,10 @@ def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Con
 
     Raises:
         ValueError: If `count` is not between 1 and the number of bodies.
+        TypeError: If `contact`, `rod` or `state` is something else.
     """
+    check_kind("contact", contact, Contact)
+    check_state(rod, state)
     bodies = contact.n_bodies or 1
     if check_count("count", count, 1) > bodies:
         raise ValueError(f"count must be at most {bodies}, all bodies, got {count}")

@@ -1,16 +1,28 @@
-"""Host-side checks of arguments, in words with units."""
+"""Host-side checks of arguments, in words with units.
+
+Values are checked in float64 and stored in a type that may be narrower: `check_array`
+does the first, `as_array` both, and what the type cannot hold is refused.
+Values being traced by JAX cannot be looked at: of them shape and kind are checked,
+wherever they stand in a nest of lists and tuples.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import numbers
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 
 Numbers = ArrayLike | Sequence[Any]
 """What a caller may give for a number, a vector or an array of numbers."""
+
+MOST = 2**31 - 1
+"""The largest count: of steps, of iterations."""
 
 
 def is_traced(*values: Any) -> bool:
@@ -18,12 +30,35 @@ def is_traced(*values: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
 
 
-def check_count(name: str, value: Any, smallest: int) -> int:
-    """Returns `value` as an int, or raises if it is not a count >= `smallest`."""
+def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
+    """Raises unless a value is of a class of jaxrod's, or of one of several.
+
+    Raises:
+        TypeError: Naming the argument, the class and what was given.
+    """
+    if isinstance(value, kind):
+        return
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    wanted = " or ".join(f"jaxrod.{one.__name__}" for one in kinds)
+    hint = ""
+    if isinstance(value, tuple):
+        hint = " (factories return the pair rod, state)"
+    raise TypeError(f"{name} must be a {wanted}, got {type(value).__name__}{hint}")
+
+
+def check_count(name: str, value: Any, smallest: int, largest: int = MOST) -> int:
+    """Returns `value` as an int, or raises if it is not a count within bounds."""
+    if isinstance(value, jax.core.Tracer):
+        raise ValueError(
+            f"{name} must be an integer known when the program is traced, not one "
+            "that is traced itself: jax.jit(..., static_argnames=...) makes it so"
+        )
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise ValueError(f"{name} must be an integer, got {value!r}")
+        raise ValueError(f"{name} must be an integer, got {_shown(value)}")
     if value < smallest:
-        raise ValueError(f"{name} must be at least {smallest}, got {value}")
+        raise ValueError(f"{name} must be at least {smallest}, got {_shown(value)}")
+    if value > largest:
+        raise ValueError(f"{name} must be at most {largest}, got {_shown(value)}")
     return int(value)
 
 
@@ -41,6 +76,29 @@ def check_seed(seed: Any, name: str = "seed") -> int:
     return int(seed)
 
 
+def check_dtype(dtype: Any) -> np.dtype:
+    """The floating-point type of a rod: JAX's default for `None`.
+
+    Raises:
+        ValueError: If it is neither float32 nor float64, or float64 where JAX has
+            64-bit types turned off.
+    """
+    if dtype is None:
+        return jnp.result_type(float)
+    try:
+        kind = jnp.dtype(dtype)
+    except TypeError:
+        raise ValueError(f"dtype must be float32 or float64, got {dtype!r}") from None
+    if kind not in (np.float32, np.float64):
+        raise ValueError(f"dtype must be float32 or float64, got {kind}")
+    if kind != jax.dtypes.canonicalize_dtype(kind):
+        raise ValueError(
+            'dtype float64 needs jax.config.update("jax_enable_x64", True), called '
+            "before anything is computed"
+        )
+    return kind
+
+
 def check_array(
     name: str,
     value: Any,
@@ -49,44 +107,197 @@ def check_array(
     *,
     positive: bool = False,
     non_negative: bool = False,
+    at_most: float = math.inf,
+    dtype: Any = None,
 ) -> Any:
-    """Checks shape, finiteness and sign of a number or array of numbers.
+    """Checks kind, shape, finiteness, sign and size of a number or array of numbers.
 
-    Values being traced by JAX are checked for shape alone.
+    Of values being traced by JAX kind and shape alone.
 
     Args:
         name: The argument's name, for the message.
-        value: A number or array.
+        value: A number or array, or numbers and arrays in lists and tuples.
         shapes: The shapes allowed.
         unit: SI unit, for the message ("" for a pure number).
         positive: Demand values > 0.
         non_negative: Demand values >= 0.
+        at_most: Demand no larger values.
+        dtype: Demand values that this floating-point type can hold, if given.
 
     Returns:
-        `value`, as a NumPy float64 array unless it is traced.
+        `value`, as a NumPy float64 array; as a JAX array if it is traced.
 
     Raises:
         ValueError: Naming the argument, its value and its unit.
     """
-    unit = f" {unit}" if unit else ""
-    traced = is_traced(value)
-    if not traced:
-        try:
-            value = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ValueError(f"{name} must be numeric{unit}, got {value!r}") from None
+    value = numeric(name, value, unit)
     if tuple(value.shape) not in [tuple(s) for s in shapes]:
         allowed = " or ".join(str(tuple(s)) for s in shapes)
         raise ValueError(f"{name} must have shape {allowed}, got {tuple(value.shape)}")
-    if traced:
+    if is_traced(value):
         return value
     for is_bad, demand in (
         (~np.isfinite(value), "finite"),
-        (value <= 0 if positive else np.zeros(value.shape, bool), "positive"),
-        (value < 0 if non_negative else np.zeros(value.shape, bool), "non-negative"),
+        (positive & (value <= 0), "positive"),
+        (non_negative & (value < 0), "non-negative"),
+        (value > at_most, f"at most {at_most:g}"),
     ):
         if np.any(is_bad):
-            where = "" if value.ndim == 0 else f" at index {np.argwhere(is_bad)[0]}"
-            bad = value[is_bad].flat[0] if value.ndim else value[()]
-            raise ValueError(f"{name} must be {demand}, got {bad:g}{unit}{where}")
+            bad = _first(value, is_bad, unit)
+            raise ValueError(f"{name} must be {demand}, got {bad}")
+    if dtype is not None:
+        check_held(name, value, unit, dtype, each=positive)
     return value
+
+
+def as_array(
+    name: str,
+    value: Any,
+    unit: str,
+    shapes: Sequence[tuple[int, ...]] = ((),),
+    *,
+    positive: bool = False,
+    non_negative: bool = False,
+    at_most: float = math.inf,
+    dtype: Any = None,
+) -> Array:
+    """An argument as a JAX array, checked by `check_array`.
+
+    Args:
+        name: The argument's name, for the message.
+        value: A number or array, or numbers and arrays in lists and tuples.
+        unit: SI unit, for the message ("" for a pure number).
+        shapes: The shapes allowed; one number by default.
+        positive: Demand values > 0.
+        non_negative: Demand values >= 0.
+        at_most: Demand no larger values.
+        dtype: The floating-point type; by default JAX's default.
+
+    Raises:
+        ValueError: Naming the argument, its value and its unit.
+    """
+    dtype = jnp.result_type(float) if dtype is None else dtype
+    checked = check_array(
+        name,
+        value,
+        shapes,
+        unit,
+        positive=positive,
+        non_negative=non_negative,
+        at_most=at_most,
+        dtype=dtype,
+    )
+    return jnp.asarray(checked, dtype)
+
+
+def check_held(
+    name: str, value: np.ndarray, unit: str, dtype: Any, *, each: bool = False
+) -> None:
+    """Raises unless a floating-point type can hold float64 values.
+
+    It can if they and their reciprocals are normal numbers of the type: neither
+    infinite nor rounded to nothing. Of an array (a vector, say) entries may vanish
+    that are too small to matter beside the largest, unless `each` matters.
+
+    Args:
+        name: What it is, for the message.
+        value: The values.
+        unit: SI unit, for the message ("" for a pure number).
+        dtype: The floating-point type.
+        each: Whether every entry matters by itself.
+
+    Raises:
+        ValueError: Naming the value, its unit and the type.
+    """
+    limits = jnp.finfo(dtype)
+    smallest, largest = float(limits.tiny), 1 / float(limits.tiny)
+    size = np.abs(value)
+    negligible = 0.0 if each else float(limits.eps) * np.max(size, initial=0)
+    lost = ~(size <= largest) | ((size < smallest) & (size > negligible))
+    if each:
+        lost |= size == 0
+    if not np.any(lost):
+        return
+    limits_in_unit = f"{smallest:.2g} and {largest:.2g}{f' {unit}' if unit else ''}"
+    remedy = ""
+    if np.dtype(dtype) == np.float32:
+        remedy = (
+            '. float64 holds more: jax.config.update("jax_enable_x64", True), and for '
+            "a rod dtype=jnp.float64"
+        )
+    raise ValueError(
+        f"{name} must be between {limits_in_unit} in size in {np.dtype(dtype)}, got "
+        f"{_first(value, lost, unit)}{remedy}"
+    )
+
+
+def numeric(name: str, value: Any, unit: str = "") -> Any:
+    """Numbers and arrays, in lists and tuples or not, as one array of real numbers.
+
+    Args:
+        name: The argument's name, for the message.
+        value: What was given for it.
+        unit: SI unit, for the message ("" for a pure number).
+
+    Returns:
+        A NumPy float64 array; a JAX array if anything in it is traced.
+
+    Raises:
+        ValueError: If anything in it is not a real number (strings, truth values and
+            complex numbers are none), or the nest is not regular.
+    """
+    leaves = list(_leaves(value))
+    wanted = f"{name} must be real numbers{f' in {unit}' if unit else ''}"
+    if not all(map(_is_real, leaves)):
+        raise ValueError(f"{wanted}, got {_shown(value)}")
+    traced = is_traced(leaves)
+    if traced and len(leaves) > 1:
+        # What is not traced is lost to view once it is in an array with what is.
+        for leaf in leaves:
+            as_array(f"each number of {name}", leaf, unit, [np.shape(leaf)])
+    try:
+        with np.errstate(over="ignore"):
+            return jnp.asarray(value) if traced else np.asarray(value, np.float64)
+    except OverflowError:
+        raise ValueError(f"{name} must be finite, got {_shown(value)}") from None
+    except (TypeError, ValueError):
+        raise ValueError(f"{wanted}, one array, got {_shown(value)}") from None
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """What is in lists and tuples, however deep; anything else is itself a leaf."""
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        for part in value:
+            yield from _leaves(part)
+    else:
+        yield value
+
+
+def _is_real(leaf: Any) -> bool:
+    """Whether a leaf is a real number or an array of such."""
+    if isinstance(leaf, numbers.Real):
+        # Python's and NumPy's numbers; truth values are integers to Python.
+        return not isinstance(leaf, bool)
+    if not isinstance(leaf, np.ndarray | np.generic | jax.Array):
+        if not hasattr(leaf, "__array__"):
+            return False
+        leaf = np.asarray(leaf)
+    return any(jnp.issubdtype(leaf.dtype, kind) for kind in (jnp.floating, jnp.integer))
+
+
+def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
+    """The first bad entry in words, with its unit and where it is."""
+    unit = f" {unit}" if unit else ""
+    if value.ndim == 0:
+        return f"{value[()]:g}{unit}"
+    index = np.argwhere(is_bad)[0]
+    return f"{value[tuple(index)]:g}{unit} at index {index}"
+
+
+def _shown(value: Any) -> str:
+    """A value as it was given, cut short if it is long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integers of thousands of digits
+        text = f"a huge {type(value).__name__}"
+    return text if len(text) <= 80 else f"{text[:76]} ..."

@@ -10,16 +10,30 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from jaxrod._pytree import pytree
-from jaxrod._validation import Numbers, check_array
+from jaxrod._validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_count,
+    check_dtype,
+    check_held,
+    check_kind,
+    is_traced,
+    numeric,
+)
 from jaxrod.effects import Effect
 from jaxrod.interpolation import interpolated
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod
+
+MOST_CONTROLS = 100
+"""More are taken for a mistake: the spline's equations are of full size."""
 
 
 @pytree
@@ -118,7 +132,7 @@ def _combined(
 
 
 def control_spline(
-    controls: int | Numbers, length: float = 1.0, dtype: Any = None
+    controls: int | Numbers, length: Numbers = 1.0, dtype: Any = None
 ) -> ControlSpline:
     """The spline through control points along a rod, zero at both ends.
 
@@ -126,74 +140,98 @@ def control_spline(
         controls: Number of equidistant control points, at least 2; or their arc
             lengths [m], increasing, strictly inside the rod.
         length: The rod's rest length [m].
-        dtype: Floating-point type; by default JAX's default.
+        dtype: float32 or float64; by default JAX's default.
 
     Raises:
         ValueError: If the control points do not fit.
     """
-    end = float(check_array("length", length, [()], "m", positive=True))
+    kind = check_dtype(dtype)
+    end = check_array("length", length, [()], "m", positive=True, dtype=kind)
+    if not is_traced(end):
+        with np.errstate(all="ignore"):
+            check_held("cube of length", end**3, "m^3", kind, each=True)
+    # Worked in units of the length: of equidistant points all is known but the length.
     if isinstance(controls, int | np.integer):
-        if controls < 2:
-            raise ValueError(f"controls must be at least 2, got {controls}")
-        inner = end * np.arange(1, controls + 1) / (controls + 1)
+        count = check_count("controls", controls, 2, MOST_CONTROLS)
+        inner = np.arange(1, count + 1) / (count + 1)
     else:
-        inner = check_array("controls", controls, [np.shape(controls)], "m")
-        if inner.ndim != 1 or inner.size < 2:
-            raise ValueError(f"controls must be at least 2 positions, got {controls}")
-        if np.any(np.diff(inner) <= 0) or inner[0] <= 0 or inner[-1] >= end:
-            raise ValueError(
-                f"controls must increase strictly inside 0 m to {end:g} m, "
-                f"got {inner.tolist()}"
-            )
-    knots = np.concatenate([[0.0], inner, [end]])
+        inner = _shares(controls, end, kind)
+    xp = jnp if is_traced(inner) else np
+    knots = xp.concatenate([np.zeros(1), inner, np.ones(1)])
     # Not-a-knot: no break at the knots next to the ends.
     breaks = knots[2:-2]
-    origins = np.concatenate([[0.0], breaks])
-    coefficients = _cardinal_coefficients(knots, breaks, origins, end)
-    kind = jnp.result_type(float) if dtype is None else dtype
+    origins = xp.concatenate([np.zeros(1), breaks])
+    powers = end ** np.arange(4)
+    coefficients = _cardinal_coefficients(knots, breaks, origins)
+    if not is_traced(coefficients):
+        size = np.max(np.abs(coefficients))
+        if not size < jnp.finfo(kind).max:
+            raise ValueError(
+                "controls must be further apart, and further from the ends, for a "
+                f"spline in {kind}, got {controls}"
+            )
     return ControlSpline(
-        breaks=jnp.asarray(breaks, kind),
-        origins=jnp.asarray(origins, kind),
-        coefficients=jnp.asarray(coefficients, kind),
+        breaks=jnp.asarray(breaks * end, kind),
+        origins=jnp.asarray(origins * end, kind),
+        coefficients=jnp.asarray(coefficients / powers[None, :, None], kind),
     )
 
 
-def _cardinal_coefficients(
-    knots: np.ndarray, breaks: np.ndarray, origins: np.ndarray, length: float
-) -> np.ndarray:
+def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
+    """Given control points, in units of the length."""
+    points = numeric("controls", controls, "m")
+    if points.ndim != 1 or points.size < 2:
+        raise ValueError(f"controls must be at least 2 positions, got {controls}")
+    check_count("number of controls", points.size, 2, MOST_CONTROLS)
+    check_array("controls", points, [points.shape], "m", dtype=kind)
+    if not is_traced(points):
+        inside = points[0] > 0 and (is_traced(end) or points[-1] < end)
+        if not inside or np.any(np.diff(points) <= 0):
+            last = "the length" if is_traced(end) else f"{end:g} m"
+            raise ValueError(
+                f"controls must increase strictly inside 0 m to {last}, "
+                f"got {points.tolist()}"
+            )
+    return points / end
+
+
+def _cardinal_coefficients(knots: Any, breaks: Any, origins: Any) -> Any:
     """Piecewise coefficients of the splines that are one at a single control point.
 
     Unknowns: one cubic plus one truncated cube per break, as many as knots, so the
-    interpolation conditions determine them. Worked in units of the length.
+    interpolation conditions determine them. In units of the length.
     """
-    t, b, o = knots / length, breaks / length, origins / length
-    cubes = np.maximum(t[:, None] - b[None, :], 0.0) ** 3
-    system = np.concatenate([t[:, None] ** np.arange(4), cubes], axis=1)
-    solution = np.linalg.solve(system, np.eye(len(t))[:, 1:-1])
+    xp = jnp if is_traced(knots) else np
+    cubes = xp.maximum(knots[:, None] - breaks[None, :], 0.0) ** 3
+    powers = xp.stack([xp.ones_like(knots), knots, knots**2, knots**3], axis=1)
+    system = xp.concatenate([powers, cubes], axis=1)
+    try:
+        solution = xp.linalg.solve(system, np.eye(len(knots))[:, 1:-1])
+    except np.linalg.LinAlgError:
+        return np.full((len(origins), 4, len(knots) - 2), np.inf)
     pieces = []
-    for index, origin in enumerate(o):
+    for index, origin in enumerate(origins):
         # Taylor coefficients of the active cubes and the first cubic at the origin.
-        shift = np.array(
-            [
-                [1, origin, origin**2, origin**3],
-                [0, 1, 2 * origin, 3 * origin**2],
-                [0, 0, 1, 3 * origin],
-                [0, 0, 0, 1],
-            ]
-        )
-        local = shift @ solution[:4]
-        for break_, cube in zip(b[:index], solution[4 : 4 + index], strict=True):
+        first, second, third, fourth = solution[:4]
+        local = [
+            first + origin * (second + origin * (third + origin * fourth)),
+            second + origin * (2 * third + 3 * origin * fourth),
+            third + 3 * origin * fourth,
+            fourth,
+        ]
+        for break_, cube in zip(breaks[:index], solution[4 : 4 + index], strict=True):
             d = origin - break_
-            local = local + np.array([d**3, 3 * d**2, 3 * d, 1])[:, None] * cube
-        pieces.append(local / length ** np.arange(4)[:, None])
-    return np.stack(pieces)
+            factors = (d**3, 3 * d**2, 3 * d, 1)
+            local = [a + f * cube for a, f in zip(local, factors, strict=True)]
+        pieces.append(xp.stack(local))
+    return xp.stack(pieces)
 
 
 def spline_couples(
     rod: Rod,
     spline: ControlSpline | ElementAverages,
-    controls: Float[Array, "3 n_controls"],
-    couple_density: ArrayLike,
+    controls: Numbers,
+    couple_density: Numbers,
 ) -> ElementCouples:
     """Couples distributed along the rod in proportion to a spline, per rest length.
 
@@ -204,7 +242,8 @@ def spline_couples(
         rod: The rod.
         spline: From `control_spline`; or its averages over the elements of this rod,
             `spline.averaged(rod)`, where controls change often.
-        controls: Control values [1] about d1, d2 (bending) and d3 (twist).
+        controls: Control values [1] about d1, d2 (bending) and d3 (twist)
+            `(3, n_controls)`.
         couple_density: Couple per rest length for a control value of one [N m/m];
             one number, or one per direction `(3,)`.
 
@@ -214,18 +253,24 @@ def spline_couples(
     Raises:
         ValueError: If an argument is not finite or of the wrong shape.
     """
-    check_array("controls", controls, [(3, spline.n_controls)], "")
-    check_array("couple_density", couple_density, [(), (3,)], "N m/m")
-    density = jnp.broadcast_to(jnp.asarray(couple_density, controls.dtype), (3,))
+    check_kind("rod", rod, Rod)
+    check_kind("spline", spline, (ControlSpline, ElementAverages))
+    kind = rod.rest_lengths.dtype
+    shape = (3, spline.n_controls)
+    controls = as_array("controls", controls, "", [shape], dtype=kind)
+    density = as_array(
+        "couple_density", couple_density, "N m/m", [(), (3,)], dtype=kind
+    )
+    density = jnp.broadcast_to(density, (3,))
     averages = spline.averaged(rod) if isinstance(spline, ControlSpline) else spline
     values = averages(controls)
     return ElementCouples(density[:, None] * values * rod.rest_lengths[None, :])
 
 
 def limit_rate(
-    applied: Float[Array, "*shape"],
-    commanded: Float[Array, "*shape"],
-    largest_change: ArrayLike,
+    applied: Numbers,
+    commanded: Numbers,
+    largest_change: Numbers,
 ) -> Float[Array, "*shape"]:
     """Moves applied control values towards the commanded ones, but not faster.
 
@@ -241,7 +286,19 @@ def limit_rate(
     Raises:
         ValueError: If `largest_change` is negative.
     """
-    allowed = [(), jnp.shape(applied)]
-    check_array("largest_change", largest_change, allowed, "", non_negative=True)
-    bound = jnp.asarray(largest_change, applied.dtype)
-    return applied + jnp.clip(commanded - applied, -bound, bound)
+    now, wanted = numeric("applied", applied), numeric("commanded", commanded)
+    given = applied, commanded
+    arrays = [value for value in given if isinstance(value, np.ndarray | jax.Array)]
+    kind = jnp.result_type(*arrays, float)
+    if wanted.shape != now.shape:
+        raise ValueError(
+            f"commanded must have shape {now.shape}, as applied has, got {wanted.shape}"
+        )
+    allowed = [(), now.shape]
+    bound = as_array(
+        "largest_change", largest_change, "", allowed, non_negative=True, dtype=kind
+    )
+    # Commands that are not finite are data, for health to find.
+    with np.errstate(over="ignore"):
+        now, wanted = jnp.asarray(now, kind), jnp.asarray(wanted, kind)
+    return now + jnp.clip(wanted - now, -bound, bound)

@@ -13,6 +13,11 @@ import warnings
 
 import jax
 
+from jaxrod._validation import check_count
+
+MOST_DEVICES = 1024
+"""More are taken for a mistake: XLA sets up each of them."""
+
 _BACKEND_OPTIONS = {
     # One kernel computes all outputs that share work.
     "xla_cpu_use_multi_output_fusion": "",
@@ -33,12 +38,11 @@ def configure_cpu(devices: int | None = None) -> None:
             may use.
 
     Raises:
-        ValueError: If `devices` is not positive.
+        ValueError: If `devices` is not a positive integer.
     """
     if devices is None:
         devices = available_cores()
-    if devices < 1:
-        raise ValueError(f"devices must be at least 1, got {devices}")
+    devices = check_count("devices", devices, 1, MOST_DEVICES)
     if _backend_is_running():
         warnings.warn(
             "jaxrod.configure_cpu() came after the first JAX computation and has no "

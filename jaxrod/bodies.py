@@ -15,17 +15,19 @@ Factories make one body. `jax.vmap` of a factory makes many of a kind at once, a
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod._validation import Numbers, check_array, is_traced
+from jaxrod._validation import Numbers, as_array, check_array, is_traced
 from jaxrod.rotations import (
     directors,
     normalise,
@@ -51,6 +53,11 @@ class Body(ABC):
         """How many bodies this is, if its numbers have a leading axis."""
         return None
 
+    @property
+    def inradius(self) -> Array | None:
+        """Radius of the largest ball inside [m]; `None` where that is not known."""
+        return None
+
 
 @pytree
 class Sphere(Body):
@@ -69,6 +76,11 @@ class Sphere(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """Its own."""
+        return self.radius
 
 
 @pytree
@@ -94,6 +106,11 @@ class Capsule(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder."""
+        return self.radius
 
 
 @pytree
@@ -127,6 +144,12 @@ class Cylinder(Body):
         """By the shape of its numbers."""
         return _count(self.radius.shape)
 
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder, or half its length."""
+        axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
+        return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
+
 
 @pytree
 class Plane(Body):
@@ -148,6 +171,11 @@ class Plane(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.normal.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Without end."""
+        return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
 
 @pytree
@@ -175,6 +203,11 @@ class Box(Body):
     def count(self) -> int | None:
         """By the shape of its numbers."""
         return _count(self.centre.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Half its least thickness."""
+        return jnp.min(self.half_lengths, axis=-1)
 
 
 @pytree
@@ -275,7 +308,10 @@ def sphere(centre: Numbers, radius: Numbers) -> Sphere:
         centre: `(3,)` [m].
         radius: [m].
     """
-    return Sphere(_place("centre", centre), _positive("radius", radius))
+    return Sphere(
+        as_array("centre", centre, "m", [(3,)]),
+        as_array("radius", radius, "m", positive=True),
+    )
 
 
 def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
@@ -291,7 +327,7 @@ def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
             hold the square of their distance.
     """
     ends = _ends(start, end)
-    return Capsule(*ends, _positive("radius", radius))
+    return Capsule(*ends, as_array("radius", radius, "m", positive=True))
 
 
 def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
@@ -307,7 +343,7 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
             hold the square of their distance.
     """
     ends = _ends(start, end)
-    return Cylinder(*ends, _positive("radius", radius))
+    return Cylinder(*ends, as_array("radius", radius, "m", positive=True))
 
 
 def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -> Plane:
@@ -321,9 +357,9 @@ def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -
         ValueError: If the normal has no length, or one whose square is too small or
             too large for the precision.
     """
-    direction = _place("normal", normal, "")
-    _check_length("normal", direction)
-    return Plane(_place("point", point), direction)
+    return Plane(
+        as_array("point", point, "m", [(3,)]), _with_length("normal", normal, [(3,)])
+    )
 
 
 def box(
@@ -342,11 +378,11 @@ def box(
         ValueError: If the quaternion has no length, or one whose square is too small
             or too large for the precision.
     """
-    lengths = check_array("half_lengths", half_lengths, [(3,)], "m", positive=True)
-    dtype = jnp.result_type(float)
-    turn = jnp.asarray(check_array("orientation", orientation, [(4,)], ""), dtype)
-    _check_length("orientation", turn)
-    return Box(_place("centre", centre), jnp.asarray(lengths, dtype), turn)
+    return Box(
+        centre=as_array("centre", centre, "m", [(3,)]),
+        half_lengths=as_array("half_lengths", half_lengths, "m", [(3,)], positive=True),
+        orientation=_with_length("orientation", orientation, [(4,)]),
+    )
 
 
 def signed_distance(
@@ -362,10 +398,16 @@ def signed_distance(
         parameters: Traced numbers of the body: any pytree of numbers.
 
     Raises:
-        ValueError: If the function does not give one number at a point.
+        ValueError: If the function does not give one number at a point, or a parameter
+            is not a number that can be stored.
+        TypeError: If the function is none.
     """
+    if not callable(function):
+        raise TypeError(f"function must be callable, got {type(function).__name__}")
     dtype = jnp.result_type(float)
-    numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), parameters)
+    numbers = jax.tree.map(
+        lambda leaf: as_array("parameters", leaf, "", [np.shape(leaf)]), parameters
+    )
     point = jax.ShapeDtypeStruct((3,), dtype)
     got = jax.eval_shape(function, point, numbers)
     if getattr(got, "shape", None) != ():
@@ -376,32 +418,33 @@ def signed_distance(
     return SignedDistance(numbers, function, ranks)
 
 
-def _place(name: str, value: Numbers, unit: str = "m") -> Array:
-    checked = check_array(name, value, [(3,)], unit)
-    return jnp.asarray(checked, jnp.result_type(float))
-
-
-def _positive(name: str, value: Numbers) -> Array:
-    checked = check_array(name, value, [()], "m", positive=True)
-    return jnp.asarray(checked, jnp.result_type(float))
-
-
 def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
-    ends = _place("start", start), _place("end", end)
-    if not is_traced(ends) and not jnp.any(ends[0] != ends[1]):
-        raise ValueError(f"start and end must differ, got {ends[0]} m for both")
-    _check_length("end - start", ends[1] - ends[0])
-    return ends
+    dtype = jnp.result_type(float)
+    first = check_array("start", start, [(3,)], "m", dtype=dtype)
+    last = check_array("end", end, [(3,)], "m", dtype=dtype)
+    if not is_traced(first, last):
+        apart = last.astype(dtype) - first.astype(dtype)
+        if not np.any(apart):
+            raise ValueError(f"start and end must differ, got {first} m for both")
+        _check_length("end - start", apart, dtype)
+    return jnp.asarray(first, dtype), jnp.asarray(last, dtype)
 
 
-def _check_length(name: str, vector: Array) -> None:
-    """Raises unless the vector can be divided by its length."""
-    if is_traced(vector):
-        return
-    square = jnp.sum(vector * vector)
-    limits = jnp.finfo(vector.dtype)
-    if not limits.tiny <= square <= limits.max:
+def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
+    """A vector that can be divided by its length."""
+    checked = check_array(name, value, shapes, "")
+    dtype = jnp.result_type(float)
+    if not is_traced(checked):
+        _check_length(name, checked, dtype)
+    return jnp.asarray(checked, dtype)
+
+
+def _check_length(name: str, vector: np.ndarray, dtype: Any) -> None:
+    """Raises unless the square of the vector's length is within a type's limits."""
+    limits = jnp.finfo(dtype)
+    shortest, longest = float(limits.tiny) ** 0.5, float(limits.max) ** 0.5
+    if not shortest <= math.hypot(*vector) <= longest:
         raise ValueError(
-            f"{name} must have a length between {limits.tiny**0.5:.0e} and "
-            f"{limits.max**0.5:.0e} in {vector.dtype}, got {vector}"
+            f"{name} must have a length between {shortest:.0e} and {longest:.0e} in "
+            f"{np.dtype(dtype)}, got {vector}"
         )

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
+from jaxrod._validation import check_kind
 from jaxrod.effects import Effect, Resistance
 from jaxrod.elasticity import joint_couples
 from jaxrod.ends import (
@@ -33,6 +34,9 @@ from jaxrod.rotations import (
 )
 from jaxrod.vectors import Vec3
 
+_LARGEST_ANGLE = 2.5
+"""Beyond this a wall joint is folded, as other joints are to `HealthLimits` [rad]."""
+
 
 @pytree
 class Clamp(Effect):
@@ -48,6 +52,8 @@ class Clamp(Effect):
     """The wall's frame, as the end element's would be at rest (w, x, y, z)."""
     end: End = static(default="start")
     """Which end is clamped."""
+    position: Float[Array, "3"] | None = None
+    """Where the wall is [m]; only `health` asks. `None`: wherever the end node is."""
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
         """Rotation from the wall to the end element, coupling, and moment [N m]."""
@@ -84,6 +90,18 @@ class Clamp(Effect):
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(self, orientation=frame)
 
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Of the end node's distance from the wall and the wall joint's angle.
+
+        One at a radius, and at the angle at which joints are flagged.
+        """
+        orientation = at_end(split_quaternion(state.orientations), self.end)
+        rotation, _, _ = self._joint(rod, orientation)
+        folded = vectors.safe_norm(rotation) / _LARGEST_ANGLE
+        if self.position is None:
+            return folded
+        return jnp.maximum(_offset(self.position, self.end, rod, state), folded)
+
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Elastic energy of the wall joint [J]."""
         orientation = at_end(split_quaternion(state.orientations), self.end)
@@ -110,6 +128,14 @@ class FixedEnd(Effect):
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(self, orientation=frame)
 
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """How far the end section's rim is from where it is held, over the radius."""
+        actual = at_end(split_quaternion(state.orientations), self.end)
+        held = split_quaternion(self.orientation)
+        _, x, y, z = multiply_quaternions(conjugate(held), actual)
+        turned = 2 * vectors.safe_norm((x, y, z))
+        return _offset(self.position, self.end, rod, state) + turned
+
     def hold(self, rod: Rod, motion: Motion) -> Motion:
         """Puts the end node and end element back."""
         x, y, z = (
@@ -131,6 +157,13 @@ class FixedEnd(Effect):
         )
 
 
+def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
+    """Distance of an end node from a place, over the radius there [1]."""
+    index = 0 if end == "start" else -1
+    apart = vectors.split(state.positions[:, index] - place)
+    return vectors.safe_norm(apart) / rod.radii[index]
+
+
 def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
     """An end element's frame, carried along the rest curvature to another middle."""
     index, sign = (0, 1) if end == "start" else (-1, -1)
@@ -145,11 +178,13 @@ def clamp(state: RodState, end: End = "start") -> Clamp:
 
     The wall's frame is the end element's orientation in `state`.
     """
+    check_kind("state", state, RodState)
     index = 0 if check_end(end) == "start" else -1
-    return Clamp(state.orientations[:, index], end)
+    return Clamp(state.orientations[:, index], end, state.positions[:, index])
 
 
 def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
     """Holds one end node and end element where the given state has them."""
+    check_kind("state", state, RodState)
     index = 0 if check_end(end) == "start" else -1
     return FixedEnd(state.positions[:, index], state.orientations[:, index], end)

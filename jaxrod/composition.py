@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
+from jaxrod._validation import check_held, check_kind, is_traced
 from jaxrod.effects import Effect
 from jaxrod.methods.consistent import Consistent
 from jaxrod.rod import Rod
@@ -29,16 +34,13 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
             method is not a `Method`.
     """
-    if not isinstance(rod, Rod):
-        raise TypeError(
-            f"rod must be a jaxrod.Rod, got {type(rod).__name__} "
-            "(factories return the pair rod, state)"
-        )
+    check_kind("rod", rod, Rod)
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
+        effect.check(rod)
     if method is None:
         method = Consistent()
     if not isinstance(method, Method):
@@ -46,12 +48,20 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             "method must be one such as jaxrod.consistent() or jaxrod.planar('xy'), "
             f"got {method!r}"
         )
-    dtype = rod.rest_lengths.dtype
-
-    def cast(leaf: Array) -> Array:
-        leaf = jnp.asarray(leaf)
-        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    scene = Scene(rod, *jax.tree.map(cast, (tuple(effects), method)))
+    listed, method = jax.tree_util.tree_map_with_path(
+        partial(_cast, rod.rest_lengths.dtype), (tuple(effects), method)
+    )
+    scene = Scene(rod, listed, method)
     method.check(scene)
     return scene
+
+
+def _cast(dtype: Any, path: Any, leaf: Any) -> Array:
+    """A number of an effect or setting, in the rod's type if it is a real one."""
+    if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
+        return jnp.asarray(leaf)
+    if not is_traced(leaf) and leaf.dtype != dtype:
+        where = ("effects", "method")[path[0].idx]
+        name = where + jax.tree_util.keystr(path[1:])
+        check_held(name, np.asarray(leaf, np.float64), "", dtype)
+    return jnp.asarray(leaf, dtype)

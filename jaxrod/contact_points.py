@@ -10,12 +10,16 @@ taking the rod's motion to the points, so no momentum and no power is lost on th
 
 from __future__ import annotations
 
+import math
+import warnings
 from typing import Protocol
 
+import numpy as np
 from jaxtyping import Array
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree
+from jaxrod._validation import is_traced
 from jaxrod.rod import Rod
 from jaxrod.vectors import Vec3
 
@@ -118,3 +122,34 @@ def contact_points(rod: Rod, per_element: int) -> list[Points]:
     for k in range(1, per_element):
         points.append(BetweenNodes(spacing, spacing.dtype.type(k / per_element)))
     return points
+
+
+class ThinBodyWarning(UserWarning):
+    """A body fits between the points where a rod looks for contact."""
+
+
+def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
+    """Warns where neighbouring points are farther apart than the radii together.
+
+    Args:
+        inradius: Of the body or bodies, if it is known [m].
+        rod: The rod.
+        per_element: Contact points per element.
+    """
+    if inradius is None or is_traced(inradius, rod):
+        return
+    body, radii = float(np.min(inradius)), np.asarray(rod.radii)
+    lengths = np.asarray(rod.rest_lengths)
+    needed = lengths / (radii + body)
+    worst = int(np.argmax(needed))
+    if needed[worst] <= per_element * (1 + 1e-5):
+        return
+    warnings.warn(
+        f"contact is looked for every {lengths[worst] / per_element:.2g} m along a rod "
+        f"of radius {radii[worst]:.2g} m: a body of radius {body:.2g} m can slip "
+        f"through between. Use points_per_element={math.ceil(needed[worst] - 1e-5)}, "
+        'or more elements; warnings.simplefilter("error", jaxrod.ThinBodyWarning) '
+        "makes this an error.",
+        ThinBodyWarning,
+        stacklevel=4,
+    )

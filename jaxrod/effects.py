@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod._validation import Numbers, check_array
+from jaxrod._validation import Numbers, as_array
 from jaxrod.ends import End, at_end, check_end, only_at_end
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod, RodState
@@ -87,6 +87,21 @@ class Effect:
     def energy(self, rod: Rod, state: RodState) -> Array | float:
         """Potential energy of the effect [J], zero where there is none."""
         return 0.0
+
+    def violation(self, rod: Rod, state: RodState) -> Array | None:
+        """How far a state is from what the effect ties the rod to [1].
+
+        Zero where that is kept, above one where no sound simulation gets: then
+        `health` flags the state. `None` for an effect that is the same wherever the
+        rod is.
+        """
+        return None
+
+    def check(self, rod: Rod) -> None:
+        """Warns or raises where the effect does not fit the rod; for `make_scene`.
+
+        Numbers may be traced, and then cannot be looked at.
+        """
 
     def directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
         """Unit vectors along which forces may act that `loads` does not have yet.
@@ -199,8 +214,7 @@ def gravity(acceleration: Numbers = (0.0, 0.0, -9.80665)) -> Gravity:
     Args:
         acceleration: World frame `(3,)` [m/s^2].
     """
-    value = check_array("acceleration", acceleration, [(3,)], "m/s^2")
-    return Gravity(jnp.asarray(value, jnp.result_type(float)))
+    return Gravity(as_array("acceleration", acceleration, "m/s^2", [(3,)]))
 
 
 def end_load(
@@ -220,8 +234,8 @@ def end_load(
         follower: Whether the couple turns with the end element.
     """
     return EndLoad(
-        force=_vector("force", force, "N"),
-        couple=_vector("couple", couple, "N m"),
+        force=as_array("force", force, "N", [(3,)]),
+        couple=as_array("couple", couple, "N m", [(3,)]),
         end=check_end(end),
         follower=bool(follower),
     )
@@ -238,8 +252,8 @@ def uniform_load(
         couple_per_length: World frame `(3,)` [N m/m].
     """
     return UniformLoad(
-        _vector("force_per_length", force_per_length, "N/m"),
-        _vector("couple_per_length", couple_per_length, "N m/m"),
+        as_array("force_per_length", force_per_length, "N/m", [(3,)]),
+        as_array("couple_per_length", couple_per_length, "N m/m", [(3,)]),
     )
 
 
@@ -254,19 +268,7 @@ def exponential_damping(
     """
     if rotational_rate is None:
         rotational_rate = translational_rate
-    rates = [
-        check_array(name, value, [()], "1/s", non_negative=True)
-        for name, value in (
-            ("translational_rate", translational_rate),
-            ("rotational_rate", rotational_rate),
-        )
-    ]
-    dtype = jnp.result_type(float)
     return ExponentialDamping(
-        jnp.asarray(rates[0], dtype), jnp.asarray(rates[1], dtype)
+        as_array("translational_rate", translational_rate, "1/s", non_negative=True),
+        as_array("rotational_rate", rotational_rate, "1/s", non_negative=True),
     )
-
-
-def _vector(name: str, value: Numbers, unit: str) -> Array:
-    checked = check_array(name, value, [(3,)], unit)
-    return jnp.asarray(checked, jnp.result_type(float))

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod.motion import Loads, Motion
-from jaxrod.rod import Rod, RodState
+from jaxrod.rod import Rod, RodState, check_state
 from jaxrod.rotations import (
     Quaternion,
     conjugate,
@@ -131,6 +131,7 @@ def strains(
         Shear-stretch strain per element, material frame [1] (zero when straight and
         unstretched), and curvature and twist per joint, material frame [1/m].
     """
+    check_state(rod, state)
     orientation = split_quaternion(state.orientations)
     edges = vectors.inner_difference(vectors.split(state.positions))
     strain = shear_stretch(edges, orientation, 1 / rod.rest_lengths)
@@ -140,6 +141,7 @@ def strains(
 
 def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     """Elastic energy of the rod [J]."""
+    check_state(rod, state)
     strain, curvature = strains(rod, state)
     strain = strain - rod.rest_strains
     curvature = curvature - rod.rest_curvatures

@@ -52,6 +52,6 @@ def only_at_end(value: Vec3, size: int, end: End) -> Vec3:
 
 def check_end(end: End) -> End:
     """Returns the name of an end, or raises if it is none."""
-    if end not in ("start", "finish"):
+    if not isinstance(end, str) or end not in ("start", "finish"):
         raise ValueError(f'end must be "start" or "finish", got {end!r}')
     return end

@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from jaxrod._validation import Numbers, check_array, check_count
+from jaxrod._validation import (
+    Numbers,
+    check_array,
+    check_count,
+    check_dtype,
+    is_traced,
+    numeric,
+)
 from jaxrod.elasticity import joint_rotations, shear_stretch
-from jaxrod.rod import Rod, RodState
+from jaxrod.material_frames import (
+    check_frames,
+    module_for,
+    quaternions,
+    straight_frame,
+    transported_frames,
+    unit_vector,
+)
+from jaxrod.rod import Rod, RodState, check_state
 from jaxrod.rotations import split_quaternion
+from jaxrod.sections import round_rod
 from jaxrod.vectors import inner_difference, join, split
 
 TIMOSHENKO_SHEAR_CORRECTION = 27 / 28
 """Shear correction factor of a circular section, as in PyElastica 1.0."""
+MOST_ELEMENTS = 1_000_000
+"""More are taken for a mistake."""
+ROUNDED = 0.01
+"""Rounding of positions may change the length of an element by this share at most."""
 
 
 def straight_rod(
@@ -40,8 +58,9 @@ def straight_rod(
     Args:
         n_elements: Number of elements, at least 2.
         length: Rest length [m].
-        radius: Radius [m]: one number, one per element `(n,)` (a taper), or the pair
-            `(2,)` of base and tip radius, which vary linearly between.
+        radius: Radius [m]: one number, one per element `(n,)`, or the pair `(2,)` of
+            base and tip radius, between which it varies linearly; for 2 elements, of
+            which a pair could be either, one number only.
         density: Mass density [kg/m^3], one number or one per element.
         youngs_modulus: Young's modulus [Pa], one number or one per element.
         shear_modulus: Shear modulus [Pa]; by default
@@ -52,29 +71,28 @@ def straight_rod(
         direction: Direction from first to last node; any length but zero.
         normal: Direction of d1; its part along `direction` is removed. By default
             a world axis perpendicular or nearly so.
-        dtype: Floating-point type; by default JAX's default.
+        dtype: float32 or float64; by default JAX's default.
 
     Returns:
         The rod and its state.
 
     Raises:
-        ValueError: If an argument is out of range or does not fit.
+        ValueError: If an argument is out of range or does not fit, or the type cannot
+            hold it or what follows from it (masses and stiffnesses of elements).
     """
-    n = check_count("n_elements", n_elements, 2)
-    extent = check_array("length", length, [()], "m", positive=True)
-    origin = check_array("start", start, [(3,)], "m")
-    axis = check_array("direction", direction, [(3,)], "")
-    if np.linalg.norm(axis) == 0:
-        raise ValueError("direction must not be the zero vector")
-    axis = axis / np.linalg.norm(axis)
-    frame = _frame_along(axis, normal)
-    quaternion = np.repeat(_quaternion_of_frame(frame)[:, None], n, axis=1)
+    n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
+    dtype = check_dtype(dtype)
+    extent = check_array("length", length, [()], "m", positive=True, dtype=dtype)
+    origin = check_array("start", start, [(3,)], "m", dtype=dtype)
+    axis = unit_vector("direction", direction)
+    frame = straight_frame(axis, normal)
     fractions = np.linspace(0.0, 1.0, n + 1)
-    positions = origin[:, None] + extent * axis[:, None] * fractions
+    along = extent * axis[:, None] * fractions[None, :]
     return _build(
-        positions,
-        quaternion,
-        rest_lengths=extent * jnp.full(n, 1 / n),
+        "start",
+        origin[:, None] + along,
+        module_for(frame).repeat(quaternions(frame[:, :, None]), n, axis=1),
+        rest_lengths=extent * np.full(n, 1 / n),
         radius=radius,
         density=density,
         youngs_modulus=youngs_modulus,
@@ -115,36 +133,41 @@ def rod_along(
         shear_correction: As in `straight_rod`.
         normal: Direction of d1 of the first element; see `straight_rod`.
         directors: Material frames `(3, 3, n)`, `[i, j]` being world component j of
-            director i, orthonormal and right-handed; instead of `normal`.
-        dtype: Floating-point type; by default JAX's default.
+            director i, orthonormal and right-handed, d3 along the rod to 10 degrees;
+            instead of `normal`.
+        dtype: float32 or float64; by default JAX's default.
 
     Returns:
         The rod and its state.
 
     Raises:
-        ValueError: If an argument is out of range or does not fit.
+        ValueError: If an argument is out of range or does not fit, or the type cannot
+            hold it or what follows from it (masses and stiffnesses of elements).
     """
-    nodes = np.asarray(positions, dtype=np.float64)
+    nodes = numeric("positions", positions, "m")
     if nodes.ndim != 2 or nodes.shape[0] != 3 or nodes.shape[1] < 3:
         raise ValueError(
             "positions must have shape (3, n + 1) with n >= 2, in metres, "
             f"got {nodes.shape}"
         )
-    check_array("positions", nodes, [nodes.shape], "m")
-    n = nodes.shape[1] - 1
-    edges = np.diff(nodes, axis=1)
-    lengths = np.linalg.norm(edges, axis=0)
-    check_array(
-        "distance between neighbouring nodes", lengths, [(n,)], "m", positive=True
-    )
+    dtype = check_dtype(dtype)
+    check_array("positions", nodes, [nodes.shape], "m", dtype=dtype)
+    n = check_count("n_elements", nodes.shape[1] - 1, 2, MOST_ELEMENTS)
+    xp = module_for(nodes)
+    with np.errstate(over="ignore"):
+        edges = nodes[:, 1:] - nodes[:, :-1]
+        lengths = xp.sqrt(xp.sum(edges * edges, axis=0))
+    distances = "distance between neighbouring nodes"
+    check_array(distances, lengths, [(n,)], "m", positive=True, dtype=dtype)
+    tangents = edges / lengths[None, :]
     if directors is None:
-        frames = _transported_frames(edges / lengths, normal)
+        frames = transported_frames(tangents, normal)
     else:
-        frames = _check_frames(directors, n)
-    quaternions = np.stack([_quaternion_of_frame(f) for f in frames], axis=1)
+        frames = check_frames(directors, tangents)
     return _build(
+        "positions",
         nodes,
-        quaternions,
+        quaternions(frames),
         rest_lengths=lengths,
         radius=radius,
         density=density,
@@ -158,8 +181,9 @@ def rod_along(
 
 
 def _build(
+    placed_by: str,
     positions: Any,
-    quaternions: np.ndarray,
+    orientations: Any,
     *,
     rest_lengths: Any,
     radius: Numbers,
@@ -171,69 +195,56 @@ def _build(
     dtype: Any,
     straight: bool,
 ) -> tuple[Rod, RodState]:
-    n = quaternions.shape[1]
-    per_element = [(), (n,)]
-    radii = check_array("radius", radius, [(), (2,), (n,)], "m", positive=True)
-    if radii.shape == (2,) and n != 2:
-        base, tip = radii
-        radii = base + (tip - base) * (np.arange(n) + 0.5) / n
-    densities = check_array("density", density, per_element, "kg/m^3", positive=True)
-    young = check_array(
-        "youngs_modulus", youngs_modulus, per_element, "Pa", positive=True
+    n = orientations.shape[1]
+    rod = round_rod(
+        n,
+        rest_lengths=rest_lengths,
+        radius=radius,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=shear_modulus,
+        poisson_ratio=poisson_ratio,
+        shear_correction=shear_correction,
+        dtype=dtype,
     )
-    correction = check_array(
-        "shear_correction", shear_correction, per_element, "", positive=True
-    )
-    if shear_modulus is None:
-        ratio = check_array("poisson_ratio", poisson_ratio, per_element, "")
-        if isinstance(ratio, np.ndarray) and np.any((ratio <= -1) | (ratio > 0.5)):
-            raise ValueError(f"poisson_ratio must be in (-1, 0.5], got {poisson_ratio}")
-        shear = young / (2 * (1 + ratio))
-    else:
-        shear = check_array(
-            "shear_modulus", shear_modulus, per_element, "Pa", positive=True
-        )
-    dtype = jnp.result_type(float) if dtype is None else jnp.dtype(dtype)
-    if not jnp.issubdtype(dtype, jnp.floating):
-        raise ValueError(f"dtype must be a floating-point type, got {dtype}")
-    area = np.pi * radii**2
-    second_moment = area**2 / (4 * np.pi)
-    bending = young * second_moment
-    shearing = correction * shear * area
-
-    def leaf(value: Any) -> Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
-
-    rod = Rod(
-        rest_lengths=leaf(rest_lengths),
-        radii=leaf(radii),
-        linear_density=leaf(densities * area),
-        rotary_inertia=jnp.stack(
-            [leaf(densities * second_moment), leaf(2 * densities * second_moment)]
-        ),
-        shear_stretch_stiffness=jnp.stack(
-            [leaf(shearing), leaf(shearing), leaf(young * area)]
-        ),
-        bend_twist_stiffness=jnp.stack(
-            [leaf(bending), leaf(bending), leaf(2 * shear * second_moment)]
-        ),
-        rest_strains=jnp.zeros((3, n), dtype),
-        rest_curvatures=jnp.zeros((3, n - 1), dtype),
-    )
+    if not is_traced(positions):
+        _check_resolved(placed_by, positions, dtype)
     state = RodState(
         positions=jnp.asarray(positions, dtype),
-        orientations=jnp.asarray(quaternions, dtype),
+        orientations=jnp.asarray(orientations, dtype),
         velocities=jnp.zeros((3, n + 1), dtype),
         angular_momenta=jnp.zeros((3, n), dtype),
     )
     return (rod if straight else unstressed(rod, state)), state
 
 
+def _check_resolved(name: str, positions: np.ndarray, dtype: Any) -> None:
+    """Raises if elements do not survive the rounding of their nodes' positions."""
+
+    def lengths(nodes: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(np.diff(nodes, axis=1), axis=0)
+
+    true = lengths(positions)
+    kept = lengths(positions.astype(dtype).astype(np.float64))
+    if np.any(np.abs(kept - true) > ROUNDED * true):
+        size = np.max(np.abs(positions)).astype(dtype)
+        raise ValueError(
+            f"{name} must be nearer to the origin: in {dtype} places {size:.3g} m from "
+            f"it are {np.spacing(size):.2g} m apart, and elements are "
+            f"{np.min(true):.2g} m long"
+        )
+
+
 def unstressed(rod: Rod, state: RodState) -> Rod:
     """A copy of the rod for which the given state is free of stress.
 
     Sets rest strains and rest curvatures, not rest lengths, to those of the state.
+
+    Raises:
+        TypeError: If they are not a rod and a state.
+        ValueError: If the state is not of that rod.
     """
+    check_state(rod, state)
     orientation = split_quaternion(state.orientations)
     edges = inner_difference(split(state.positions))
     strains = shear_stretch(edges, orientation, 1 / rod.rest_lengths)
@@ -243,75 +254,3 @@ def unstressed(rod: Rod, state: RodState) -> Rod:
         rest_strains=join(strains),
         rest_curvatures=join(bends) / rod.joint_lengths[None, :],
     )
-
-
-def _frame_along(axis: np.ndarray, normal: Numbers | None) -> np.ndarray:
-    """Directors (rows) with d3 along a unit axis and d1 near `normal`."""
-    if normal is None:
-        # The world axis least aligned with the rod, so that the choice is stable.
-        guess = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    else:
-        guess = check_array("normal", normal, [(3,)], "")
-    d1 = guess - axis * np.dot(axis, guess)
-    if np.linalg.norm(d1) <= 1e-6 * np.linalg.norm(guess):
-        raise ValueError(f"normal must not be parallel to the rod, got {normal}")
-    d1 = d1 / np.linalg.norm(d1)
-    return np.stack([d1, np.cross(axis, d1), axis])
-
-
-def _transported_frames(
-    tangents: np.ndarray, normal: Numbers | None
-) -> list[np.ndarray]:
-    """Frames carried along a polyline by the smallest rotation at each joint."""
-    frames = [_frame_along(tangents[:, 0], normal)]
-    for previous, tangent in itertools.pairwise(tangents.T):
-        if np.dot(previous, tangent) <= -1 + 1e-12:
-            raise ValueError("positions must not turn back on themselves by 180 deg")
-        frames.append(_frame_along(tangent, _turn(frames[-1][0], previous, tangent)))
-    return frames
-
-
-def _turn(vector: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Applies the smallest rotation that takes one unit vector to another."""
-    axis = np.cross(start, end)
-    return (
-        vector * np.dot(start, end)
-        + np.cross(axis, vector)
-        + axis * np.dot(axis, vector) / (1 + np.dot(start, end))
-    )
-
-
-def _check_frames(directors: Numbers, n: int) -> list[np.ndarray]:
-    frames = check_array("directors", directors, [(3, 3, n)], "")
-    matrices = [frames[:, :, k] for k in range(n)]
-    for k, frame in enumerate(matrices):
-        if not np.allclose(frame @ frame.T, np.eye(3), atol=1e-6):
-            raise ValueError(f"directors must be orthonormal, those of {k} are not")
-        if np.linalg.det(frame) < 0:
-            raise ValueError(f"directors must be right-handed, those of {k} are not")
-    return matrices
-
-
-def _quaternion_of_frame(frame: np.ndarray) -> np.ndarray:
-    """Unit quaternion (w, x, y, z), material to world, of directors given as rows."""
-    m = frame.T
-    # The largest of these four is at least 1: divide by its root, never by zero.
-    squares = 1 + np.array(
-        [
-            m[0, 0] + m[1, 1] + m[2, 2],
-            m[0, 0] - m[1, 1] - m[2, 2],
-            m[1, 1] - m[0, 0] - m[2, 2],
-            m[2, 2] - m[0, 0] - m[1, 1],
-        ]
-    )
-    products = np.array(
-        [
-            [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], squares[2], m[2, 1] + m[1, 2]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], squares[3]],
-        ]
-    )
-    quaternion = products[int(np.argmax(squares))]
-    quaternion = quaternion / np.linalg.norm(quaternion)
-    return quaternion if quaternion[0] >= 0 else -quaternion

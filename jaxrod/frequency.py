@@ -25,14 +25,16 @@ from jaxrod._validation import check_count
 from jaxrod.elasticity import elastic_law, internal_loads
 from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.motion import Loads, Motion, motion_of
-from jaxrod.rod import Rod, RodState, check_size
+from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import multiply_quaternions, rotation_exp
-from jaxrod.scene import Scene, external_loads, hold_rates
+from jaxrod.scene import Scene, check_scene_and_state, external_loads, hold_rates
 
 InertiaFactors = tuple[Array, Array]
 """What stands in for damping: factors of node masses and of rotary inertias."""
 
 KRYLOV_SIZE = 32
+MOST_VECTORS = 10_000
+"""Of the Krylov space; more are taken for a mistake."""
 _SQUARINGS = 12
 
 
@@ -69,8 +71,9 @@ def highest_frequency(
     Raises:
         ValueError: If `size` is less than 2, or the state is not of the scene's rod.
     """
-    check_size(scene.rod, state)
-    return _measure(scene, state, check_count("size", size, 2)).angular_frequency
+    check_scene_and_state(scene, state)
+    size = check_count("size", size, 2, MOST_VECTORS)
+    return _measure(scene, state, size).angular_frequency
 
 
 @jax.jit(static_argnames="size")

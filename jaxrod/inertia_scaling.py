@@ -20,11 +20,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrod._pytree import pytree
-from jaxrod._validation import Numbers, check_array
+from jaxrod._validation import Numbers, as_array, check_count, check_kind, is_traced
 from jaxrod.frequency import no_damping
 from jaxrod.modes import natural_frequencies
 from jaxrod.rod import Rod, RodState
-from jaxrod.scene import Scene
+from jaxrod.scene import Scene, check_scene
 from jaxrod.stability import frequency_bounds, stable_dt
 
 SHARE_OF_OTHER_LIMITS = 0.9
@@ -71,21 +71,23 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     Raises:
         ValueError: If `dt` is above what stretch and twist allow.
     """
+    check_scene(scene)
     dtype = scene.rod.rest_lengths.dtype
     before = stable_dt(scene, 1.0).dt
     others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
     if dt is None:
         factors = _factors(scene, others, _reasonable(scene.rod))
     else:
-        step = check_array("dt", dt, [()], "s", positive=True)
+        step = as_array("dt", dt, "s", positive=True, dtype=dtype)
         largest = _other_limit(scene)
-        if not isinstance(step, jax.core.Tracer) and step >= largest:
+        if not is_traced(step, largest) and step >= largest:
             raise ValueError(
                 f"dt must be below {float(largest):.3g} s, where stretch or twist "
-                f"limit the step whatever the transverse inertia is, got {step:.3g} s"
+                "limit the step whatever the transverse inertia is, got "
+                f"{float(step):.3g} s"
             )
         unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)
-        factors = _factors(scene, jnp.asarray(step, dtype), unlimited)
+        factors = _factors(scene, step, unlimited)
     scaled = _scaled(scene, factors)
     return InertiaScaling(scaled, factors, before, stable_dt(scaled, 1.0).dt)
 
@@ -103,6 +105,8 @@ def frequency_changes(
     Returns:
         Relative change of each frequency [1], the lowest first.
     """
+    check_kind("scaling", scaling, InertiaScaling)
+    n_modes = check_count("n_modes", n_modes, 1)
     true = _scaled(scaling.scene, 1 / scaling.factors)
     before = natural_frequencies(true, state)
     after = natural_frequencies(scaling.scene, state)

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod import vectors
-from jaxrod._validation import check_count
+from jaxrod._validation import check_count, is_traced
 from jaxrod.frequency import linearised, no_damping
 from jaxrod.motion import Motion
 from jaxrod.rod import RodState
 from jaxrod.rotations import split_quaternion
-from jaxrod.scene import Scene, hold_rates
+from jaxrod.scene import Scene, check_scene_and_state, hold_rates
 
 
 def natural_frequencies(
@@ -35,21 +35,32 @@ def natural_frequencies(
         (or with negative) stiffness.
 
     Raises:
-        ValueError: If the scene's loads have no potential, or there are fewer modes.
+        ValueError: If the scene's loads have no potential, there are fewer modes, or
+            anything is traced.
+        TypeError: If `scene` or `state` is something else.
     """
+    check_scene_and_state(scene, state)
+    if n_modes is not None:
+        n_modes = check_count("n_modes", n_modes, 1)
     if scene.method.law != "consistent":
         raise ValueError(
             f"natural_frequencies needs the consistent law, got {scene.method!r}: "
             "PyElastica's loads are not the gradient of an energy"
         )
-    matrix = np.asarray(_stiffness(scene, state), np.float64)
+    stiffness = _stiffness(scene, state)
+    if is_traced(stiffness):
+        raise ValueError(
+            "natural_frequencies needs numbers that are known, not traced by jax.jit, "
+            "grad or vmap; highest_frequency works inside them"
+        )
+    matrix = np.asarray(stiffness, np.float64)
     free = np.asarray(_free(scene, state))
     matrix = matrix[np.ix_(free, free)]
     squares = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     frequencies = np.sqrt(np.maximum(squares, 0))
     if n_modes is None:
         return frequencies
-    if check_count("n_modes", n_modes, 1) > frequencies.size:
+    if n_modes > frequencies.size:
         raise ValueError(
             f"n_modes must be at most {frequencies.size}, the free motions of this "
             f"scene, got {n_modes}"

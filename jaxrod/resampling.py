@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod import vectors
-from jaxrod._validation import check_count
+from jaxrod._validation import check_count, is_traced
 from jaxrod.elasticity import joint_rotations
+from jaxrod.factories import MOST_ELEMENTS
 from jaxrod.interpolation import interpolated, neighbours
 from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import (
@@ -20,7 +21,7 @@ from jaxrod.rotations import (
     rotation_exp,
     split_quaternion,
 )
-from jaxrod.scene import Scene
+from jaxrod.scene import Scene, check_scene_and_state
 
 
 def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
@@ -42,8 +43,18 @@ def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Ro
 
     Returns:
         The new scene and state; the given ones if the number is theirs.
+
+    Raises:
+        ValueError: If `n_elements` is out of range, or anything is traced.
+        TypeError: If `scene` or `state` is something else.
     """
-    n = check_count("n_elements", n_elements, 2)
+    check_scene_and_state(scene, state)
+    n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
+    if is_traced(scene, state):
+        raise ValueError(
+            "resampled needs numbers that are known, not traced by jax.jit, grad or "
+            "vmap"
+        )
     rod = scene.rod
     if n == rod.n_elements:
         return scene, state

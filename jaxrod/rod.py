@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree
+from jaxrod._validation import Numbers, check_kind, numeric
 from jaxrod.rotations import directors_from_orientations
 
 
@@ -119,6 +120,7 @@ class RodState:
 
 def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
     """Angular velocity of each element in its material frame [rad/s]."""
+    check_state(rod, state)
     frame = state.directors
     material = jnp.sum(frame * state.angular_momenta[None], axis=1)
     transverse, polar = rod.inertias
@@ -126,17 +128,30 @@ def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
 
 
 def with_angular_velocities(
-    rod: Rod, state: RodState, angular_velocities: Float[Array, "3 n"]
+    rod: Rod, state: RodState, angular_velocities: Numbers
 ) -> RodState:
     """A copy of the state whose elements spin as given.
 
     Args:
         rod: The rod, for its inertias.
         state: The state to change.
-        angular_velocities: Material-frame angular velocity per element [rad/s].
+        angular_velocities: Material-frame angular velocity per element `(3, n)`
+            [rad/s].
+
+    Raises:
+        ValueError: If they are not that many numbers.
+        TypeError: If `rod` or `state` is something else.
     """
+    check_state(rod, state)
+    given = numeric("angular_velocities", angular_velocities, "rad/s")
+    if given.shape != (3, rod.n_elements):
+        raise ValueError(
+            f"angular_velocities must have shape {(3, rod.n_elements)}, got "
+            f"{given.shape}"
+        )
+    given = jnp.asarray(given, rod.rest_lengths.dtype)
     transverse, polar = rod.inertias
-    material = angular_velocities * jnp.stack([transverse, transverse, polar])
+    material = given * jnp.stack([transverse, transverse, polar])
     world = jnp.sum(state.directors * material[:, None], axis=0)
     return replace(state, angular_momenta=world)
 
@@ -154,7 +169,20 @@ def compensated(state: RodState) -> RodState:
     themselves, about `u sqrt(steps)` of the sum of `m |x| |v|` over the nodes, with `u`
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
     """
+    check_kind("state", state, RodState)
     return replace(state, remainders=jnp.zeros_like(state.positions))
+
+
+def check_state(rod: Rod, state: RodState) -> None:
+    """Checks that they are a rod and a state of it.
+
+    Raises:
+        TypeError: If they are something else.
+        ValueError: If the state has other numbers of elements and nodes.
+    """
+    check_kind("rod", rod, Rod)
+    check_kind("state", state, RodState)
+    check_size(rod, state)
 
 
 def check_size(rod: Rod, state: RodState) -> None:

@@ -9,10 +9,11 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree
+from jaxrod._validation import check_kind
 from jaxrod.effects import Effect
 from jaxrod.elasticity import stored_energy
 from jaxrod.motion import Loads, Motion, accumulate
-from jaxrod.rod import Rod, RodState, angular_velocities
+from jaxrod.rod import Rod, RodState, angular_velocities, check_state
 from jaxrod.vectors import Vec3
 
 Law = Literal["consistent", "pyelastica"]
@@ -89,6 +90,22 @@ class Scene:
     """How it is stepped."""
 
 
+def check_scene(scene: Scene) -> None:
+    """Raises a `TypeError` unless a scene is one."""
+    check_kind("scene", scene, Scene)
+
+
+def check_scene_and_state(scene: Scene, state: RodState) -> None:
+    """Checks that they are a scene and a state of its rod.
+
+    Raises:
+        TypeError: If they are something else.
+        ValueError: If the state has other numbers of elements and nodes.
+    """
+    check_scene(scene)
+    check_state(scene.rod, state)
+
+
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:
     """Adds the loads of all effects to given forces and couples."""
     for effect in scene.effects:
@@ -126,6 +143,7 @@ def damping_rates(scene: Scene) -> tuple[Array, Array] | None:
 
 def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     """Kinetic energy of translation and rotation [J]."""
+    check_state(rod, state)
     translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
     spin = angular_velocities(rod, state)
     transverse, polar = rod.inertias
@@ -135,6 +153,7 @@ def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
 
 def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Stored elastic energy plus the potential of all effects [J]."""
+    check_scene_and_state(scene, state)
     total = stored_energy(scene.rod, state)
     for effect in scene.effects:
         total = total + effect.energy(scene.rod, state)
@@ -143,16 +162,19 @@ def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
 
 def total_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Kinetic plus potential energy [J]."""
+    check_scene_and_state(scene, state)
     return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
 
 
 def momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
     """Linear momentum, world frame [kg m/s]."""
+    check_state(rod, state)
     return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
 
 
 def angular_momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
     """Angular momentum about the origin, world frame [kg m^2/s]."""
+    check_state(rod, state)
     position = vectors.split(state.positions)
     velocity = vectors.split(state.velocities)
     orbital = vectors.join(vectors.cross(position, velocity))

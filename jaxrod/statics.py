@@ -10,15 +10,15 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod._pytree import pytree
-from jaxrod._validation import check_array, check_count
+from jaxrod._validation import as_array, check_count
 from jaxrod.balance import Balance, Moves, balanced, unblocked
 from jaxrod.effect_tangents import has_closed_form
 from jaxrod.effects import Effect
 from jaxrod.elasticity import elastic_law
 from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.newton import default_tolerance, largest, newton
-from jaxrod.rod import RodState, check_size
-from jaxrod.scene import Scene, hold, hold_rates
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene, check_scene_and_state, hold, hold_rates
 
 
 @pytree
@@ -73,22 +73,22 @@ def equilibrium(
     Raises:
         ValueError: If the mode is not "consistent", if nothing holds the rod, or if
             an argument is out of range.
+        TypeError: If `scene` or `state` is something else.
     """
+    check_scene_and_state(scene, state)
     if scene.method.law != "consistent":
         raise ValueError(f"equilibrium needs the consistent law, got {scene.method!r}")
     dtype = scene.rod.rest_lengths.dtype
-    check_size(scene.rod, state)
     max_iterations = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
         tolerance = default_tolerance(dtype)
-    tolerance = check_array("tolerance", tolerance, [()], "", positive=True)
+    bound = as_array("tolerance", tolerance, "", positive=True, dtype=dtype)
     if _is_loose(scene):
         raise ValueError(
             "scene must hold the rod for an equilibrium: a free rod has none under "
             "loads, and any number without. Add jaxrod.clamp(state) or "
             "jaxrod.fixed_end(state)"
         )
-    bound = jnp.asarray(tolerance, dtype)
     return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
 
 

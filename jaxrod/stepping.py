@@ -12,12 +12,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from jaxrod._validation import check_array, check_count, is_traced
-from jaxrod.rod import RodState, check_size
-from jaxrod.scene import Scene
+from jaxrod._validation import as_array, check_array, check_count, is_traced
+from jaxrod.rod import RodState
+from jaxrod.scene import Scene, check_scene, check_scene_and_state
 from jaxrod.stability import compression, stable_dt
 
 Carry = TypeVar("Carry")
+
+COMPRESSED = 0.9
+"""Of the bound, what is left of it in consistent mode however a rod is compressed."""
+ROUNDING = 1e-4
+"""Of the bound, what is lost to rounding of positions where nothing is compressed."""
 
 
 class UnstableStepWarning(UserWarning):
@@ -38,7 +43,7 @@ def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
     Raises:
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
     """
-    return _run_static(scene, state, _check(scene, state, dt), 1)
+    return _static_compiled(scene, state, _check(scene, state, dt), 1)
 
 
 def advance(
@@ -48,9 +53,11 @@ def advance(
 
     Called with plain arrays it runs a program compiled once for any `dt`, any
     number of steps and any numbers in the scene, and warns when `dt` is above
-    `stable_dt`. Inside another transformation it becomes part of that program: with
-    an `int` number of steps it is differentiable in reverse mode (memory grows with
-    the square root of the number of steps), with a traced one in forward mode.
+    `stable_dt`. Compression, which takes a tenth from that, is seen before and after
+    the steps, not between. Inside another transformation it becomes part of that
+    program: with an `int` number of steps it is differentiable in reverse mode (memory
+    grows with the square root of the number of steps), with a traced one in forward
+    mode.
 
     Args:
         scene: The scene.
@@ -68,15 +75,20 @@ def advance(
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
     """
-    if not isinstance(n_steps, jax.Array):
+    if isinstance(n_steps, jax.Array):
+        _check_counter(n_steps)
+    else:
         n_steps = check_count("n_steps", n_steps, 0)
     dt = _check(scene, state, dt)
-    if not is_traced(scene, state, dt, n_steps):
-        check_step(scene, dt, state)
-        return _advance_compiled(scene, state, dt, jnp.asarray(n_steps))
-    if isinstance(n_steps, int):
-        return _run_static(scene, state, dt, n_steps)
-    return _run_traced(scene, state, dt, n_steps)
+    if is_traced(scene, state, dt, n_steps):
+        if isinstance(n_steps, int):
+            return _static_compiled(scene, state, dt, n_steps)
+        return _traced_compiled(scene, state, dt, n_steps)
+    near_bound = check_step(scene, dt, state)
+    after = _traced_compiled(scene, state, dt, jnp.asarray(n_steps))
+    if near_bound:
+        check_step(scene, dt, after)
+    return after
 
 
 def rollout(
@@ -101,70 +113,113 @@ def rollout(
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
     """
+    records = _check_records(n_steps, every)
+    dt = _check(scene, state, dt)
+    if is_traced(scene, state, dt):
+        return _rollout_compiled(scene, state, dt, records, every)
+    near_bound = check_step(scene, dt, state)
+    states = _rollout_compiled(scene, state, dt, records, every)
+    if near_bound:
+        check_step(scene, dt, jax.tree.map(lambda leaf: leaf[-1], states))
+    return states
+
+
+def rollout_times(
+    dt: ArrayLike, n_steps: int, every: int = 1
+) -> Float[Array, " records"]:
+    """The times of the records of `rollout`, counted in integers.
+
+    Args:
+        dt: Step size [s].
+        n_steps: How many steps, a multiple of `every`.
+        every: Steps between records, at least 1.
+
+    Returns:
+        Times [s], `n_steps / every + 1` of them; the first is zero.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    records = _check_records(n_steps, every)
+    step = as_array("dt", dt, "s", positive=True)
+    return jnp.arange(records + 1) * (every * step)
+
+
+def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
+    """Warns when a concrete time step is above the scene's stability bound.
+
+    Args:
+        scene: The scene.
+        dt: Step size [s].
+        state: Where the rod is, if the bound is to account for compression. In
+            consistent mode it is looked at, and so waited for, only where that matters.
+
+    Returns:
+        Whether the rod, compressed further, might not be stable at this step: true
+        for one near the bound, unless it was warned of.
+
+    Raises:
+        ValueError: If `dt` is not a positive number.
+    """
+    check_scene(scene)
+    check_array("dt", dt, [()], "s", positive=True)
+    if not scene.method.explicit:
+        return False
+    bound = stable_dt(scene, safety=1.0)
+    largest, where = float(bound.dt), ""
+    near = float(dt) > COMPRESSED * largest
+    if state is not None and (near or scene.method.law == "pyelastica"):
+        factor, shortest = map(float, compression(scene, state))
+        if factor < 1 - ROUNDING:
+            largest *= factor
+            where = f" in a rod compressed to {shortest:.3g} of its length"
+    if not float(dt) > largest:
+        return near
+    warnings.warn(
+        f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
+        f"{bound.limiting_mode}{where}: expect the simulation to blow up, with or "
+        "without NaN. Use jaxrod.stable_dt(scene).dt, fewer elements, or a softer or "
+        'thicker rod; warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes '
+        "this an error.",
+        UnstableStepWarning,
+        stacklevel=3,
+    )
+    return False
+
+
+def _check_counter(n_steps: Array) -> None:
+    """Checks a number of steps that may be traced."""
+    if n_steps.shape != () or not jnp.issubdtype(n_steps.dtype, jnp.integer):
+        raise ValueError(
+            f"n_steps must be one integer, got {n_steps.dtype}{list(n_steps.shape)}"
+        )
+
+
+def _check_records(n_steps: int, every: int) -> int:
+    """Checks how a run is recorded; returns the number of records but the first."""
     n_steps = check_count("n_steps", n_steps, 0)
     every = check_count("every", every, 1)
     if n_steps % every:
         raise ValueError(
             f"n_steps must be a multiple of every, got {n_steps} and {every}"
         )
-    dt = _check(scene, state, dt)
-    if not is_traced(scene, state, dt):
-        check_step(scene, dt, state)
-    return _rollout_compiled(scene, state, dt, n_steps // every, every)
-
-
-def rollout_times(dt: float, n_steps: int, every: int = 1) -> Float[Array, " records"]:
-    """The times [s] of the records of `rollout`, counted in integers."""
-    return jnp.arange(n_steps // every + 1) * (every * dt)
-
-
-def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> None:
-    """Warns when a concrete time step is above the scene's stability bound.
-
-    Args:
-        scene: The scene.
-        dt: Step size [s].
-        state: Where the rod is, if the bound is to account for compression.
-
-    Raises:
-        ValueError: If `dt` is not a positive number.
-    """
-    check_array("dt", dt, [()], "s", positive=True)
-    if not scene.method.explicit:
-        return
-    bound = stable_dt(scene, safety=1.0)
-    factor = 1.0 if state is None else float(compression(scene, state))
-    largest = factor * float(bound.dt)
-    if not float(dt) > largest:
-        return
-    cause = bound.limiting_mode
-    if factor < 1:
-        cause += f" in a rod compressed to {factor:.2g} of its length"
-    warnings.warn(
-        f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
-        f"{cause}: expect the simulation to blow up, with or without NaN. Use "
-        "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod; "
-        'warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes this an '
-        "error.",
-        UnstableStepWarning,
-        stacklevel=3,
-    )
+    return n_steps // every
 
 
 def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
     """Checks the arguments of a run; gives the step the type of the scene."""
-    if not isinstance(state, RodState):
-        raise TypeError(f"state must be a jaxrod.RodState, got {type(state).__name__}")
+    check_scene_and_state(scene, state)
     dtype = scene.rod.rest_lengths.dtype
-    check_size(scene.rod, state)
+    step = as_array("dt", dt, "s", positive=True, dtype=dtype)
     if state.positions.dtype != dtype:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
     scene.method.check(scene)
-    if not is_traced(scene, state):
+    # Within jit the step is traced, and so is whatever is worked out there.
+    if not is_traced(scene, state, step):
         scene.method.check_state(scene, state)
-    return jnp.asarray(check_array("dt", dt, [()], "s", positive=True), dtype)
+    return step
 
 
 def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:
@@ -221,7 +276,10 @@ def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Ca
     return inner(carry, rest) if rest else carry
 
 
-_advance_compiled = jax.jit(_run_traced)
+# Within another jit these change nothing. Under a transformation alone they keep a
+# run from being compiled again in every call.
+_traced_compiled = jax.jit(_run_traced)
+_static_compiled = jax.jit(_run_static, static_argnames="n_steps")
 
 
 @jax.jit(static_argnames=("records", "every"))

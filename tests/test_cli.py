@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from types import SimpleNamespace
 
 import pytest
@@ -80,6 +81,29 @@ def test_an_error_is_one_sentence_on_stderr(error, sentence, code, command, caps
     assert streams.err.startswith("jaxrod train: ")
     assert sentence in streams.err
     assert streams.err.count("\n") == 1
+
+
+def test_a_fault_of_ours_keeps_its_traceback_and_names_the_request(command, capsys):
+    assert command(fail_with(KeyError("leaf")))("--steps", "3") == cli.BROKEN
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("Traceback")
+    assert lines[-1].startswith("jaxrod train: KeyError: 'leaf' (a fault of jaxrod")
+    assert lines[-1].endswith("it met jaxrod train --steps 3)")
+
+
+def test_a_warning_is_a_sentence_without_the_line_that_gave_it(command, capsys):
+    def run(args):
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("the target is far\x1b[2J", UserWarning, stacklevel=1)
+        return 0
+
+    before = warnings.showwarning
+    assert command(run)() == 0
+    assert capsys.readouterr().err == (
+        "jaxrod train: warning: the target is far\\x1b[2J\n"
+    )
+    assert warnings.showwarning is before
 
 
 def test_traceback_is_shown_when_asked_for(command, monkeypatch):

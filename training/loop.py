@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,11 @@ import jax
 from jaxrod._validation import check_count, check_seed
 from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, find_algorithm
+from jaxrod.training.checkpoint import Checkpoints
+from jaxrod.training.owned_folder import CONFIG
 from jaxrod.training.run import Result, Run
 from jaxrod.training.run_folder import RunFolder, differences, plain, recorded
+from jaxrod.training.settings import check_steps
 
 
 def train(
@@ -57,7 +60,7 @@ def train(
             **env_options)`; recorded. "variant" among them is repeated in the
             summary. None for what distinguishes `env` from `make(env.name)`.
         resume: continue the run in `out`.
-        overwrite: replace the run in `out`.
+        overwrite: replace the run in `out`; what else lies there stays.
         score_window: `final_score` is the mean return of this many last
             complete training episodes.
         evaluation_episodes: episodes of the evaluation at the end, 0 for none.
@@ -70,8 +73,11 @@ def train(
         log: called with every row of the progress table.
 
     Raises:
-        ValueError: an argument or a setting makes no sense, or `out` holds a run
-            that was not asked to be resumed or overwritten.
+        ValueError: an argument or a setting makes no sense; `out` holds a run
+            that was not asked to be resumed or overwritten, or files that are not
+            of a run; another process trains there; or what is to be resumed is
+            damaged.
+        OSError: something cannot be written; with its name.
         FloatingPointError: learning diverged; the checkpoints are from before.
     """
     steps, seed = check_count("steps", steps, 1), check_seed(seed)
@@ -81,46 +87,47 @@ def train(
     if not devices:
         raise ValueError("devices must hold at least one device, got none")
     learner.validate(config, len(devices))
+    check_steps(steps, learner.steps_per_update(config))
     _check_sizes(
-        steps=steps,
-        per_update=learner.steps_per_update(config),
         score_window=score_window,
         evaluation_episodes=evaluation_episodes,
         checkpoint_seconds=checkpoint_seconds,
         chunk_steps=chunk_steps,
     )
     asked = _describe(env, learner, config, steps, seed, env_options, score_window)
-    folder = _open_folder(out, asked, resume, overwrite)
-    return Run(
-        env=env,
-        learner=learner,
-        config=config,
-        env_params=env_params,
-        asked=asked,
-        folder=folder,
-        resume=resume,
-        checkpoint_seconds=checkpoint_seconds,
-        chunk_steps=chunk_steps,
-        devices=devices,
-        show=progress,
-        log=log,
-    ).go(evaluation_episodes)
+    if out is None and resume:
+        raise ValueError("resume needs the folder of a run, got out=None")
+    folder = None if out is None else RunFolder(out)
+    with ExitStack() as stack:
+        if folder:
+            # Once so that what is refused leaves no trace, once more when nobody
+            # else can change it.
+            _check_folder(folder, asked, resume, overwrite)
+            stack.enter_context(folder.only_process())
+            _check_folder(folder, asked, resume, overwrite)
+        return Run(
+            env=env,
+            learner=learner,
+            config=config,
+            env_params=env_params,
+            asked=asked,
+            folder=folder,
+            resume=resume,
+            checkpoint_seconds=checkpoint_seconds,
+            chunk_steps=chunk_steps,
+            devices=devices,
+            show=progress,
+            log=log,
+        ).go(evaluation_episodes)
 
 
 def _check_sizes(
     *,
-    steps: int,
-    per_update: int,
     score_window: int,
     evaluation_episodes: int,
     checkpoint_seconds: float,
     chunk_steps: int,
 ) -> None:
-    if steps < per_update:
-        raise ValueError(
-            f"steps must be at least one update, {per_update} control steps, "
-            f"got {steps}"
-        )
     if score_window < 1:
         raise ValueError(f"score_window must be at least 1, got {score_window}")
     if evaluation_episodes < 0:
@@ -178,36 +185,44 @@ def _options(env: Any) -> dict[str, Any]:
     return {**variant, **chosen}
 
 
-def _open_folder(
-    out: str | Path | None, asked: dict[str, Any], resume: bool, overwrite: bool
-) -> RunFolder | None:
-    """Prepares the folder, or says why it cannot be used."""
-    if out is None:
-        if resume:
-            raise ValueError("resume needs the folder of a run, got out=None")
-        return None
-    folder = RunFolder(out)
-    if resume:
-        changed = differences(folder.config(), asked)
-        if changed:
+def _check_folder(
+    folder: RunFolder, asked: dict[str, Any], resume: bool, overwrite: bool
+) -> None:
+    """Says why the folder cannot be used, if it cannot."""
+    name = str(folder.path)
+    if not resume:
+        folder.check_replaceable()
+        if folder.exists and not overwrite:
             raise ValueError(
-                f"resume needs what the run in {str(out)!r} was started with; "
-                f"{', '.join(changed)}"
+                f"out must not hold a run already, got {name!r}; "
+                "pass resume=True to continue it or overwrite=True to replace it"
             )
-        if folder.finished and not any(folder.checkpoints.glob("*")):
-            # Starting over in its place would lose the result.
-            raise ValueError(
-                f"out must hold a checkpoint to resume from, but the run in "
-                f"{str(out)!r} is finished and its checkpoints are gone; "
-                "pass overwrite=True to train anew"
-            )
-        return folder
-    if folder.exists and not overwrite:
+        return
+    changed = differences(folder.config(), asked)
+    if changed:
         raise ValueError(
-            f"out must not hold a run already, got {str(out)!r}; "
-            "pass resume=True to continue it or overwrite=True to replace it"
+            f"resume needs what {CONFIG} in {name!r} says that the run was started "
+            f"with; {', '.join(changed)}"
         )
-    json.dumps(asked)  # What cannot be written must not cost the old run.
-    folder.clear()
-    folder.write_config(asked)
-    return folder
+    # In replacing what it does not know it could lose it.
+    folder.check_replaceable()
+    result = folder.summary_file.exists()
+    if result:
+        others = [
+            name
+            for name, was in folder.summary().items()
+            if name in asked and was != asked[name]
+        ]
+        if others:
+            raise ValueError(
+                f"{folder.summary_file} is of another run than {CONFIG}: its "
+                f"{', '.join(others)}"
+            )
+    begun = result or (folder.policy / "policy.json").exists()
+    if begun and not Checkpoints(folder.checkpoints).steps():
+        # Starting over in its place would lose what was reached.
+        raise ValueError(
+            f"out must hold a checkpoint to resume from, but the run in "
+            f"{name!r} is {'finished' if folder.finished else 'under way'} and its "
+            "checkpoints are gone; pass overwrite=True to train anew"
+        )

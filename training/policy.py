@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod._files import write_atomically
+from jaxrod._files import (
+    OBJECT,
+    check_entries,
+    one_of,
+    read_json,
+    reading,
+    whole,
+    write_atomically,
+)
 from jaxrod._pytree import pytree, static
-from jaxrod._validation import check_count
 from jaxrod.training.normalisation import RunningMoments, normalise
 
 FORMAT = 1
@@ -110,41 +118,98 @@ def load_policy(folder: str | Path) -> Policy:
     """Reads a policy written by `save_policy`.
 
     Raises:
-        ValueError: the folder holds no policy, or one of another format, or one
-            whose `action_repeat` is not a count.
+        ValueError: the folder holds no policy, or one of another format, or a file
+            is damaged or holds what no policy can be; with the name of the file.
     """
     folder = Path(folder)
-    try:
-        description = json.loads((folder / "policy.json").read_text())
-        with np.load(folder / "policy.npz", allow_pickle=False) as stored:
-            arrays = {name: jnp.asarray(stored[name]) for name in stored.files}
-    except FileNotFoundError as missing:
-        raise ValueError(
-            f"folder must hold policy.json and policy.npz, got {str(folder)!r}"
-        ) from missing
-    if description["format"] != FORMAT:
-        raise ValueError(
-            f"folder {str(folder)!r} holds a policy of format "
-            f"{description['format']}; this version reads format {FORMAT}"
-        )
+    texts, numbers = folder / "policy.json", folder / "policy.npz"
+    for file in (texts, numbers):
+        if not file.is_file():
+            raise ValueError(
+                f"{folder} must hold policy.json and policy.npz, lacks {file.name}"
+            )
+    description = read_json(texts)
+    with reading(texts):
+        _check_description(description)
+    with reading(numbers):
+        if not zipfile.is_zipfile(numbers):
+            raise ValueError("it is torn")
+        with np.load(numbers, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        _check_numbers(arrays, description)
+    found = {name: jnp.asarray(array) for name, array in arrays.items()}
     return Policy(
         moments=RunningMoments(
-            arrays["observation_count"],
-            arrays["observation_mean"],
-            arrays["observation_variance"],
+            found["observation_count"],
+            found["observation_mean"],
+            found["observation_variance"],
         ),
-        limit=arrays["observation_limit"],
+        limit=found["observation_limit"],
         layers=tuple(
-            (arrays[f"kernel_{i}"], arrays[f"bias_{i}"])
+            (found[f"kernel_{i}"], found[f"bias_{i}"])
             for i in range(description["layers"])
         ),
         activation=description["activation"],
         output=description["output"],
         # Policies written before it was told decided at every control step.
-        action_repeat=check_count(
-            "action_repeat", description.get("action_repeat", 1), 1
-        ),
+        action_repeat=description.get("action_repeat", 1),
     )
+
+
+def _check_description(description: dict[str, Any]) -> None:
+    """Raises ValueError unless this can describe a policy."""
+    if description.get("format") != FORMAT:
+        raise ValueError(
+            f"it is of format {description.get('format')!r}, this version reads "
+            f"format {FORMAT}"
+        )
+    check_entries(
+        description,
+        {
+            "activation": one_of(*_ACTIVATIONS),
+            "output": one_of(*_OUTPUTS),
+            "layers": whole(1, 1000),
+            "observation_size": whole(1),
+            "action_size": whole(1),
+        },
+        {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT},
+    )
+
+
+def _check_numbers(
+    arrays: dict[str, np.ndarray], description: Mapping[str, Any]
+) -> None:
+    """Raises ValueError unless these are the numbers of the policy described."""
+    layers = range(description["layers"])
+    names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
+    names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}
+    for name in sorted(names ^ arrays.keys()):
+        raise ValueError(f"it {'lacks' if name in names else 'has also'} {name!r}")
+    sizes = [description["observation_size"]]
+    sizes += [arrays[f"bias_{i}"].size for i in layers[:-1]]
+    sizes += [description["action_size"]]
+    shapes: dict[str, tuple[int, ...]] = {
+        "observation_count": (),
+        "observation_limit": (),
+        "observation_mean": (sizes[0],),
+        "observation_variance": (sizes[0],),
+    }
+    for i in layers:
+        shapes |= {
+            f"kernel_{i}": (sizes[i], sizes[i + 1]),
+            f"bias_{i}": (sizes[i + 1],),
+        }
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if array.shape != shape:
+            raise ValueError(f"{name!r} has the shape {array.shape}, not {shape}")
+        if array.dtype.kind != "f" or not np.isfinite(array).all():
+            raise ValueError(f"{name!r} must hold finite numbers")
+    for name in ("observation_count", "observation_variance"):
+        if (arrays[name] < 0).any():
+            raise ValueError(f"{name!r} must not be negative")
+    if arrays["observation_limit"] <= 0:
+        raise ValueError("'observation_limit' must be positive")
 
 
 def held_for(policy: Callable[[Array], Array]) -> int:

@@ -10,22 +10,44 @@ import dataclasses
 import math
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxrod._files import (
+    OBJECT,
+    POSITIVE,
+    DamagedFileError,
+    check_entries,
+    reading,
+    whole,
+)
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.checkpoint import Checkpoints
 from jaxrod.training.devices import compile_updates, device_mesh, place
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.interruption import Interruption
+from jaxrod.training.owned_folder import CONFIG
 from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.progress import ProgressBar
-from jaxrod.training.run_folder import RunFolder
+from jaxrod.training.run_folder import (
+    LEARNING_CURVE,
+    REPLAY,
+    RunFolder,
+    differences,
+    plain,
+)
 from jaxrod.training.score import EpisodeLog
+from jaxrod.training.settings import check_steps
+from jaxrod.training.table import check_mark
+
+
+class DamagedCheckpointWarning(UserWarning):
+    """The newest checkpoint cannot be read; a run goes on from the one before."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,12 +99,11 @@ class Run:
         self.asked, self.folder, self.devices = asked, folder, devices
         self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log
         self.per_update = learner.steps_per_update(config)
-        self.total = math.ceil(asked["steps"] / self.per_update)
+        self.total = check_steps(asked["steps"], self.per_update)
         self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
         self.done = 0
         self.wall_s = self.wall_before = 0.0
         self.rows: list[dict[str, Any]] = []
-        self.rows_before = 0
         self.episodes = EpisodeLog()
         self.checkpoints = Checkpoints(folder.checkpoints) if folder else None
 
@@ -92,12 +113,12 @@ class Run:
         start = jax.jit(learner.init, static_argnums=(1, 4))
         key = jax.random.key(asked["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
-        if resume and self.checkpoints and self.checkpoints.latest_step() is not None:
+        if folder and resume:
+            folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
             state = self._restore(state)
         elif folder:
-            # Killed before the first checkpoint: start over.
-            folder.progress.cut(0)
-            folder.episodes.cut(0)
+            # Not before the state could be made: what fails here costs nothing.
+            folder.begin(asked)
         self.state = place(state, learner.partition(state), self.mesh)
 
     @property
@@ -129,8 +150,6 @@ class Run:
             summary = self._summary() | {"status": status} | summary
         if self.folder:
             self.folder.write_summary(summary)
-        if self.checkpoints:
-            self.checkpoints.close()
         return Result(
             summary=summary,
             policy=policy,
@@ -211,12 +230,14 @@ class Run:
         policy = self._policy()
         lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
         self._stop_if(["the policy"] if lost else [])
-        if self.checkpoints:
+        if self.folder and self.checkpoints:
             facts = {
+                "config": self.asked,
                 "updates": self.done,
                 "wall_s": self._clock(),
-                "progress_rows": self.rows_before + len(self.rows),
-                "episodes": len(self.episodes),
+                # On the disk before the checkpoint that counts on them.
+                "progress": self.folder.progress.mark(),
+                "episodes": self.folder.episodes.mark(),
             }
             self.checkpoints.save(self.done, self.state, facts)
             # So that a run can be evaluated and drawn while it goes on.
@@ -229,22 +250,51 @@ class Run:
     def _export(self, policy: Policy) -> None:
         """Writes the policy into the folder, if there is one."""
         if self.folder:
-            names = ("case", "variant", "algorithm")
+            names = ("case", "variant", "algorithm", "seed")
             about = {name: self.asked[name] for name in names}
             save_policy(policy, self.folder.policy, about)
 
     def _restore(self, template: Any) -> Any:
-        """Goes back to the last checkpoint, and the tables with it."""
+        """Goes back to the last sound checkpoint, and the tables with it."""
         assert self.checkpoints and self.folder
-        state, facts = self.checkpoints.restore(template)
-        _check_same_task(state.env_params, template.env_params)
-        self.done = facts["updates"]
-        self.wall_s = self.wall_before = facts["wall_s"]
-        self.rows_before = facts["progress_rows"]
-        self.folder.progress.cut(facts["progress_rows"])
-        self.folder.episodes.cut(facts["episodes"])
-        self.episodes.restore(self.folder.episodes.read())
-        return state
+        tables = {"progress": self.folder.progress, "episodes": self.folder.episodes}
+        damaged = []
+        for step in self.checkpoints.steps():
+            try:
+                state, facts = self.checkpoints.restore(template, step)
+                with reading(self.checkpoints.path(step)):
+                    _check_facts(facts, step)
+            except DamagedFileError as error:
+                damaged.append(str(error))
+                continue
+            changed = differences(facts["config"], plain(self.asked))
+            if changed:
+                raise ValueError(
+                    f"{self.checkpoints.path(step)} is of a run of another "
+                    f"{CONFIG}: {', '.join(changed)}"
+                )
+            _check_same_task(state.env_params, template.env_params)
+            for name, table in tables.items():
+                table.check(facts[name])
+            for name, table in tables.items():
+                table.cut(facts[name])
+            self.episodes.restore(self.folder.episodes.read())
+            self.done = facts["updates"]
+            self.wall_s = self.wall_before = facts["wall_s"]
+            if damaged:
+                warnings.warn(
+                    f"{'; '.join(damaged)}. Going on from the checkpoint before, "
+                    f"after {self.env_steps:,} steps",
+                    DamagedCheckpointWarning,
+                    stacklevel=4,
+                )
+            return state
+        if damaged:
+            raise ValueError(f"no checkpoint can be used: {'; '.join(damaged)}")
+        # Killed before the first one: start over.
+        for table in tables.values():
+            table.cut()
+        return template
 
     def _evaluate(
         self, policy: Policy, episodes: int
@@ -276,12 +326,30 @@ class Run:
         }
 
 
+def _check_facts(facts: dict[str, Any], step: int) -> None:
+    """Raises ValueError unless these can be the facts of a checkpoint."""
+    check_entries(
+        facts,
+        {
+            "config": OBJECT,
+            "updates": whole(1),
+            "wall_s": POSITIVE,
+            "progress": OBJECT,
+            "episodes": OBJECT,
+        },
+    )
+    if facts["updates"] != step:
+        raise ValueError(f"it is of update {facts['updates']}")
+    for name in ("progress", "episodes"):
+        check_mark(facts[name])
+
+
 def _check_same_task(stored: Any, given: Any) -> None:
     """Raises ValueError unless all numbers of an environment are what they were."""
     for (path, was), now in zip(
         jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
     ):
-        # A run in single precision may be looked at in double.
+        # Another machine may have computed the last digit otherwise.
         if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
             raise ValueError(
                 "resume needs the env_params that the run was started with; "

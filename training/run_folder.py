@@ -1,91 +1,103 @@
 """The folder of a run: what lies where, written so that it is never half there.
 
-config.json     what was asked for: enough to run it again
+config.json     what was asked for: enough to run it again; marks the folder
 progress.csv    one row per chunk: env_steps, wall_s, episode_return_mean, ...
 episodes.csv    one row per complete training episode, in order of completion
 summary.json    the result
-checkpoints/    to continue from
+checkpoints/    to continue from, see `jaxrod.training.checkpoint`
 policy/         the trained policy, see `jaxrod.training.load_policy`
 
-The command line draws learning_curve.png and replay.html beside them.
+The command line draws learning_curve.png and replay.html beside them. While a process
+trains here there is a lock, see `jaxrod.training.folder_lock`. What else lies in the
+folder is left alone.
 """
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
-import json
-import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxrod._files import write_atomically
+from jaxrod._files import (
+    NUMBER,
+    OBJECT,
+    TEXT,
+    check_entries,
+    one_of,
+    optional,
+    read_json,
+    reading,
+    whole,
+    write_atomically,
+)
+from jaxrod._validation import LARGEST_SEED
+from jaxrod.training import checkpoint
+from jaxrod.training.owned_folder import CONFIG, OwnedFolder, as_json
+from jaxrod.training.table import Table
 
+SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 REPLAY = "replay.html"
 """What the command line draws of a run."""
 
-
-class Table:
-    """A CSV file that grows by rows and can be cut back to a known length."""
-
-    def __init__(self, path: Path) -> None:
-        """Names the file; it need not exist."""
-        self.path = path
-
-    def append(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Adds rows; the first row of the file decides the columns."""
-        rows = list(rows)
-        if not rows:
-            return
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        if not self.path.exists():
-            writer.writerow(rows[0])
-        writer.writerows(row.values() for row in rows)
-        with self.path.open("a") as stream:
-            stream.write(text.getvalue())
-
-    def read(self) -> list[dict[str, str]]:
-        """Returns all rows, none if the file does not exist."""
-        if not self.path.exists():
-            return []
-        with self.path.open(newline="") as stream:
-            return list(csv.DictReader(stream))
-
-    def cut(self, length: int) -> None:
-        """Keeps the first `length` rows: what came later was not checkpointed."""
-        if not self.path.exists():
-            return
-        lines = self.path.read_text().splitlines(keepends=True)
-        write_atomically(self.path, "".join(lines[: length + 1]).encode())
+_CONFIG_KINDS = {
+    "case": TEXT,
+    "env_options": OBJECT,
+    "algorithm": TEXT,
+    "steps": whole(1),
+    "seed": whole(0, LARGEST_SEED),
+    "settings": OBJECT,
+}
+_CONFIG_MAY_LACK = {"variant": optional(TEXT), "score_window": whole(1)}
+_SUMMARY_KINDS = {
+    "status": one_of("finished", "interrupted"),
+    "final_score": optional(NUMBER),
+    "env_steps": whole(0),
+    "wall_s": NUMBER,
+    "steps_per_s": NUMBER,
+    "episodes": whole(0),
+    "flagged_fraction": NUMBER,
+    "score_window": whole(1),
+}
+_SUMMARY_MAY_LACK = {
+    "evaluation_score": NUMBER,
+    "evaluation_std": NUMBER,
+    "evaluation_episodes": whole(1),
+}
 
 
-class RunFolder:
+class RunFolder(OwnedFolder):
     """The files of one run."""
 
     def __init__(self, path: str | Path) -> None:
-        """Names the folder; it need not exist."""
-        self.path = Path(path)
+        """Names the folder; it need not exist.
+
+        Raises:
+            ValueError: `path` is empty.
+        """
+        super().__init__(
+            path,
+            "training run",
+            (SUMMARY, "progress.csv", "episodes.csv", LEARNING_CURVE, REPLAY),
+            {
+                "checkpoints": checkpoint.NAMES,
+                "policy": r"policy\.(json|npz)",
+            },
+        )
         self.progress = Table(self.path / "progress.csv")
         self.episodes = Table(self.path / "episodes.csv")
+        self.summary_file = self.path / SUMMARY
         self.checkpoints = self.path / "checkpoints"
         self.policy = self.path / "policy"
 
     @property
-    def exists(self) -> bool:
-        """Whether a run was started here."""
-        return (self.path / "config.json").exists()
-
-    @property
     def finished(self) -> bool:
         """Whether the run here came to its end."""
-        if not (self.path / "summary.json").exists():
+        if not self.summary_file.exists():
             return False
         return self.summary()["status"] == "finished"
 
@@ -93,45 +105,32 @@ class RunFolder:
         """Reads `config.json`.
 
         Raises:
-            ValueError: there is no run in this folder.
+            ValueError: there is no run in this folder, or the file is damaged.
         """
-        return self._read("config.json")
+        content = self.stored()
+        with reading(self.path / CONFIG):
+            check_entries(content, _CONFIG_KINDS, _CONFIG_MAY_LACK)
+        return content
 
     def summary(self) -> dict[str, Any]:
         """Reads `summary.json`.
 
         Raises:
-            ValueError: there is no finished run in this folder.
+            ValueError: there is no finished run in this folder, or the file is
+                damaged.
         """
-        return self._read("summary.json")
-
-    def write_config(self, config: Mapping[str, Any]) -> None:
-        """Writes `config.json`, and the folder if it is missing."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        self._write("config.json", config)
+        file = self.summary_file
+        try:
+            content = read_json(file)
+        except FileNotFoundError:
+            raise ValueError(f"no {SUMMARY} in {str(self.path)!r}") from None
+        with reading(file):
+            check_entries(content, _SUMMARY_KINDS, _SUMMARY_MAY_LACK)
+        return content
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Writes `summary.json`."""
-        self._write("summary.json", summary)
-
-    def clear(self) -> None:
-        """Removes the run and its pictures, and nothing else."""
-        for name in ("config.json", "summary.json", LEARNING_CURVE, REPLAY):
-            (self.path / name).unlink(missing_ok=True)
-        for table in (self.progress, self.episodes):
-            table.path.unlink(missing_ok=True)
-        for folder in (self.checkpoints, self.policy):
-            shutil.rmtree(folder, ignore_errors=True)
-
-    def _read(self, name: str) -> dict[str, Any]:
-        try:
-            return json.loads((self.path / name).read_text())
-        except FileNotFoundError as missing:
-            raise ValueError(f"no {name} in {str(self.path)!r}") from missing
-
-    def _write(self, name: str, content: Mapping[str, Any]) -> None:
-        text = json.dumps(dict(content), indent=2, allow_nan=False) + "\n"
-        write_atomically(self.path / name, text.encode())
+        write_atomically(self.summary_file, as_json(SUMMARY, summary))
 
 
 def recorded(settings: Any) -> dict[str, Any]:
@@ -144,8 +143,10 @@ def recorded(settings: Any) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """A value as JSON holds it; what JSON cannot hold stays what it is."""
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return [plain(one) for one in value]
+    if isinstance(value, dict):
+        return {name: plain(one) for name, one in value.items()}
     arrays = (jax.Array, np.ndarray, np.generic)
     return value.tolist() if isinstance(value, arrays) else value
 

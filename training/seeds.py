@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +12,7 @@ from jaxtyping import Array, Int, Key
 from jaxrod._validation import check_count, check_seed
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, find_algorithm
+from jaxrod.training.settings import check_steps
 
 
 def train_seeds(
@@ -57,12 +57,7 @@ def train_seeds(
         raise ValueError("seeds must hold at least one seed, got none")
     seeds = [check_seed(seed, "seeds") for seed in seeds]
     per_update = learner.steps_per_update(config)
-    if steps < per_update:
-        raise ValueError(
-            f"steps must be at least one update, {per_update} control steps, "
-            f"got {steps}"
-        )
-    updates = math.ceil(steps / per_update)
+    updates = check_steps(steps, per_update)
     params = env.default_params() if env_params is None else env_params
 
     def update(state: Any, _: None) -> tuple[Any, dict[str, Array]]:

@@ -52,6 +52,29 @@ class LearnerConfig:
     short_length: Scalar = 500.0
 
 
+MOST_UPDATES = 2**31 - 1
+"""Learners count their updates in 32 bits."""
+
+
+def check_steps(steps: int, per_update: int) -> int:
+    """Returns how many updates so many control steps are, rounded up.
+
+    Raises:
+        ValueError: they are not one update, or more than can be counted.
+    """
+    if steps < per_update:
+        raise ValueError(
+            f"steps must be at least one update, {per_update} control steps, "
+            f"got {steps}"
+        )
+    if steps > MOST_UPDATES * per_update:
+        raise ValueError(
+            f"steps must be at most {MOST_UPDATES:,} updates of {per_update} control "
+            f"steps, got {steps}"
+        )
+    return -(-steps // per_update)
+
+
 def check_counts(config: Settings, *names: str) -> None:
     """Raises ValueError unless every one of these is an integer of at least 1."""
     for name in names:

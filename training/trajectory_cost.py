@@ -63,6 +63,10 @@ class TrajectoryCost:
     """At the end [m/s]."""
 
 
+_MOST_STEPS = 2**30
+"""Steps are counted in 32 bits; twice as many may come of rounding up."""
+
+
 def time_steps(
     arm: ActuatedArm, duration: float, control_interval: float, dt: float | None
 ) -> tuple[int, int, float]:
@@ -76,8 +80,17 @@ def time_steps(
 
     Returns:
         Control intervals, steps in each, and the step [s].
+
+    Raises:
+        ValueError: there are more steps than can be counted.
     """
     largest = float(stable_dt(arm.scene).dt) if dt is None else dt
+    in_all = duration / min(control_interval, largest)
+    if not in_all < _MOST_STEPS:
+        raise ValueError(
+            f"duration must be less than {_MOST_STEPS:,} steps of the simulation, got "
+            f"{duration:g} s, {in_all:.3g} steps"
+        )
     # Forgive the last digit: 1 s in intervals of 0.01 s are 100, not 101.
     n_intervals = max(1, math.ceil(duration / control_interval * (1 - 1e-6)))
     steps = max(1, math.ceil(duration / n_intervals / largest * (1 - 1e-6)))

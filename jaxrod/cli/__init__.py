@@ -10,7 +10,8 @@ Each command is one module of this package, named after it, with
 Only the module of the command that was asked for is imported.
 
 Exit codes: 0 done, 1 done and the answer is bad (such as a machine that fails
-`jaxrod doctor`), 2 the request cannot be carried out, 130 interrupted.
+`jaxrod doctor`), 2 the request cannot be carried out, 70 a fault of jaxrod (with its
+traceback), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -18,11 +19,17 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import shlex
 import sys
-from collections.abc import Sequence
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TextIO
 
 from jaxrod import __version__
 from jaxrod._jax_version import UnsoundJaxError
+from jaxrod.cli._text import printable
 
 COMMANDS = {
     "train": "train a policy on a task",
@@ -38,11 +45,13 @@ COMMANDS = {
 EXTRAS = {
     "flax": "rl",
     "optax": "rl",
-    "orbax": "rl",
     "matplotlib": "viz",
     "gymnasium": "gym",
     "brax": "brax",
 }
+
+BROKEN = 70
+"""Exit code after an error that nobody foresaw."""
 
 EPILOG = """\
 a first run:
@@ -71,7 +80,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser, chosen = _parser(arguments)
         command = parser.prog if chosen is None else f"jaxrod {chosen}"
         args = parser.parse_args(arguments)
-        code = int(args.run(args))
+        with _warnings_as_sentences(command):
+            code = int(args.run(args))
         # A closed pipe has to show here, not while the interpreter shuts down.
         sys.stdout.flush()
         return code
@@ -84,8 +94,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, ImportError) as error:
         if os.environ.get("JAXROD_TRACEBACK"):
             raise
-        print(f"{command}: {_sentence(error)}", file=sys.stderr)
+        print(f"{command}: {printable(_sentence(error))}", file=sys.stderr)
         return 1 if isinstance(error, UnsoundJaxError) else 2
+    except Exception as error:
+        # What a file of a run holds is checked where it is read. This is a fault of
+        # ours, which only its traceback explains.
+        traceback.print_exc()
+        words = printable(shlex.join(["jaxrod", *arguments]))
+        print(
+            f"{command}: {type(error).__name__}: {printable(str(error))} (a fault of "
+            f"jaxrod: please report the lines above; it met {words})",
+            file=sys.stderr,
+        )
+        return BROKEN
+
+
+@contextmanager
+def _warnings_as_sentences(command: str) -> Iterator[None]:
+    """Shows warnings without the line of the program that gave them."""
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        print(f"{command}: warning: {printable(str(message))}", file=sys.stderr)
+
+    before, warnings.showwarning = warnings.showwarning, show
+    try:
+        yield
+    finally:
+        warnings.showwarning = before
 
 
 def _parser(

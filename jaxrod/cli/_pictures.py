@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxrod._files import DamagedFileError
 from jaxrod.cli import _runs
+from jaxrod.cli._text import printable
 
 if TYPE_CHECKING:
     from jaxrod.training import Policy
@@ -33,6 +35,8 @@ def draw_learning_curve(path: Path, config: Mapping[str, Any]) -> Path | None:
         _note('the learning curve needs matplotlib: pip install "jaxrod[viz]"')
     except FileNotFoundError:
         _note("no learning curve: the run has not logged anything yet")
+    except DamagedFileError:
+        raise
     except ValueError as error:
         _note(f"no learning curve: {error}")
     else:
@@ -77,4 +81,4 @@ def print_paths(*paths: Path | None) -> None:
 
 
 def _note(text: str) -> None:
-    print(text, file=sys.stderr)
+    print(printable(text), file=sys.stderr)

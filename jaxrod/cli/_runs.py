@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from jaxrod._files import read_json, reading
+from jaxrod.cli._text import printable
 
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
@@ -65,16 +66,22 @@ class StoredRun:
         folder = self.path / "policy"
         if not (folder / "policy.json").exists():
             raise ValueError(
-                f"{self.path} holds no policy yet: it is saved with the first "
-                "checkpoint and at the end of training"
+                f"{self.path} holds no policy yet (no policy/policy.json): it is "
+                "saved with the first checkpoint and at the end of training"
             )
-        if not zipfile.is_zipfile(folder / "policy.npz"):
-            raise ValueError(f"{folder} is damaged: policy.npz is missing or torn")
-        try:
-            policy = load_policy(folder)
-            sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]
-        except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as e:
-            raise ValueError(f"{folder} is damaged: {e}") from e
+        policy = load_policy(folder)
+        file = folder / "policy.json"
+        others = [
+            f"{name} is {value!r}"
+            for name, value in read_json(file).get("about", {}).items()
+            if name in self.config and value != self.config[name]
+        ]
+        if others:
+            raise ValueError(
+                f"{file} is of another run than {self.path / 'config.json'}: its "
+                f"{', '.join(others)}"
+            )
+        sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]
         wanted = self.env.observation_size, self.env.action_size
         if sizes != wanted:
             raise ValueError(
@@ -90,8 +97,25 @@ def open_run(path: Path) -> StoredRun:
     Raises:
         ValueError: there is no run, or its `config.json` is damaged.
     """
+    from jaxrod import envs
+
     config = read_config(path)
-    return StoredRun(path, config, make_case(config["case"], config["env_options"]))
+    case = config["case"]
+    if case not in envs.names():
+        raise ValueError(
+            f"{path} holds a run of {case!r}, but the tasks are "
+            f"{', '.join(envs.names())}"
+        )
+    with reading(path / "config.json"):
+        env = make_case(case, config["env_options"])
+        if env.name != case:
+            raise ValueError(f"its 'env_options' make {env.name!r}, not {case!r}")
+        if config.get("variant") != getattr(env, "variant", None):
+            raise ValueError(
+                f"'variant' is {config.get('variant')!r}, but what its 'env_options' "
+                f"make is {getattr(env, 'variant', None)!r}"
+            )
+    return StoredRun(path, config, env)
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -100,28 +124,16 @@ def read_config(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: there is no run, or the file is damaged.
     """
-    file = path / "config.json"
-    if not file.exists():
+    from jaxrod.training import RunFolder
+
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"{path} is a file, not the folder of a run")
+    if not (path / "config.json").exists():
         what = "holds no run (no config.json)" if path.is_dir() else "does not exist"
         raise ValueError(
             f"{path} {what}; a run is made by: jaxrod train CASE --out {path}"
         )
-    try:
-        config = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
-    kinds = {
-        "case": str,
-        "env_options": dict,
-        "algorithm": str,
-        "steps": int,
-        "seed": int,
-        "settings": dict,
-    }
-    for name, kind in kinds.items():
-        if not (isinstance(config, dict) and isinstance(config.get(name), kind)):
-            raise ValueError(f"{file} is damaged: it has no proper {name!r}")
-    return config
+    return RunFolder(path).config()
 
 
 def make_case(case: str, options: Mapping[str, Any]) -> Environment:
@@ -150,7 +162,7 @@ def describe(config: Mapping[str, Any]) -> str:
     if options.get("nest") is not None:
         what.append(f"nest {options['nest']}")
     case = config["case"] + (f" ({', '.join(what)})" if what else "")
-    return f"{case}, {config['algorithm']}, seed {config['seed']}"
+    return printable(f"{case}, {config['algorithm']}, seed {config['seed']}")
 
 
 def paper_result(config: Mapping[str, Any]) -> PaperResult | None:

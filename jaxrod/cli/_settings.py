@@ -6,7 +6,16 @@ import argparse
 import dataclasses
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
+
+_KINDS = {
+    bool: "true or false",
+    tuple: "integers with commas between",
+    int: "an integer",
+    float: "a number",
+    str: "text",
+}
 
 
 def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) -> Any:
@@ -17,7 +26,7 @@ def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) ->
     """
     known = {field.name for field in dataclasses.fields(defaults)}
     changes = {
-        name: tuple(value) if isinstance(value, list) else value
+        name: _stored(name, value, getattr(defaults, name))
         for name, value in stored.items()
         if name in known
     }
@@ -33,6 +42,21 @@ def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) ->
     return dataclasses.replace(defaults, **changes)
 
 
+def _stored(name: str, value: Any, default: Any) -> Any:
+    """A stored value, of the same kind as the default."""
+    kind = type(default)
+    if kind is float and type(value) is int:
+        return float(value)
+    if kind is tuple and type(value) is list:
+        value = tuple(value)
+        fits = all(type(one) is int for one in value)
+    else:
+        fits = type(value) is kind
+    if not fits:
+        raise ValueError(f"{name} must be {_KINDS[kind]}, got {value!r:.60}")
+    return value
+
+
 def _parse(name: str, text: str, default: Any) -> Any:
     """Reads a value of the same kind as the default."""
     try:
@@ -46,14 +70,8 @@ def _parse(name: str, text: str, default: Any) -> Any:
             return float(text)
         return text
     except (ValueError, KeyError, argparse.ArgumentTypeError) as error:
-        kinds = {
-            "bool": "true or false",
-            "tuple": "integers with commas between",
-            "int": "an integer",
-            "float": "a number",
-        }
-        kind = kinds[type(default).__name__]
-        raise ValueError(f"{name} must be {kind}, got {text!r}") from error
+        kind = _KINDS[type(default)]
+        raise ValueError(f"{name} must be {kind}, got {text!r:.60}") from error
 
 
 def listing(defaults: Any) -> str:
@@ -75,11 +93,31 @@ def count(text: str) -> int:
     """
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
     number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
+    shown = f"{text:.40}"
     try:
-        value = Decimal(number) * size  # In binary 4.1 million is no whole number.
+        value = Decimal(number)  # In binary 4.1 million is no whole number.
+        if value.is_finite() and value.adjusted() > _DIGITS:
+            raise argparse.ArgumentTypeError(f"{shown} is too large to count to")
+        value *= size
         whole = int(value)
     except (ArithmeticError, ValueError):
-        raise argparse.ArgumentTypeError(f"{text} is not a number") from None
+        raise argparse.ArgumentTypeError(f"{shown} is not a number") from None
     if value != whole:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number")
+        raise argparse.ArgumentTypeError(f"{shown} is not a whole number")
     return whole
+
+
+_DIGITS = 30
+"""Nothing is counted that has more."""
+
+
+def path(text: str) -> Path:
+    """Reads the name of a file or folder.
+
+    Raises:
+        argparse.ArgumentTypeError: there is none. An empty one is mostly a variable
+            of the shell that is not set, and would be the current folder.
+    """
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"must name a file or folder, got {text!r}")
+    return Path(text)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from pathlib import Path
+
+from jaxrod.cli import _settings
 
 EXAMPLES = """\
 examples:
@@ -22,7 +23,9 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod evaluate`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("run_folder", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument(
+        "run_folder", type=_settings.path, metavar="RUN", help="folder of a run"
+    )
     parser.add_argument(
         "--episodes", type=int, default=32, metavar="N", help="how many (default: 32)"
     )

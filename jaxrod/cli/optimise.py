@@ -6,9 +6,10 @@ differentiated with respect to control values at knots in time, and Adam follows
 gradient. CASE is `tracking`, whose arm is 1 m long, clamped at the origin and points
 along +y.
 
-The folder gets history.csv (a row per gradient step), summary.json, trajectory.npz
-(knots, controls and the motion), convergence.png, and replay.html, a page that plays
-in any browser without a network. Ctrl-C stops and writes the best so far.
+The folder gets config.json (what was asked for), history.csv (a row per gradient
+step), summary.json, trajectory.npz (knots, controls and the motion), convergence.png,
+and replay.html, a page that plays in any browser without a network. Ctrl-C stops and
+writes the best so far.
 
 Exits with 0 when the tip ends within the tolerance, and with 1 when it does not.
 """
@@ -20,12 +21,16 @@ import csv
 import io
 import json
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from jaxrod.cli import _settings
 
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
     from jaxrod.training import ActuatedArm, TrajectoryResult
+    from jaxrod.training.owned_folder import OwnedFolder
 
 EXAMPLES = """\
 examples:
@@ -37,6 +42,31 @@ examples:
 """
 
 CASES = ("tracking",)
+
+FILES = (
+    "history.csv",
+    "summary.json",
+    "trajectory.npz",
+    "convergence.png",
+    "replay.html",
+)
+"""What is written, beside config.json."""
+
+ASKED = (
+    "case",
+    "target",
+    "duration",
+    "knots",
+    "twist",
+    "iterations",
+    "tolerance",
+    "speed_tolerance",
+    "learning_rate",
+    "seed",
+    "elements",
+    "double",
+)
+"""What config.json keeps of what was asked for."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=_settings.path,
         default=Path("runs/optimise"),
         metavar="DIR",
         help="folder for the result (default: runs/optimise)",
@@ -130,19 +160,24 @@ def run(args: argparse.Namespace) -> int:
     if args.case not in CASES:
         raise ValueError(f"case must be one of {', '.join(CASES)}; got {args.case!r}")
     check_seed(args.seed)
-    out: Path = args.out
-    if (out / "summary.json").exists() and not args.overwrite:
-        raise ValueError(
-            f"{out} holds a result already: replace it with --overwrite, or choose "
-            "another folder with --out"
-        )
+    if args.knots < 2:
+        raise ValueError(f"knots must be at least 2, got {args.knots}")
     jaxrod.configure_cpu(1)
     import jax
 
     from jaxrod import envs
     from jaxrod.training import optimise_trajectory
+    from jaxrod.training.owned_folder import OwnedFolder
 
-    with jax.enable_x64(args.double):
+    out: Path = args.out
+    folder = OwnedFolder(out, "optimised trajectory", FILES)
+    with ExitStack() as stack:
+        # Once so that what is refused leaves no trace, once more when nobody else can
+        # change it.
+        _check_folder(folder, args.overwrite)
+        stack.enter_context(folder.only_process())
+        _check_folder(folder, args.overwrite)
+        stack.enter_context(jax.enable_x64(args.double))
         options = {} if args.elements is None else {"n_elements": args.elements}
         env = envs.make(args.case, variant="clean", **options)
         result = optimise_trajectory(
@@ -158,6 +193,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
         )
         summary = {"case": args.case, "seed": args.seed, **_summary(result)}
+        folder.begin({name: getattr(args, name) for name in ASKED})
         _write(out, result, summary)
     if args.json:
         print(json.dumps(summary | {"out": str(out)}, indent=2))
@@ -170,6 +206,16 @@ def run(args: argparse.Namespace) -> int:
     if result.reason == "interrupted":
         return 130
     return 0 if result.success else 1
+
+
+def _check_folder(folder: OwnedFolder, overwrite: bool) -> None:
+    """Says why the folder cannot be used, if it cannot."""
+    folder.check_replaceable()
+    if folder.exists and not overwrite:
+        raise ValueError(
+            f"{folder.path} holds a result already: replace it with --overwrite, or "
+            "choose another folder with --out"
+        )
 
 
 def arm_of(env: Environment) -> ActuatedArm:

@@ -9,7 +9,8 @@ its last checkpoint on.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+
+from jaxrod.cli import _settings
 
 EXAMPLES = """\
 examples:
@@ -22,10 +23,12 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod render`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("run_folder", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument(
+        "run_folder", type=_settings.path, metavar="RUN", help="folder of a run"
+    )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=_settings.path,
         metavar="FILE",
         help="where to write the replay (default: RUN/replay.html)",
     )

@@ -8,7 +8,8 @@ arm in a nest) or `trivial` (solved in seconds, to try things out). Variants are
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
 learning_curve.png and replay.html. Ctrl-C saves and stops; --resume goes on, and
-ends as if nothing had happened.
+ends as if nothing had happened. While a process trains in a folder no other can;
+what jaxrod has not written there stays as it is, with --overwrite too.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxrod._files import reading
 from jaxrod.cli import _settings
 
 STEPS = 10_000_000
@@ -75,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="of all randomness (default: 0)")
     parser.add_argument(
         "--out",
-        type=Path,
+        type=_settings.path,
         metavar="DIR",
         help="folder of the run (default: runs/CASE-VARIANT-ALGORITHM-SEED)",
     )
@@ -127,11 +129,12 @@ def run(args: argparse.Namespace) -> int:
     import jaxrod
     from jaxrod._validation import check_seed
     from jaxrod.cli import _runs
-    from jaxrod.training import find_algorithm, train
+    from jaxrod.training import RunFolder, find_algorithm, train
+    from jaxrod.training.settings import check_steps
 
     stored = None
     if args.resume:
-        stored = _runs.read_config(_folder(args, None))
+        stored = _runs.open_run(_folder(args, None)).config
         if stored["case"] != args.case:
             raise ValueError(
                 f"{_folder(args, None)} holds a run of {stored['case']}, "
@@ -141,6 +144,12 @@ def run(args: argparse.Namespace) -> int:
     if "help" in args.set:
         print(_settings.listing(learner.config_type()))
         return 0
+    config = learner.config_type()
+    if stored:
+        with reading(_folder(args, None) / "config.json"):
+            config = _settings.configure(config, stored["settings"], [])
+            learner.validate(config, 1)
+            check_steps(stored["steps"], learner.steps_per_update(config))
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
@@ -157,15 +166,15 @@ def run(args: argparse.Namespace) -> int:
     words = list(args.set)
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
-    config = _settings.configure(
-        learner.config_type(), stored["settings"] if stored else {}, words
-    )
+    config = _settings.configure(config, {}, words)
     out = _folder(args, options.get("variant"))
-    if not (args.resume or args.overwrite) and (out / "config.json").exists():
-        raise ValueError(
-            f"{out} holds a run already: continue it with --resume, replace it with "
-            "--overwrite, or choose another folder with --out"
-        )
+    if not args.resume:
+        RunFolder(out).check_replaceable()
+        if RunFolder(out).exists and not args.overwrite:
+            raise ValueError(
+                f"{out} holds a run already: continue it with --resume, replace it "
+                "with --overwrite, or choose another folder with --out"
+            )
 
     wanted = getattr(config, "num_envs", 1)
     jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
@@ -288,7 +297,7 @@ def _chosen(
     """What was given now, else what the run was started with, else the default."""
     if given is not None:
         return given
-    return stored[name] if stored else default
+    return stored.get(name, default) if stored else default
 
 
 def _share(num_envs: int, asked: int | None, available: int | None) -> int:

@@ -28,7 +28,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod._validation import Numbers, check_array, check_count
+from jaxrod._validation import Numbers, as_array, check_count
 from jaxrod.balance import Balance, balanced, blocks, displaced
 from jaxrod.elasticity import ElasticLaw, elastic_law
 from jaxrod.motion import Motion, motion_of, state_of
@@ -92,18 +92,15 @@ def implicit(
     Raises:
         ValueError: If an argument is out of range.
     """
-    radius = check_array(
-        "spectral_radius", spectral_radius, [()], "", non_negative=True
+    radius = as_array(
+        "spectral_radius", spectral_radius, "", non_negative=True, at_most=1
     )
-    if not isinstance(radius, jax.core.Tracer) and radius > 1:
-        raise ValueError(f"spectral_radius must be at most 1, got {radius:g}")
-    dtype = jnp.result_type(float)
+    bound = None
     if tolerance is not None:
-        bound = check_array("tolerance", tolerance, [()], "", positive=True)
-        tolerance = jnp.asarray(bound, dtype)
+        bound = as_array("tolerance", tolerance, "", positive=True)
     return Implicit(
-        spectral_radius=jnp.asarray(radius, dtype),
-        tolerance=tolerance,
+        spectral_radius=radius,
+        tolerance=bound,
         max_iterations=check_count("max_iterations", max_iterations, 1),
     )
 

@@ -78,7 +78,7 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
         ValueError: If the plane is unknown.
         TypeError: If the law is another method, which is in space only.
     """
-    if plane not in PLANES:
+    if not isinstance(plane, str) or plane not in PLANES:
         raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
     law = Consistent() if law is None else law
     if not isinstance(law, Consistent | PyElastica):

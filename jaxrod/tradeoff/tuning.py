@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxrod._validation import check_array, check_count
+from jaxrod._validation import check_array, check_count, is_traced
 from jaxrod.inertia_scaling import scale_inertia
 from jaxrod.rod import RodState
 from jaxrod.scene import Scene
@@ -122,6 +122,10 @@ def tune(
             converged well enough to judge by: then the motion depends on details
             beyond any resolution, or needs a looser tolerance.
     """
+    if is_traced(scene, state):
+        raise ValueError(
+            "tune needs numbers that are known, not traced by jax.jit, grad or vmap"
+        )
     check_array("tolerance", tolerance, [()], "", positive=True)
     check_array("seconds", seconds, [()], "s", positive=True)
     batch = check_count("batch", batch, 1)

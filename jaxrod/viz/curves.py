@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrod._files import write_atomically
+from jaxrod._files import read_csv, reading, write_atomically
 from jaxrod.viz.paper import PaperResult, paper_result
 
 _COLUMNS = ("env_steps", "wall_s", "episode_return_mean")
@@ -70,16 +69,16 @@ def read_curve(path: Path) -> Curve:
     """Reads a progress.csv; rows without a return yet are skipped.
 
     Raises:
-        ValueError: the file lacks the columns or has no finished episode.
+        DamagedFileError: the file is no table, or lacks the columns.
+        ValueError: it has no finished episode.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        missing = [c for c in _COLUMNS if c not in (reader.fieldnames or ())]
-        if missing:
-            raise ValueError(
-                f"{path} must have the columns {_COLUMNS}, lacks {missing}"
-            )
-        table = [[_number(row[column]) for column in _COLUMNS] for row in reader]
+    columns, rows = read_csv(path)
+    with reading(path):
+        missing = [name for name in _COLUMNS if name not in columns]
+        if missing and (columns or rows):
+            raise ValueError(f"it must have the columns {_COLUMNS}, lacks {missing}")
+        places = [columns.index(name) for name in _COLUMNS if not missing]
+        table = [[_number(row[place]) for place in places] for row in rows]
     values = np.array(table, dtype=float).reshape(-1, 3)
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
@@ -90,7 +89,7 @@ def read_curve(path: Path) -> Curve:
     return Curve(steps, wall, returns)
 
 
-def _number(text: str | None) -> float:
+def _number(text: str) -> float:
     return float(text) if text else float("nan")
 
 

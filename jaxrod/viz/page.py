@@ -58,8 +58,8 @@ def html(
     parts = {
         "TITLE": markup.escape(replay.title or "Rod replay"),
         "STYLE": _asset("page.css"),
-        # "</" would end the surrounding script element.
-        "HEADER": json.dumps(header).replace("</", "<\\/"),
+        # "</script" would end the surrounding element, "<!--<script" hide its end.
+        "HEADER": json.dumps(header).replace("<", "\\u003c"),
         "DATA": base64.b64encode(data).decode("ascii"),
         "PROGRAM": f'(() => {{\n"use strict";\n{program}\n}})();',
     }

@@ -78,6 +78,7 @@ def remove_policy(folder):
 def change_the_task(folder):
     text = (folder / "config.json").read_text()
     text = text.replace('"case": "trivial"', '"case": "tracking"')
+    text = text.replace('"variant": null', '"variant": "paper"')
     (folder / "config.json").write_text(text)
 
 
@@ -85,9 +86,9 @@ def change_the_task(folder):
     ("break_it", "sentence"),
     [
         (damage_config, "config.json is damaged"),
-        (forget_the_case, "has no proper 'case'"),
-        (damage_policy, "policy is damaged"),
-        (damage_policy_description, "policy is damaged"),
+        (forget_the_case, "config.json is damaged: it has no 'case'"),
+        (damage_policy, "policy.npz is damaged: it is torn"),
+        (damage_policy_description, "policy.json is damaged: it is of format None"),
         (remove_policy, "no policy yet"),
         (change_the_task, "maps 1 observations to 1 actions, but tracking has 44"),
         (shutil.rmtree, "does not exist"),

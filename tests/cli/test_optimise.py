@@ -67,7 +67,7 @@ def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypa
         (["tracking", "--duration", "-1"], "duration must be positive, got -1 s"),
         (["tracking", "--target", "nan", "0", "0"], "target must be finite, got nan m"),
         (["tracking", "--elements", "7"], "n_elements must be"),
-        (["tracking", "--knots", "1"], "n_knots must be at least 2, got 1"),
+        (["tracking", "--knots", "1"], "knots must be at least 2, got 1"),
     ],
 )
 def test_wrong_requests_are_refused_in_one_sentence(run, tmp_path, words, message):

@@ -32,7 +32,8 @@ with open(out.parent / "called", "a") as called:
 if hasattr(os, "sched_getaffinity"):
     with open(out.parent / "cores", "a") as cores:
         cores.write(json.dumps(sorted(os.sched_getaffinity(0))) + "\\n")
-(out / "config.json").write_text(json.dumps(asked))
+marked = {"format": "jaxrod training run 1", **asked}
+(out / "config.json").write_text(json.dumps(marked))
 (out / "progress.csv").write_text(
     "env_steps,wall_s,episode_return_mean,flagged_fraction\\n"
     + "".join(f"{k},{k / 10},{k if k > 9 else ''},0.0\\n" for k in range(1, 1001)))
@@ -50,7 +51,7 @@ if seed == 3:
 if seed == 9 and not resumed:
     os.kill(os.getpid(), 9)
 summary = {"final_score": None if seed == 11 else 100.0 * seed + 1,
-           "env_steps": 1000, "wall_s": 2.5,
+           "env_steps": 1000, "wall_s": 2.5, "steps_per_s": 400.0,
            "flagged_fraction": 0.0, "score_window": 50, "episodes": 9,
            "evaluation_score": 1.0, "jax_version": "1", "device": "2 x cpu",
            "status": "finished"}

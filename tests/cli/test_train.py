@@ -86,6 +86,7 @@ def test_a_run_that_is_there_is_refused_and_left_alone(trained, run):
     assert contents(folder) == before
 
 
+@pytest.mark.default_precision
 def test_resuming_takes_over_what_the_run_was_started_with(trained, run_json, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
@@ -105,6 +106,12 @@ def test_overwriting_makes_a_new_run_with_new_pictures(trained, run_json, tmp_pa
     assert run_json(*words, "--json")["seed"] == 4
     assert not (folder / "replay.html").exists()
     assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_a_run_does_not_go_on_in_another_precision(trained, run):
+    code, _, err = run("train", "trivial", "--resume", "--out", trained[0])
+    assert code == 2
+    assert "holds float32" in err and "is JAX_ENABLE_X64 as it was?" in err
 
 
 def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch):

@@ -68,6 +68,8 @@ def test_an_unhealthy_clean_arm_is_frozen_and_truncated_not_punished(name):
         KEY, state, nothing, params
     )
     assert truncated and not terminated and info["flagged"] and reward > -10
+    last = np.linalg.norm(state.arm.tip - state.target.position)
+    np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
     np.testing.assert_array_equal(after.arm.positions, state.arm.positions)
 
 

@@ -235,6 +235,8 @@ def test_a_broken_arm_costs_a_hundred_and_shows_what_was_last_finite(name):
     )
     assert reward == -100 and terminated and not truncated and info["flagged"]
     assert np.all(np.isfinite(obs))
+    last = np.linalg.norm(state.arm.tip - state.target.position)
+    np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
     np.testing.assert_allclose(obs[22:30], seen[22:30], atol=1e-3)
     np.testing.assert_array_equal(obs[37:], seen[37:])
 

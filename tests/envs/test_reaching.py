@@ -196,6 +196,15 @@ def test_a_broken_paper_arm_costs_ten_thousand_and_ends_the_episode(paper):
         )
         assert reward == -10_000 and terminated and not truncated and info["flagged"]
         np.testing.assert_array_equal(obs, 0)
+        check_last_sound(info, state)
+
+
+def check_last_sound(info, state):
+    """A crashed step reports the arm before it, not the best there is."""
+    last = np.linalg.norm(state.arm.tip - state.target.position)
+    np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
+    aligned = np.sum(tip_frame(state.arm) * state.target.orientation) ** 2
+    np.testing.assert_allclose(info["misalignment"], 1 - aligned, rtol=1e-9)
 
 
 def test_an_unhealthy_clean_arm_is_truncated_not_punished():
@@ -208,6 +217,7 @@ def test_an_unhealthy_clean_arm_is_truncated_not_punished():
         KEY, dataclasses.replace(state, arm=fast), jnp.zeros(18), params
     )
     assert truncated and not terminated and info["flagged"] and reward > -10
+    check_last_sound(info, state)
 
 
 @pytest.mark.slow

@@ -175,11 +175,13 @@ def test_a_broken_paper_arm_costs_a_thousand_and_ends_the_episode():
     broken = dataclasses.replace(
         state.arm, velocities=state.arm.velocities.at[0, 5].set(jnp.nan)
     )
-    obs, _, reward, terminated, truncated, info = env.step(
+    obs, after, reward, terminated, truncated, info = env.step(
         KEY, dataclasses.replace(state, arm=broken), jnp.zeros(12), params
     )
     assert reward == -1000 and terminated and not truncated and info["flagged"]
     assert np.all(np.isfinite(obs))
+    last = np.linalg.norm(state.arm.tip - after.target.position)
+    np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
 
 
 def test_an_unhealthy_clean_arm_is_truncated_not_punished():
@@ -189,10 +191,12 @@ def test_an_unhealthy_clean_arm_is_truncated_not_punished():
     fast = dataclasses.replace(
         state.arm, velocities=state.arm.velocities.at[0, -1].set(500.0)
     )
-    *_, reward, terminated, truncated, info = env.step(
+    _, after, reward, terminated, truncated, info = env.step(
         KEY, dataclasses.replace(state, arm=fast), jnp.zeros(12), params
     )
     assert truncated and not terminated and info["flagged"] and reward > -10
+    last = np.linalg.norm(state.arm.tip - after.target.position)
+    np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
 
 
 def test_clean_arm_is_as_accurate_as_it_says():

@@ -32,6 +32,15 @@ N_ELEMENTS, DT, SUBSTEPS = 50, 1e-4, 14
 CONTROL_POINTS = (0.4, 0.9)
 LARGEST_CHANGE = 0.01 * SUBSTEPS
 KINDS = ("held", "switched", "random")
+FLAGS = (
+    "not_finite",
+    "stretch",
+    "joint_angle",
+    "speed",
+    "spin",
+    "norm",
+    "violation",
+)
 
 
 @pytree
@@ -41,7 +50,7 @@ class Outcome:
     flagged: jax.Array
     """A health flag rose; from then on the arm is frozen."""
     flags: jax.Array
-    """Which: not finite, stretch, joint angle, speed, spin."""
+    """Which, as in `FLAGS`."""
     smallest_stretch: jax.Array
     largest_stretch: jax.Array
     largest_joint_angle: jax.Array
@@ -99,15 +108,8 @@ def episode(index, key, mode, dtype, control_steps):
         after = jaxrod.advance(scene, state, dt, SUBSTEPS)
         report = jaxrod.health(scene, after, dt)
         work = work + jnp.sum(couples * turned(state, after))
-        flags = jnp.stack(
-            [
-                ~report.finite,
-                report.stretch,
-                report.joint_angle,
-                report.speed,
-                report.spin,
-            ]
-        )
+        found = [getattr(report, flag) for flag in FLAGS[1:]]
+        flags = jnp.stack([~report.finite, *found])
         energy = jaxrod.total_energy(scene, after)
         sound = ~outcome.flagged
         excess = (energy - work) / (jnp.abs(work) + 1)
@@ -136,7 +138,7 @@ def episode(index, key, mode, dtype, control_steps):
     zero = jnp.zeros((), dtype)
     nothing = Outcome(
         flagged=jnp.zeros((), bool),
-        flags=jnp.zeros(5, bool),
+        flags=jnp.zeros(len(FLAGS), bool),
         smallest_stretch=zero + 1,
         largest_stretch=zero + 1,
         largest_joint_angle=zero,
@@ -188,13 +190,7 @@ def run(count, seconds, mode="consistent", dtype="float32", batch=64, offset=0):
         "flagged_by_kind": {
             kind: int(outcome.flagged[kinds == k].sum()) for k, kind in enumerate(KINDS)
         },
-        "flags": dict(
-            zip(
-                ("not_finite", "stretch", "joint_angle", "speed", "spin"),
-                outcome.flags.sum(axis=0).tolist(),
-                strict=True,
-            )
-        ),
+        "flags": dict(zip(FLAGS, outcome.flags.sum(axis=0).tolist(), strict=True)),
         "states_not_finite_after_freezing": int((~finite).sum()),
         "smallest_stretch": float(outcome.smallest_stretch.min()),
         "largest_stretch": float(outcome.largest_stretch.max()),

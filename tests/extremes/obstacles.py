@@ -27,7 +27,15 @@ from jaxrod._pytree import pytree
 from jaxrod.envs import make
 
 KINDS = ("held", "switched", "random")
-FLAGS = ("not_finite", "stretch", "joint_angle", "speed", "spin")
+FLAGS = (
+    "not_finite",
+    "stretch",
+    "joint_angle",
+    "speed",
+    "spin",
+    "norm",
+    "violation",
+)
 
 
 @pytree
@@ -40,6 +48,7 @@ class Outcome:
     """Which, as in `FLAGS`."""
     penetration: jax.Array
     """Deepest overlap with an obstacle, over the arm's radius [1]."""
+    smallest_stretch: jax.Array
     largest_stretch: jax.Array
     largest_speed: jax.Array
 
@@ -84,16 +93,18 @@ def episode(index, key, task, params, control_steps):
         begin = state, jnp.zeros_like(params.dt)
         after, depth = jax.lax.fori_loop(0, task.substeps, step, begin)
         report = jaxrod.health(scene, after, params.dt, limits=arm.limits)
-        flags = [report.stretch, report.joint_angle, report.speed, report.spin]
+        flags = [~report.finite, *(getattr(report, flag) for flag in FLAGS[1:])]
         sound = ~outcome.flagged
+        shortest = jnp.fmin(outcome.smallest_stretch, report.smallest_stretch)
 
         def largest(before, now):
             return jnp.where(sound, jnp.fmax(before, now), before)
 
         outcome = Outcome(
             flagged=outcome.flagged | report.flagged,
-            flags=jnp.where(sound, jnp.stack([~report.finite, *flags]), outcome.flags),
+            flags=jnp.where(sound, jnp.stack(flags), outcome.flags),
             penetration=largest(outcome.penetration, depth),
+            smallest_stretch=jnp.where(sound, shortest, outcome.smallest_stretch),
             largest_stretch=largest(outcome.largest_stretch, report.largest_stretch),
             largest_speed=largest(outcome.largest_speed, report.largest_speed),
         )
@@ -102,7 +113,8 @@ def episode(index, key, task, params, control_steps):
 
     zero = jnp.zeros_like(params.dt)
     no = jnp.zeros((), bool)
-    nothing = Outcome(no, jnp.zeros(len(FLAGS), bool), zero, zero, zero)
+    flags = jnp.zeros(len(FLAGS), bool)
+    nothing = Outcome(no, flags, zero, zero + 1, zero, zero)
     first = corner(jax.random.fold_in(key, control_steps))
     start = (arm.rest, arm.relaxed(), first, nothing)
     (state, _, _, outcome), _ = jax.lax.scan(
@@ -146,6 +158,7 @@ def run(name, count, seconds, batch=24, offset=0):
         "flags": dict(zip(FLAGS, outcome.flags.sum(axis=0).tolist(), strict=True)),
         "states_not_finite_after_freezing": int((~finite).sum()),
         "deepest_penetration_over_radius": float(outcome.penetration.max()),
+        "smallest_stretch": float(outcome.smallest_stretch.min()),
         "largest_stretch": float(outcome.largest_stretch.max()),
         "largest_speed": float(outcome.largest_speed.max()),
         "wall_seconds": time.perf_counter() - begin,

@@ -79,6 +79,86 @@ def test_changing_numbers_compiles_nothing(compilations):
         assert not np.array_equal(results[0], reference[0])
 
 
+@pytree
+class Falling:
+    """The least that is a stepper: quick to compile, which is not what is tested."""
+
+    steps_of_end = 1
+    dt: jax.Array
+    fall: jax.Array
+
+    def begin(self, state):
+        return state
+
+    def cycle(self, state):
+        return replace(state, positions=state.positions - self.dt * self.fall**2)
+
+    end = cycle
+
+
+@pytree
+class Fall(jaxrod.Effect):
+    """Makes scenes of these tests their own kind: programs are kept by kind."""
+
+    rate: jax.Array
+
+
+TRANSFORMATIONS = {
+    "grad": jax.grad,
+    "value_and_grad": jax.value_and_grad,
+    "jacfwd": jax.jacfwd,
+    "jvp": lambda f: lambda rate: jax.jvp(f, (rate,), (rate,)),
+    "vmap": lambda f: lambda rate: jax.vmap(f)(jnp.stack([rate, 2 * rate])),
+}
+
+
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+@pytest.mark.parametrize(
+    ("run", "steps"),
+    [
+        (jaxrod.step, ()),
+        (jaxrod.advance, (100,)),
+        (jaxrod.advance, (jnp.asarray(100),)),
+        (jaxrod.rollout, (4, 2)),
+    ],
+)
+def test_a_transformation_by_itself_compiles_once(
+    kind, run, steps, compilations, monkeypatch
+):
+    """As users write it, without jit around it: the second call runs what is there."""
+    made = lambda scene, state, dt: Falling(dt, scene.effects[0].rate)
+    monkeypatch.setattr("jaxrod.stepping.stepper", made)
+    rod, state = arm(3)
+
+    def height(rate):
+        scene = jaxrod.make_scene(rod, Fall(rate))
+        return jnp.sum(run(scene, state, jnp.asarray(1e-4), *steps).tip)
+
+    if "grad" in kind and steps and isinstance(steps[0], jax.Array):
+        pytest.skip("a traced number of steps has no gradient in reverse mode")
+    first = TRANSFORMATIONS[kind](height)(jnp.asarray(2.0))
+    before = len(compilations)
+    second = TRANSFORMATIONS[kind](height)(jnp.asarray(3.0))
+    assert len(compilations) == before
+    assert difference(first, second) != 0
+
+
+@pytest.mark.parametrize("plane", [None, "xy"])
+def test_a_scene_that_a_jitted_function_closes_over(plane):
+    """Nothing in it is traced, yet nothing in it can be looked at."""
+    rod, state = arm(3, direction=(1.0, 0.0, 0.0))
+    scene = jaxrod.make_scene(
+        rod, jaxrod.clamp(state), method=plane and jaxrod.planar(plane)
+    )
+    for run in (
+        lambda: jaxrod.step(scene, state, 1e-4),
+        lambda: jaxrod.advance(scene, state, 1e-4, 2),
+        lambda: jaxrod.rollout(scene, state, 1e-4, 2),
+        lambda: jaxrod.scale_inertia(scene, 1e-4).scene,
+    ):
+        assert jax.eval_shape(run)
+
+
 @pytest.mark.parametrize(
     ("kind", "mode"),
     [("float64", "consistent"), ("float32", "consistent"), ("float32", "pyelastica")],

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod.stepping import _advance_compiled
+from jaxrod.stepping import _traced_compiled
 from physics.rods import RADIUS, arm
 from physics.touching import contact_loads, rubbing
 
@@ -83,7 +83,7 @@ def test_an_arm_is_shot_through_bodies_and_all_stays_finite_and_is_compiled_once
             at = jaxrod.advance(free, at, 1e-5, 20)
             assert all(jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(at))
         assert at.positions[1, 2] < -0.15
-        sizes.append(_advance_compiled._cache_size())
+        sizes.append(_traced_compiled._cache_size())
     assert len(set(sizes)) == 1
 
 

@@ -16,6 +16,7 @@ from physics.touching import (
     RATE,
     STIFFNESS,
     G,
+    contact_loads,
     floor_contact,
     on_the_floor,
     rolled,
@@ -79,7 +80,7 @@ def test_an_arm_that_slides_is_braked_by_friction_until_it_rolls(mode, record):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steepness", [0.5, 2.0])
+@pytest.mark.parametrize("steepness", [0.5, 0.9, 2.0])
 def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, record):
     """It creeps as stated where the slope is gentle, and slides where it is not."""
     slope, thin = np.arctan(FRICTION * steepness), 0.01
@@ -106,9 +107,9 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
             friction=FRICTION,
         ),
     )
-    dt = 1.2e-4
-    early, _, _ = rolled(scene, state, dt, 1000)
-    late, _, _ = rolled(scene, early, dt, 1000)
+    dt, steps = 1.2e-4, 4000 if steepness == 0.9 else 1000
+    early, _, _ = rolled(scene, state, dt, steps)
+    late, _, _ = rolled(scene, early, dt, steps)
     first, second = (
         float(jnp.dot(jaxrod.momentum(rod, at), jnp.asarray(down))) / line
         for at in (early, late)
@@ -116,7 +117,8 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
     if steepness < 1:
         creep = G * np.sin(slope) / RATE / np.sqrt(1 - steepness**2)
         record(
-            "Creep of a rod that sticks on a slope at half its friction's cone",
+            f"Creep of a rod that sticks on a slope at {steepness:g} of its friction's "
+            "cone",
             "load / (drag sqrt(1 - (load / limit)^2))",
             abs(second / creep - 1),
             at_most=2e-3,
@@ -129,6 +131,19 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
             abs((second - first) / (1000 * dt) / free - 1),
             at_most=2e-3,
         )
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+def test_friction_balances_a_load_at_the_speed_of_creep_that_is_stated(share):
+    """The load being a share of the largest there is."""
+    scene, state = on_the_floor()
+    rod, touch = scene.rod, scene.effects[1]
+    lengths = rod.node_masses / rod.linear_density[0]
+    load = share * FRICTION * contact_loads(touch, rod, state)[0][1] / lengths
+    creep = load / touch.friction_drag / np.sqrt(1 - share**2)
+    creeping = replace(state, velocities=state.velocities.at[2].set(creep))
+    friction = contact_loads(touch, rod, creeping)[0][2] / lengths
+    np.testing.assert_allclose(friction, -load, rtol=1e-9)
 
 
 @jax.jit

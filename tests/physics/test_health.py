@@ -1,4 +1,4 @@
-"""Every health flag is raised by a state that deserves it, and by that alone."""
+"""Every health flag is raised just beyond its limit, and no other with it."""
 
 from dataclasses import replace
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod._pytree import pytree
 from physics.rods import arm, deformed, turn
 
 DT = 1e-4
-FLAGS = ("stretch", "joint_angle", "speed", "spin", "energy")
+FLAGS = ("stretch", "joint_angle", "speed", "spin", "norm", "energy")
 
 
 def raised(report):
@@ -24,15 +25,22 @@ def scaled(state, factor):
 
 
 def bent(state, angle):
-    """The last element turned about d1, its node kept at the rest length."""
-    return replace(
-        state,
-        orientations=turn(state.orientations, jnp.zeros((3, 5)).at[0, 4].set(angle)),
-    )
+    """The last element turned about d1, its length kept."""
+    turns = jnp.zeros((3, 5)).at[0, 4].set(angle)
+    turned = replace(state, orientations=turn(state.orientations, turns))
+    edge = jnp.linalg.norm(state.positions[:, -1] - state.positions[:, -2])
+    tip = state.positions[:, -2] + edge * turned.directors[2, :, -1]
+    return replace(turned, positions=state.positions.at[:, -1].set(tip))
+
+
+def of_norm(state, norm):
+    return replace(state, orientations=state.orientations.at[:, 2].mul(norm))
 
 
 def moving(state, speed):
-    return replace(state, velocities=state.velocities.at[1, 2].set(speed))
+    """Two nodes against each other."""
+    velocities = state.velocities.at[1, 2].set(speed).at[1, 3].set(-speed)
+    return replace(state, velocities=velocities)
 
 
 def spinning(state, rate):
@@ -48,6 +56,8 @@ def spinning(state, rate):
         (bent, 2.55, 2.45, "joint_angle"),
         (moving, 255.0, 245.0, "speed"),
         (spinning, 10_100.0, 9_900.0, "spin"),
+        (of_norm, 1.0006, 1.0004, "norm"),
+        (of_norm, 0.9994, 0.9996, "norm"),
     ],
 )
 def test_each_flag_is_raised_just_beyond_its_limit(change, wrong, fine, flag):
@@ -70,6 +80,93 @@ def test_the_values_behind_the_flags():
     np.testing.assert_allclose(report.largest_joint_angle, 1.5)
     np.testing.assert_allclose(report.largest_speed, 3.0)
     np.testing.assert_allclose(report.largest_spin, 70.0)
+    np.testing.assert_allclose(report.largest_norm_error, 0.0, atol=1e-15)
+
+
+def test_speed_is_relative_to_the_rods_own_motion_unless_something_holds_it():
+    rod, state = arm(5)
+    wind = jnp.array([[300.0], [0.0], [400.0]])
+    fast = replace(moving(state, 3.0), velocities=moving(state, 3.0).velocities + wind)
+    report = jaxrod.health(jaxrod.make_scene(rod), fast, DT)
+    np.testing.assert_allclose(report.largest_speed, 3.0)
+    assert raised(report) == set()
+    for tie in (
+        jaxrod.clamp(state),
+        jaxrod.fixed_end(state),
+        jaxrod.contact(jaxrod.sphere((5.0, 0.0, 0.0), 1.0), stiffness=1e5),
+    ):
+        report = jaxrod.health(jaxrod.make_scene(rod, tie), fast, DT)
+        np.testing.assert_allclose(report.largest_speed, np.hypot(500, 3))
+        assert raised(report) == {"speed"}
+
+
+@pytest.mark.parametrize("bad", [0.0, -1e-4, np.nan, np.inf])
+def test_a_step_that_is_none_is_refused_and_flagged_where_it_is_traced(bad):
+    rod, state = arm(5)
+    scene = jaxrod.make_scene(rod)
+    with pytest.raises(ValueError, match="dt must be"):
+        jaxrod.health(scene, state, bad)
+    report = jax.jit(jaxrod.health)(scene, state, bad)
+    assert raised(report) == {"speed", "spin"}
+    assert bool(report.flagged)
+
+
+@pytest.mark.parametrize("hold", [jaxrod.clamp, jaxrod.fixed_end])
+@pytest.mark.parametrize("end", ["start", "finish"])
+def test_an_end_is_flagged_a_radius_from_where_it_is_held(hold, end):
+    rod, state = arm(5)
+    scene = jaxrod.make_scene(rod, hold(state, end))
+    for distance, wrong in ((0.051, True), (0.049, False)):
+        moved = replace(state, positions=state.positions + distance / 3**0.5)
+        report = jaxrod.health(scene, moved, DT)
+        np.testing.assert_allclose(report.largest_violation, distance / 0.05)
+        assert bool(report.violation) == bool(report.flagged) == wrong
+    bare = jaxrod.make_scene(rod, jaxrod.Clamp(state.orientations[:, 0]))
+    assert not jaxrod.health(bare, moved, DT).flagged
+
+
+def test_a_rod_is_flagged_where_its_centreline_is_in_one_of_several_bodies():
+    rod, state = arm(5)
+    centres = jnp.asarray([[0.6, 0.0, 0.4], [0.2, 0.0, 2.0]])
+    balls = jax.vmap(lambda centre: jaxrod.sphere(centre, 0.5))(centres)
+    touch = jaxrod.contact(balls, stiffness=1e5)
+    near = jaxrod.near_contact(touch, rod, state, 1)
+    for contact in (touch, near):
+        scene = jaxrod.make_scene(rod, contact)
+        for shift, depth in ((0.0, 0.0), (0.09, 0.8), (0.11, 1.2)):
+            moved = replace(state, positions=state.positions.at[0].add(shift))
+            report = jaxrod.health(scene, moved, DT)
+            expected = max(0.0, 1 - (0.1 - shift) / 0.05) if depth else 0.0
+            np.testing.assert_allclose(report.largest_violation, expected, atol=1e-9)
+            assert bool(report.violation) == (expected > 1)
+
+
+@pytree
+class Fence(jaxrod.Effect):
+    """A user's own: the tip below a height."""
+
+    height: jax.Array
+
+    def violation(self, rod, state):
+        return jnp.maximum(state.tip[2] - self.height, 0) / rod.length
+
+
+def test_what_an_effect_of_ones_own_is_violated_by_is_flagged():
+    rod, state = arm(5)
+    for height, wrong in ((0.5, False), (-0.5, True)):
+        scene = jaxrod.make_scene(rod, Fence(jnp.asarray(height)))
+        report = jaxrod.health(scene, state, DT)
+        np.testing.assert_allclose(report.largest_violation, 1 - height)
+        assert bool(report.flagged) == wrong
+
+
+def test_limits_are_the_callers():
+    rod, state = arm(5)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state))
+    moved = replace(state, positions=state.positions.at[0].add(0.1))
+    assert jaxrod.health(scene, moved, DT).flagged
+    wide = jaxrod.HealthLimits(largest_violation=3.0)
+    assert not jaxrod.health(scene, moved, DT, limits=wide).flagged
 
 
 def test_energy_from_nowhere_is_flagged_and_work_is_not():

@@ -13,6 +13,7 @@ import jaxrod
 from jaxrod._pytree import pytree
 from jaxrod.envs.tracking import tracking
 from jaxrod.methods.laws import IN_SPACE
+from jaxrod.stability import compression
 from physics.rods import arm, deformed, random_rod
 from physics.small_motions import (
     frequencies,
@@ -182,6 +183,88 @@ def test_the_guard_knows_that_compression_stiffens_pyelasticas_law():
     jaxrod.advance(
         replace(scene, method=jaxrod.consistent()), squeezed(state, 0.5), dt, 1
     )
+
+
+EXTENTS = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0, 1.05, 1.2)
+
+
+def test_compression_raises_the_highest_frequency_as_the_guard_says(record):
+    """By up to 0.6 of the compression, and by a tenth at the most."""
+    errors, rises, slopes = [], [], []
+    for radius in (0.05, 0.02, 0.005):
+        rod, state = arm(5, radius=radius)
+        scene = jaxrod.make_scene(rod)
+        rest = float(jaxrod.highest_frequency(scene, state))
+        for extent in EXTENTS:
+            at = squeezed(state, extent)
+            rise = float(jaxrod.highest_frequency(scene, at)) / rest
+            factor, shortest = compression(scene, at)
+            assert shortest == pytest.approx(extent)
+            errors.append(abs(min(1 / rise, 1) / float(factor) - 1))
+            rises.append(rise)
+            if 0.9 <= extent < 1:
+                slopes.append((rise - 1) / (1 - extent))
+    record(
+        "What compression takes from the stability bound, relative error",
+        "highest frequency as measured",
+        max(errors),
+        at_most=2e-3,
+    )
+    record(
+        "Highest frequency of rods compressed to 0.3 and less, over that at rest",
+        "measured; 1 / the safety factor that is always enough",
+        max(rises),
+        between=(1.05, 1 / 0.9),
+    )
+    assert max(slopes) < 0.6
+
+
+def soft_swing(safety):
+    """A soft arm that swings under its weight, compressed by 5 % now and then."""
+    rod, state = arm(10, youngs_modulus=1e6, direction=(1.0, 0.0, 0.0))
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
+    return scene, state, jaxrod.stable_dt(scene, safety).dt
+
+
+def test_a_step_near_the_bound_is_warned_of_once_the_rod_is_compressed():
+    """Before anything is wrong where `advance` gets to see it, else afterwards."""
+    scene, state, dt = soft_swing(0.999)
+    with pytest.warns(jaxrod.UnstableStepWarning, match=r"compressed to 0\.9"):
+        for _ in range(10):
+            state = jaxrod.advance(scene, state, dt, 100)
+    assert abs(jaxrod.total_energy(scene, state)) < 0.01
+    scene, state, dt = soft_swing(0.999)
+    with pytest.warns(jaxrod.UnstableStepWarning, match="compressed to"):
+        after = jaxrod.advance(scene, state, dt, 8000)
+    assert jaxrod.total_energy(scene, after) > 1e6
+    assert jaxrod.health(scene, after, dt).flagged
+
+
+def test_a_safety_factor_of_nine_tenths_covers_compression():
+    scene, state, dt = soft_swing(0.9)
+    after = jaxrod.advance(scene, state, dt, 8000)
+    assert abs(jaxrod.total_energy(scene, after)) < 0.5
+    assert not jaxrod.health(scene, after, dt).flagged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("safety", "sound"), [(0.65, True), (0.8, False)])
+def test_violent_vibrations_of_single_elements_need_a_smaller_step(safety, sound):
+    """Strains of a tenth and a radian from each element to the next, undamped."""
+    rod, _ = arm(20)
+    scene = jaxrod.make_scene(rod)
+    dt = jaxrod.stable_dt(scene, safety).dt
+    for seed in range(4):
+        state = deformed(rod, seed, largest_angle=1.0, largest_strain=0.1)
+        after = jaxrod.advance(scene, state, dt, 4000)
+        before = jaxrod.total_energy(scene, state)
+        kept = jaxrod.total_energy(scene, after) < 1.3 * before
+        report = jaxrod.health(scene, after, dt, energy_before=before, n_steps=4000)
+        assert kept or report.energy
+        if not kept:
+            assert not sound
+            return
+    assert sound
 
 
 def test_the_limiting_motion_is_named():

@@ -63,7 +63,7 @@ def test_compensation_inertia_scaling_and_other_numbers_of_elements():
     fewer, there = resampled(scene, other, 5)
     assert not fewer.twist and there.positions.shape == (3, 6)
     scaled = jaxrod.scale_inertia(resampled(*exact, 40)[0])
-    assert not scaled.scene.twist and float(scaled.gain) >= 1
+    assert not scaled.scene.method.twist and float(scaled.gain) >= 1
 
 
 @pytree

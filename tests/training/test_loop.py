@@ -392,6 +392,6 @@ def test_what_diverged_is_said_and_not_saved(tmp_path, part, name):
             progress=False,
         )
     (kept,) = (tmp_path / "run" / "checkpoints").glob("[0-9]*")
-    assert kept.name == "2"
+    assert kept.name == "0000000002.npz"
     for weights in jax.tree.leaves(load_policy(tmp_path / "run" / "policy")):
         assert np.isfinite(weights).all()

@@ -177,7 +177,6 @@ def test_a_restored_run_continues_bit_by_bit_with_its_memory(tmp_path, six_updat
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save(3, states[3], {})
     state, _ = checkpoints.restore(states[0])
-    checkpoints.close()
     for _ in range(3):
         state, _ = UPDATE(state)
     assert int(state.replay.written) == 24

@@ -1,0 +1,252 @@
+"""Every number that a factory takes may be traced, alone or inside tuples."""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.resampling import resampled
+
+MATERIAL = {
+    "radius": 0.05,
+    "density": 1e3,
+    "youngs_modulus": 1e6,
+    "shear_modulus": 4e5,
+    "shear_correction": 0.9,
+}
+ROD, STATE = jaxrod.straight_rod(3, length=1.2, **MATERIAL)
+SCENE = jaxrod.make_scene(ROD, jaxrod.clamp(STATE))
+BENT = ((0.0, 0.1, 0.1, 0.3), (0.0, 0.0, 1.0, 1.2), (0.0, 1.0, 1.1, 2.0))
+FRAMES = np.asarray(jaxrod.rod_along(BENT, **MATERIAL)[1].directors).tolist()
+BALL = jaxrod.sphere((0.0, 0.0, 0.0), 0.1)
+
+FACTORIES = {
+    "straight_rod": [
+        {
+            "n_elements": 3,
+            "length": 1.2,
+            "start": (0.1, 0.2, 0.3),
+            "direction": (1.0, -2.0, 0.5),
+            "normal": (0.3, 0.2, 2.0),
+            **MATERIAL,
+        },
+        {
+            "n_elements": 3,
+            "length": 1.2,
+            "direction": (1.0, -2.0, 0.5),
+            **MATERIAL,
+            "radius": (0.06, 0.03),
+            "shear_modulus": None,
+            "poisson_ratio": (0.1, 0.2, 0.3),
+        },
+    ],
+    "rod_along": [
+        {"positions": BENT, "normal": (0.0, 1.0, 0.2), **MATERIAL},
+        {
+            "positions": BENT,
+            **MATERIAL,
+            "shear_modulus": None,
+            "poisson_ratio": 0.3,
+        },
+        {"positions": BENT, "directors": FRAMES, **MATERIAL},
+    ],
+    "gravity": [{"acceleration": (1.0, 2.0, 3.0)}],
+    "end_load": [{"force": (1.0, 2.0, 3.0), "couple": (4.0, 5.0, 6.0)}],
+    "uniform_load": [
+        {"force_per_length": (1.0, 2.0, 3.0), "couple_per_length": (4.0, 5.0, 6.0)}
+    ],
+    "exponential_damping": [
+        {"translational_rate": 3.0, "rotational_rate": 2.0},
+        {"translational_rate": 3.0},
+    ],
+    "sphere": [{"centre": (1.0, 2.0, 3.0), "radius": 0.5}],
+    "capsule": [{"start": (1.0, 2.0, 3.0), "end": (0.0, 0.0, 1.0), "radius": 0.5}],
+    "cylinder": [{"start": (1.0, 2.0, 3.0), "end": (0.0, 0.0, 1.0), "radius": 0.5}],
+    "plane": [{"point": (1.0, 2.0, 3.0), "normal": (0.0, 0.5, 1.0)}],
+    "box": [
+        {
+            "centre": (1.0, 2.0, 3.0),
+            "half_lengths": (1.0, 2.0, 3.0),
+            "orientation": (1.0, 0.5, 0.0, 0.0),
+        }
+    ],
+    "contact": [
+        {
+            "bodies": BALL,
+            "stiffness": 1e3,
+            "damping": 2.0,
+            "friction": 0.3,
+            "friction_drag": 4.0,
+            "onset": 0.02,
+        }
+    ],
+    "implicit": [{"spectral_radius": 0.5, "tolerance": 1e-4}],
+    "control_spline": [
+        {"controls": 4, "length": 1.2},
+        {"controls": (0.2, 0.4, 0.7, 1.0), "length": 1.2},
+    ],
+    "spline_couples": [
+        {
+            "rod": ROD,
+            "spline": jaxrod.control_spline(2, 1.2),
+            "controls": ((1.0, 2.0), (3.0, 4.0), (5.0, 6.0)),
+            "couple_density": (1.0, 2.0, 3.0),
+        }
+    ],
+    "limit_rate": [
+        {"applied": (1.0, 2.0), "commanded": (1.5, -3.0), "largest_change": (1.0, 0.5)}
+    ],
+    "with_angular_velocities": [
+        {
+            "rod": ROD,
+            "state": STATE,
+            "angular_velocities": ((1.0, 2.0, 3.0), (1.0, 0.0, 0.0), (0.0, 2.0, 0.0)),
+        }
+    ],
+    "rollout_times": [{"dt": 1e-3, "n_steps": 4, "every": 2}],
+    "stable_dt": [{"scene": SCENE, "safety": 0.5}],
+    "scale_inertia": [{"scene": SCENE, "dt": 1e-3}],
+}
+ELSEWHERE = {
+    # Runs: their step is traced in test_compilation and test_gradients.
+    "step",
+    "advance",
+    "rollout",
+    "equilibrium",
+    "health",
+}
+
+
+def numeric_arguments(name):
+    """The arguments of a public function that are numbers or arrays of them."""
+    parameters = inspect.signature(getattr(jaxrod, name)).parameters.values()
+    kinds = ("Numbers", "ArrayLike", "Float[")
+    return [
+        p.name
+        for p in parameters
+        if any(kind in str(p.annotation) for kind in kinds)
+        and "Callable" not in str(p.annotation)
+    ]
+
+
+CASES = [
+    pytest.param(name, case, argument, id=f"{name}-{argument}-{k}")
+    for name, cases in FACTORIES.items()
+    for k, case in enumerate(cases)
+    for argument in numeric_arguments(name)
+    if case.get(argument) is not None and not isinstance(case[argument], int)
+]
+
+
+def test_every_numeric_argument_is_among_the_cases():
+    functions = [n for n in jaxrod.__all__ if inspect.isfunction(getattr(jaxrod, n))]
+    wanted = {(n, a) for n in functions for a in numeric_arguments(n)}
+    wanted = {pair for pair in wanted if pair[0] not in ELSEWHERE}
+    assert wanted == {tuple(case.values[::2]) for case in CASES}
+
+
+def built(name, case, argument, change):
+    """Real numbers of what a factory makes, one argument changed number by number."""
+    leaves, tree = jax.tree.flatten(case[argument])
+    leaves = [change(k, leaf) for k, leaf in enumerate(leaves)]
+    changed = {argument: jax.tree.unflatten(tree, leaves)}
+    made = jax.tree.leaves(getattr(jaxrod, name)(**case | changed))
+    return [leaf for leaf in made if jnp.issubdtype(leaf.dtype, jnp.floating)]
+
+
+def slope_of(name, case, argument):
+    """A function of how much every number of an argument is changed, and its parts."""
+
+    def leaves(amount):
+        change = lambda k, leaf: leaf * (1 + amount * (1 + 0.3 * k))
+        return built(name, case, argument, change)
+
+    # What is smaller than a thousandth in these cases is rounding.
+    scales = [max(np.max(np.abs(leaf), initial=0), 1e-3) for leaf in leaves(0.0)]
+
+    def total(amount):
+        # Weights make no two results cancel.
+        parts = [
+            jnp.sum(jnp.sin(1 + jnp.arange(leaf.size)) * jnp.ravel(leaf)) / scale
+            for leaf, scale in zip(leaves(amount), scales, strict=True)
+        ]
+        return sum(parts)
+
+    return total
+
+
+@pytest.mark.parametrize(("name", "case", "argument"), CASES)
+def test_every_number_may_be_traced(name, case, argument):
+    """Alone, beside numbers that are known, and under a gradient; nothing compiled."""
+    first = lambda factor: built(
+        name, case, argument, lambda k, leaf: leaf * factor if k == 0 else leaf
+    )
+    known, traced = first(1.0), jax.eval_shape(first, 1.0)
+    kinds = [(leaf.shape, leaf.dtype) for leaf in traced]
+    assert kinds == [(leaf.shape, leaf.dtype) for leaf in known]
+    assert jax.eval_shape(jax.grad(slope_of(name, case, argument)), 0.0).shape == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "case", "argument"), CASES)
+def test_a_traced_number_does_what_a_known_one_does(name, case, argument):
+    first = lambda factor: built(
+        name, case, argument, lambda k, leaf: leaf * factor if k == 0 else leaf
+    )
+    # Frames with one number changed are none.
+    factor = 1.0 if argument == "directors" else 1.001
+    for got, want in zip(jax.jit(first)(factor), first(factor), strict=True):
+        scale = np.max(np.abs(want), initial=1e-4)
+        np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9 * scale)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "case", "argument"),
+    [case for case in CASES if case.values[2] != "directors"],
+)
+def test_gradients_are_those_of_central_differences(name, case, argument):
+    total = slope_of(name, case, argument)
+    slope = jax.jit(jax.grad(total))(0.0)
+    step = 1e-5
+    finite = (total(step) - total(-step)) / (2 * step)
+    np.testing.assert_allclose(slope, finite, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("straight_rod", {"n_elements": 3, "length": 1.0, **MATERIAL}),
+        ("control_spline", {"controls": 3}),
+        ("highest_frequency", {"scene": SCENE, "state": STATE, "size": 3}),
+        ("natural_frequencies", {"scene": SCENE, "state": STATE, "n_modes": 3}),
+        ("equilibrium", {"scene": SCENE, "state": STATE, "max_iterations": 3}),
+        ("implicit", {"max_iterations": 3}),
+        ("rollout", {"scene": SCENE, "state": STATE, "dt": 1e-4, "n_steps": 3}),
+        ("rollout_times", {"dt": 1e-4, "n_steps": 4, "every": 2}),
+        ("contact", {"bodies": BALL, "stiffness": 1.0, "points_per_element": 2}),
+    ],
+)
+def test_traced_structure_is_refused_by_name(name, arguments):
+    for argument, value in arguments.items():
+        if not isinstance(value, int):
+            continue
+        call = lambda n, k=argument: getattr(jaxrod, name)(**arguments | {k: n})
+        with pytest.raises(ValueError, match=argument):
+            jax.jit(call)(value)
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        lambda scene: jaxrod.natural_frequencies(scene, STATE),
+        lambda scene: resampled(scene, STATE, 6),
+        lambda scene: jaxrod.tune(scene, STATE),
+    ],
+)
+def test_what_works_on_the_host_alone_says_so(look):
+    with pytest.raises(ValueError, match=r"traced by jax\.jit"):
+        jax.jit(look)(SCENE)
