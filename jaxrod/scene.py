@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import jax
@@ -121,9 +120,8 @@ def make_scene(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
     dtype = rod.rest_lengths.dtype
-    listed, settings = jax.tree_util.tree_map_with_path(
-        partial(_cast, dtype), (tuple(effects), implicit)
-    )
+    listed = _in_type(dtype, "effects", tuple(effects))
+    settings = _in_type(dtype, "implicit", implicit)
     scene = Scene(rod, listed, mode, plane, settings, bool(twist))
     if not twist:
         # Imported when asked for: it builds on scenes.
@@ -133,14 +131,19 @@ def make_scene(
     return scene
 
 
-def _cast(dtype: Any, path: Any, leaf: Any) -> Array:
-    """A number of an effect or setting, in the rod's type if it is a real one."""
-    if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
-        return jnp.asarray(leaf)
-    if not is_traced(leaf) and leaf.dtype != dtype:
-        name = jax.tree_util.keystr(path[1:])
-        check_held(f"effects{name}", np.asarray(leaf, np.float64), "", dtype)
-    return jnp.asarray(leaf, dtype)
+def _in_type(dtype: Any, name: str, tree: Any) -> Any:
+    """Effects or settings with their real numbers in the rod's type."""
+
+    def cast(path: Any, leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        if not jnp.issubdtype(array.dtype, jnp.floating):
+            return array
+        if not is_traced(array) and array.dtype != dtype:
+            where = f"{name}{jax.tree_util.keystr(path)}"
+            check_held(where, np.asarray(array, np.float64), "", dtype)
+        return array.astype(dtype)
+
+    return jax.tree_util.tree_map_with_path(cast, tree)
 
 
 def check_scene(scene: Scene) -> None:
