@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -48,20 +47,24 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             "method must be one such as jaxrod.consistent() or jaxrod.planar('xy'), "
             f"got {method!r}"
         )
-    listed, method = jax.tree_util.tree_map_with_path(
-        partial(_cast, rod.rest_lengths.dtype), (tuple(effects), method)
-    )
+    dtype = rod.rest_lengths.dtype
+    listed = _in_type(dtype, "effects", tuple(effects))
+    method = _in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
     method.check(scene)
     return scene
 
 
-def _cast(dtype: Any, path: Any, leaf: Any) -> Array:
-    """A number of an effect or setting, in the rod's type if it is a real one."""
-    if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
-        return jnp.asarray(leaf)
-    if not is_traced(leaf) and leaf.dtype != dtype:
-        where = ("effects", "method")[path[0].idx]
-        name = where + jax.tree_util.keystr(path[1:])
-        check_held(name, np.asarray(leaf, np.float64), "", dtype)
-    return jnp.asarray(leaf, dtype)
+def _in_type(dtype: Any, name: str, tree: Any) -> Any:
+    """Effects or a method with their real numbers in the rod's type."""
+
+    def cast(path: Any, leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        if not jnp.issubdtype(array.dtype, jnp.floating):
+            return array
+        if not is_traced(array) and array.dtype != dtype:
+            where = f"{name}{jax.tree_util.keystr(path)}"
+            check_held(where, np.asarray(array, np.float64), "", dtype)
+        return array.astype(dtype)
+
+    return jax.tree_util.tree_map_with_path(cast, tree)

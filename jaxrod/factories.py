@@ -35,7 +35,7 @@ TIMOSHENKO_SHEAR_CORRECTION = 27 / 28
 MOST_ELEMENTS = 1_000_000
 """More are taken for a mistake."""
 ROUNDED = 0.01
-"""Rounding of positions may change the length of an element by this share at most."""
+"""Places that the type tells apart may be this share of an element apart at most."""
 
 
 def straight_rod(
@@ -207,8 +207,8 @@ def _build(
         shear_correction=shear_correction,
         dtype=dtype,
     )
-    if not is_traced(positions):
-        _check_resolved(placed_by, positions, dtype)
+    if not is_traced(positions, rest_lengths):
+        _check_resolved(placed_by, positions, rest_lengths, dtype)
     state = RodState(
         positions=jnp.asarray(positions, dtype),
         orientations=jnp.asarray(orientations, dtype),
@@ -218,20 +218,17 @@ def _build(
     return (rod if straight else unstressed(rod, state)), state
 
 
-def _check_resolved(name: str, positions: np.ndarray, dtype: Any) -> None:
-    """Raises if elements do not survive the rounding of their nodes' positions."""
-
-    def lengths(nodes: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(np.diff(nodes, axis=1), axis=0)
-
-    true = lengths(positions)
-    kept = lengths(positions.astype(dtype).astype(np.float64))
-    if np.any(np.abs(kept - true) > ROUNDED * true):
-        size = np.max(np.abs(positions)).astype(dtype)
+def _check_resolved(
+    name: str, positions: np.ndarray, rest_lengths: np.ndarray, dtype: Any
+) -> None:
+    """Raises if elements are not long beside the rounding of their nodes' positions."""
+    farthest = np.max(np.abs(positions)).astype(dtype)
+    shortest, apart = np.min(rest_lengths), np.spacing(farthest)
+    if apart > ROUNDED * shortest:
         raise ValueError(
-            f"{name} must be nearer to the origin: in {dtype} places {size:.3g} m from "
-            f"it are {np.spacing(size):.2g} m apart, and elements are "
-            f"{np.min(true):.2g} m long"
+            f"{name} must be nearer to the origin: {farthest:.3g} m from it places in "
+            f"{np.dtype(dtype)} are {apart:.2g} m apart, and elements are "
+            f"{shortest:.2g} m long"
         )
 
 

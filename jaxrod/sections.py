@@ -79,8 +79,12 @@ def round_rod(
         check("element length^2", squared, "m^2")
         check("density pi radius^2 element length", line * rest_lengths, "kg")
         check("density pi/4 radius^4 element length", rotary * rest_lengths, "kg m^2")
-        joint = bending / rest_lengths
-        check("youngs_modulus pi/4 radius^4 / element length", joint, "N m")
+        for formula, stiffness in (
+            ("youngs_modulus pi/4 radius^4", bending),
+            ("shear_modulus pi/2 radius^4", twisting),
+        ):
+            check(f"{formula} / element length", stiffness / rest_lengths, "N m")
+            check(f"{formula} element length", stiffness * rest_lengths, "N m^3")
         stretch = young / densities / squared
         check("youngs_modulus / density / element length^2", stretch, "1/s^2")
         check(

@@ -88,7 +88,9 @@ def test_a_submodule_that_lacks_an_optional_package_is_no_attribute():
         "assert not hasattr(jaxrod, 'training')\n"
         "assert len(inspect.getmembers(jaxrod)) > 40\n"
         "try: from jaxrod import training\n"
-        "except ModuleNotFoundError as error: assert error.name == 'optax'\n"
+        "except ModuleNotFoundError as error:\n"
+        "    assert error.name == 'optax'\n"
+        "    assert 'pip install \"jaxrod[rl]\"' in str(error)\n"
         "else: raise AssertionError\n"
     )
     done = python(program)

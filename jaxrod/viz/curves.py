@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxrod._files import read_csv, reading, write_atomically
+from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.paper import PaperResult, paper_result
 
 _COLUMNS = ("env_steps", "wall_s", "episode_return_mean")
@@ -96,6 +97,7 @@ def _number(text: str) -> float:
 def _draw(
     runs: list[Curve], paper: PaperResult | None, title: str, label: str
 ) -> bytes:
+    need_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter, FuncFormatter

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import UInt8
 
+from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.page import nodal_radii
 from jaxrod.viz.replay import Replay
 
@@ -72,6 +73,7 @@ def animation(
     Raises:
         ValueError: the size or the rate is not positive.
     """
+    need_matplotlib()
     from matplotlib.animation import FuncAnimation
 
     thin = replay.thinned(frames_per_second)
@@ -94,6 +96,7 @@ class _Scene:
     def __init__(
         self, replay: Replay, width: int, height: int, azimuth: float, elevation: float
     ) -> None:
+        need_matplotlib()
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.colors import LightSource
         from matplotlib.figure import Figure

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxrod._files import write_atomically
 from jaxrod.viz.curves import FilePath, common_steps, read_curve
+from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.paper import PaperResult
 
 _COLOURS = {
@@ -44,6 +45,7 @@ def grid_curves(
     Raises:
         ValueError: a file lacks the columns or has no finished episode.
     """
+    need_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import (

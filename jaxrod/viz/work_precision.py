@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxrod._files import write_atomically
+from jaxrod.viz.matplotlib_needed import need_matplotlib
 
 if TYPE_CHECKING:
     from jaxrod.tradeoff.grid import Row
@@ -47,10 +48,11 @@ def work_precision(
 
 
 def _draw(rows: list[Row], title: str, floor: float) -> bytes:
+    need_matplotlib()
     from matplotlib.figure import Figure
 
     batches = sorted({row.batch for row in rows})
-    figure = Figure(figsize=(4.2 * len(batches) + 0.8, 4.6), dpi=130)
+    figure = Figure(figsize=(4.2 * len(batches) + 3.0, 4.6), dpi=130)
     figure.set_layout_engine("constrained")
     panels = figure.subplots(1, len(batches), sharex=True, sharey=True, squeeze=False)
     for axes, batch in zip(panels[0], batches, strict=True):
@@ -58,8 +60,17 @@ def _draw(rows: list[Row], title: str, floor: float) -> bytes:
         many = "one rod" if batch == 1 else f"{batch:,} rods at once"
         axes.set_title(many, fontsize=10, color=_QUIET)
     panels[0][0].set_ylabel("error of the tip, RMS over time [lengths]")
-    panels[0][0].legend(
-        loc="lower left", frameon=True, framealpha=0.9, edgecolor="none", fontsize=8
+    # Beside the panels: within, there is no corner that no simulator's points reach.
+    named: dict[str, Any] = {}
+    for axes in panels[0]:
+        handles, labels = axes.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+    figure.legend(
+        named.values(),
+        named.keys(),
+        loc="outside right upper",
+        frameon=False,
+        fontsize=8,
     )
     figure.supxlabel("wall-clock time per simulated second and rod [s]", fontsize=10)
     if title:
@@ -104,8 +115,21 @@ def _panel(axes: Any, rows: list[Row], floor: float) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     if floor > 0:
-        axes.axhspan(floor / 10, floor, color=_QUIET, alpha=0.12, linewidth=0)
-    axes.axhline(0.01, color=_QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
+        axes.axhspan(
+            floor / 10,
+            floor,
+            color=_QUIET,
+            alpha=0.12,
+            linewidth=0,
+            label="uncertainty of the reference",
+        )
+    axes.axhline(
+        0.01,
+        color=_QUIET,
+        linewidth=0.7,
+        linestyle=(0, (4, 3)),
+        label="1 % of the length",
+    )
     axes.grid(color="#d5dbe4", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=_QUIET, labelcolor="black", labelsize=8)

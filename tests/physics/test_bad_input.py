@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from physics.rods import difference
 
 NAN = float("nan")
 PROPERTIES = {
@@ -73,6 +74,15 @@ CASES = {
     ),
     "directors must be orthonormal": lambda: along(BENT, directors=2 * FRAMES),
     "directors must be right-handed": lambda: along(BENT, directors=-FRAMES),
+    "directors must have d3 along the rod, that of 1 is 90 deg": lambda: along(
+        BENT, directors=FRAMES
+    ),
+    "effects[0].acceleration must be between": lambda: jaxrod.make_scene(
+        straight(dtype=jnp.float32)[0], jaxrod.gravity((0.0, 0.0, 1e40))
+    ),
+    "implicit.tolerance must be between": lambda: jaxrod.make_scene(
+        straight(dtype=jnp.float32)[0], implicit=jaxrod.implicit(tolerance=1e-50)
+    ),
     # Effects and actuation.
     "acceleration must have shape (3,), got ()": lambda: jaxrod.gravity(-9.8),
     "acceleration must be finite, got nan m/s^2": lambda: jaxrod.gravity((0, 0, NAN)),
@@ -221,6 +231,14 @@ def test_traced_values_pass_where_concrete_ones_are_checked():
     np.testing.assert_allclose(built(0.05, 1e-5), [0, 0, 1])
     with pytest.raises(ValueError, match="radius must have shape"):
         built(jnp.ones(4), 1e-5)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-20, 1.0, 1e20, 1e300])
+def test_a_direction_may_have_any_length(size):
+    direction, normal = np.array([[2.0, 1.0, 0.0], [0.0, 1.0, 3.0]])
+    rod, state = straight(direction=size * direction, normal=normal / size)
+    expected = straight(direction=direction, normal=normal)
+    assert difference((rod, state), expected) < 1e-15
 
 
 def test_two_numbers_are_a_taper_from_base_to_tip():
