@@ -5,11 +5,15 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxrod
 from jaxrod.stepping import _traced_compiled
 from physics.rods import RADIUS, arm
 from physics.touching import contact_loads, rubbing
+
+# Few elements, hence long ones: what a ball does between two nodes is not the point.
+pytestmark = pytest.mark.filterwarnings("ignore::jaxrod.ThinBodyWarning")
 
 
 def struck(n=4, dtype=jnp.float64):
