@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import re
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,13 +92,18 @@ class Checkpoints:
             self.path(old).unlink()
 
     def restore(
-        self, template: Any, step: int | None = None
+        self,
+        template: Any,
+        step: int | None = None,
+        check: Callable[[dict[str, Any]], None] = lambda facts: None,
     ) -> tuple[Any, dict[str, Any]]:
         """Reads a checkpoint.
 
         Args:
             template: a train state of the same structure and shapes.
             step: number of the checkpoint, None for the newest.
+            check: raises if these are not the facts that are looked for; asked
+                before the state is looked at.
 
         Returns:
             The state, in host memory, and the facts.
@@ -113,6 +119,7 @@ class Checkpoints:
         about, arrays = _read(file)
         if about["step"] != step:
             raise ValueError(f"{file} is checkpoint {about['step']}, renamed")
+        check(about["facts"])
         leaves = _leaves(template)
         _check_structure(file, leaves, about["leaves"])
         with reading(file):

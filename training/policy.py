@@ -184,7 +184,9 @@ def _check_numbers(
     names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
     names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}
     for name in sorted(names ^ arrays.keys()):
-        raise ValueError(f"it {'lacks' if name in names else 'has also'} {name!r}")
+        if name in names:
+            raise ValueError(f"it lacks {name!r}, which follows from policy.json")
+        raise ValueError(f"it has {name!r}, which does not follow from policy.json")
     sizes = [description["observation_size"]]
     sizes += [arrays[f"bias_{i}"].size for i in layers[:-1]]
     sizes += [description["action_size"]]
@@ -202,7 +204,10 @@ def _check_numbers(
     for name, shape in shapes.items():
         array = arrays[name]
         if array.shape != shape:
-            raise ValueError(f"{name!r} has the shape {array.shape}, not {shape}")
+            raise ValueError(
+                f"{name!r} has the shape {array.shape}, not {shape}, which follows "
+                "from policy.json"
+            )
         if array.dtype.kind != "f" or not np.isfinite(array).all():
             raise ValueError(f"{name!r} must hold finite numbers")
     for name in ("observation_count", "observation_variance"):

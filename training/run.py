@@ -10,44 +10,24 @@ import dataclasses
 import math
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxrod._files import (
-    OBJECT,
-    POSITIVE,
-    DamagedFileError,
-    check_entries,
-    reading,
-    whole,
-)
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.checkpoint import Checkpoints
 from jaxrod.training.devices import compile_updates, device_mesh, place
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.interruption import Interruption
-from jaxrod.training.owned_folder import CONFIG
 from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.progress import ProgressBar
-from jaxrod.training.run_folder import (
-    LEARNING_CURVE,
-    REPLAY,
-    RunFolder,
-    differences,
-    plain,
-)
+from jaxrod.training.resuming import facts_of, restore
+from jaxrod.training.run_folder import RunFolder
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
-from jaxrod.training.table import check_mark
-
-
-class DamagedCheckpointWarning(UserWarning):
-    """The newest checkpoint cannot be read; a run goes on from the one before."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +94,6 @@ class Run:
         key = jax.random.key(asked["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
         if folder and resume:
-            folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
             state = self._restore(state)
         elif folder:
             # Not before the state could be made: what fails here costs nothing.
@@ -231,14 +210,7 @@ class Run:
         lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
         self._stop_if(["the policy"] if lost else [])
         if self.folder and self.checkpoints:
-            facts = {
-                "config": self.asked,
-                "updates": self.done,
-                "wall_s": self._clock(),
-                # On the disk before the checkpoint that counts on them.
-                "progress": self.folder.progress.mark(),
-                "episodes": self.folder.episodes.mark(),
-            }
+            facts = facts_of(self.folder, self.asked, self.done, self._clock())
             self.checkpoints.save(self.done, self.state, facts)
             # So that a run can be evaluated and drawn while it goes on.
             self._export(policy)
@@ -255,46 +227,16 @@ class Run:
             save_policy(policy, self.folder.policy, about)
 
     def _restore(self, template: Any) -> Any:
-        """Goes back to the last sound checkpoint, and the tables with it."""
+        """The train state to go on from, with all that is known of the run so far."""
         assert self.checkpoints and self.folder
-        tables = {"progress": self.folder.progress, "episodes": self.folder.episodes}
-        damaged = []
-        for step in self.checkpoints.steps():
-            try:
-                state, facts = self.checkpoints.restore(template, step)
-                with reading(self.checkpoints.path(step)):
-                    _check_facts(facts, step)
-            except DamagedFileError as error:
-                damaged.append(str(error))
-                continue
-            changed = differences(facts["config"], plain(self.asked))
-            if changed:
-                raise ValueError(
-                    f"{self.checkpoints.path(step)} is of a run of another "
-                    f"{CONFIG}: {', '.join(changed)}"
-                )
-            _check_same_task(state.env_params, template.env_params)
-            for name, table in tables.items():
-                table.check(facts[name])
-            for name, table in tables.items():
-                table.cut(facts[name])
-            self.episodes.restore(self.folder.episodes.read())
-            self.done = facts["updates"]
-            self.wall_s = self.wall_before = facts["wall_s"]
-            if damaged:
-                warnings.warn(
-                    f"{'; '.join(damaged)}. Going on from the checkpoint before, "
-                    f"after {self.env_steps:,} steps",
-                    DamagedCheckpointWarning,
-                    stacklevel=4,
-                )
-            return state
-        if damaged:
-            raise ValueError(f"no checkpoint can be used: {'; '.join(damaged)}")
-        # Killed before the first one: start over.
-        for table in tables.values():
-            table.cut()
-        return template
+        found = restore(self.folder, self.checkpoints, self.asked, template)
+        if found is None:
+            return template
+        state, facts = found
+        self.episodes.restore(self.folder.episodes.read())
+        self.done = facts["updates"]
+        self.wall_s = self.wall_before = facts["wall_s"]
+        return state
 
     def _evaluate(
         self, policy: Policy, episodes: int
@@ -324,34 +266,3 @@ class Run:
             "jax_version": jax.__version__,
             "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
         }
-
-
-def _check_facts(facts: dict[str, Any], step: int) -> None:
-    """Raises ValueError unless these can be the facts of a checkpoint."""
-    check_entries(
-        facts,
-        {
-            "config": OBJECT,
-            "updates": whole(1),
-            "wall_s": POSITIVE,
-            "progress": OBJECT,
-            "episodes": OBJECT,
-        },
-    )
-    if facts["updates"] != step:
-        raise ValueError(f"it is of update {facts['updates']}")
-    for name in ("progress", "episodes"):
-        check_mark(facts[name])
-
-
-def _check_same_task(stored: Any, given: Any) -> None:
-    """Raises ValueError unless all numbers of an environment are what they were."""
-    for (path, was), now in zip(
-        jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
-    ):
-        # Another machine may have computed the last digit otherwise.
-        if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
-            raise ValueError(
-                "resume needs the env_params that the run was started with; "
-                f"{jax.tree_util.keystr(path)} is another"
-            )

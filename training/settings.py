@@ -52,8 +52,8 @@ class LearnerConfig:
     short_length: Scalar = 500.0
 
 
-MOST_UPDATES = 2**31 - 1
-"""Learners count their updates in 32 bits."""
+LARGEST_COUNT = 2**31 - 1
+"""Updates, sizes and turns of loops are counted in 32 bits."""
 
 
 def check_steps(steps: int, per_update: int) -> int:
@@ -67,9 +67,9 @@ def check_steps(steps: int, per_update: int) -> int:
             f"steps must be at least one update, {per_update} control steps, "
             f"got {steps}"
         )
-    if steps > MOST_UPDATES * per_update:
+    if steps > LARGEST_COUNT * per_update:
         raise ValueError(
-            f"steps must be at most {MOST_UPDATES:,} updates of {per_update} control "
+            f"steps must be at most {LARGEST_COUNT:,} updates of {per_update} control "
             f"steps, got {steps}"
         )
     return -(-steps // per_update)
@@ -78,7 +78,13 @@ def check_steps(steps: int, per_update: int) -> int:
 def check_counts(config: Settings, *names: str) -> None:
     """Raises ValueError unless every one of these is an integer of at least 1."""
     for name in names:
-        check_count(name, getattr(config, name), 1)
+        _check_size(name, getattr(config, name))
+
+
+def _check_size(name: str, value: Any) -> None:
+    """Raises ValueError unless it is an integer that a loop or an array can have."""
+    if check_count(name, value, 1) > LARGEST_COUNT:
+        raise ValueError(f"{name} must be at most {LARGEST_COUNT}, got {value}")
 
 
 def check_learner(config: LearnerConfig, num_devices: int) -> None:
@@ -100,7 +106,7 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
     if not isinstance(sizes, tuple):
         raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
     for size in sizes:
-        check_count(f"each of hidden_sizes {sizes}", size, 1)
+        _check_size(f"each of hidden_sizes {sizes}", size)
 
 
 def check_fractions(config: Settings, *names: str) -> None:

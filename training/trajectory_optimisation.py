@@ -22,6 +22,7 @@ from jaxtyping import Array
 from jaxrod._validation import Numbers, check_array, check_count
 from jaxrod.stepping import check_step
 from jaxrod.training.actuated_arm import ActuatedArm, actuated_arm
+from jaxrod.training.settings import LARGEST_COUNT
 from jaxrod.training.trajectory_cost import (
     TrajectoryProblem,
     controls_over_time,
@@ -249,6 +250,8 @@ def _first_knots(
     arm: ActuatedArm, n_knots: int, directions: int, given: Any, seed: int
 ) -> Array:
     n_knots = check_count("n_knots", n_knots, 2)
+    if n_knots > LARGEST_COUNT:
+        raise ValueError(f"n_knots must be at most {LARGEST_COUNT}, got {n_knots}")
     if directions not in (2, 3):
         raise ValueError(
             f"directions must be 2 (bending) or 3 (with twist), got {directions!r}"

@@ -103,7 +103,7 @@ def open_run(path: Path) -> StoredRun:
     case = config["case"]
     if case not in envs.names():
         raise ValueError(
-            f"{path} holds a run of {case!r}, but the tasks are "
+            f"{path / 'config.json'} is of a run of {case!r}, but the tasks are "
             f"{', '.join(envs.names())}"
         )
     with reading(path / "config.json"):

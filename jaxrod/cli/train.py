@@ -140,6 +140,8 @@ def run(args: argparse.Namespace) -> int:
                 f"{_folder(args, None)} holds a run of {stored['case']}, "
                 f"not of {args.case}"
             )
+        with reading(_folder(args, None) / "config.json"):
+            find_algorithm(stored["algorithm"])
     learner = find_algorithm(_chosen(args.algorithm, stored, "algorithm", "ppo"))
     if "help" in args.set:
         print(_settings.listing(learner.config_type()))

@@ -32,6 +32,15 @@ def test_numbers_of_numpy_are_recorded_as_numbers(tmp_path):
     [
         ({"steps": 100}, "steps must be at least one update, 128 .* got 100"),
         ({"steps": 1e6}, "steps must be an integer, got 1000000.0"),
+        ({"steps": 10**30}, "steps must be at most 2,147,483,647 updates of 128"),
+        (
+            {"config": PPOConfig(epochs=2**63)},
+            "epochs must be at most 2147483647, got 9223372036854775808",
+        ),
+        (
+            {"config": PPOConfig(hidden_sizes=(2**63,))},
+            "each of hidden_sizes .* must be at most 2147483647",
+        ),
         ({"seed": -1}, "seed must be an integer from 0 to 4294967295, got -1"),
         ({"seed": 2**32}, "seed must be .* got 4294967296"),
         ({"checkpoint_seconds": float("nan")}, "checkpoint_seconds .* got nan s"),
