@@ -29,8 +29,10 @@ from jaxtyping import Array, Float
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
 from jaxrod._validation import Numbers, check_array, check_count
-from jaxrod.balance import Balance, balanced, blocks, displaced
+from jaxrod.balance import Balance, balanced, displaced
+from jaxrod.blocks import blocks
 from jaxrod.elasticity import ElasticLaw, elastic_law
+from jaxrod.freedoms import free_places
 from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.newton import default_tolerance, newton
 from jaxrod.rod import RodState
@@ -195,6 +197,9 @@ class ImplicitStepper:
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )
         guess = self.duration * blocks(*base.rates)
+        placed = free_places(self.scene, base.motion)
+        if placed is not None:
+            guess = guess * blocks(*placed)
         tolerance = self.settings.tolerance
         if tolerance is None:
             tolerance = jnp.asarray(default_tolerance(guess.dtype), guess.dtype)

@@ -83,7 +83,8 @@ def make_scene(
 
     Raises:
         ValueError: If the mode or the plane is unknown, the choices exclude each
-            other, or `twist` is `False` where the rod or an effect has to do with it.
+            other, `twist` is `False` where the rod or an effect has to do with it,
+            or an effect is not what implicit steps take it for.
         TypeError: If an effect is not an `Effect` or the rod is not a `Rod`.
     """
     if mode not in MODES:
@@ -130,6 +131,10 @@ def make_scene(
         from jaxrod.untwisted_scenes import check_untwisted
 
         check_untwisted(scene)
+    if implicit is not None:
+        from jaxrod.effect_promises import check_promises
+
+        check_promises(scene)
     return scene
 
 

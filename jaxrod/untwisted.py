@@ -26,7 +26,6 @@ from jaxtyping import Array
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod.clamps import Clamp
 from jaxrod.directions import angle_over_sine, frame_along, transported, turned_to
 from jaxrod.ends import End, at_end
 from jaxrod.kick import Kick
@@ -38,7 +37,7 @@ from jaxrod.rotations import (
     split_quaternion,
 )
 from jaxrod.scene import Scene, damping_rates, hold, hold_rates
-from jaxrod.untwisted_scenes import check_structure, held_end
+from jaxrod.untwisted_scenes import check_structure, has_elastic_wall, wall_of
 from jaxrod.vectors import Vec3
 from jaxrod.verlet import Verlet
 
@@ -104,15 +103,14 @@ class UntwistedStepper(Verlet):
         shear, _, axial = vectors.split(rod.shear_stretch_stiffness)
         transverse, _ = rod.inertias
         rates = damping_rates(scene) or (None, None)
-        held = held_end(scene)
+        wall = wall_of(scene)
         joint = rod.joint_stiffness[0] / rod.joint_lengths
         walls: list[Vec3 | None] = [None, None]
-        if isinstance(held, Clamp):
-            index, part = (0, 0) if held.end == "start" else (-1, 1)
-            walls[part] = directors(split_quaternion(held.orientation))[2]
-            wall = rod.bend_twist_stiffness[0, index] / (0.5 * rod.rest_lengths[index])
+        if wall is not None and wall.stiffness is not None:
+            part = 0 if wall.end == "start" else 1
+            walls[part] = directors(split_quaternion(wall.orientation))[2]
             joints = [joint, joint]
-            joints[part] = wall[None]
+            joints[part] = wall.stiffness[:1]
             joint = jnp.concatenate(joints)
         return UntwistedStepper(
             scene=scene,
@@ -126,7 +124,7 @@ class UntwistedStepper(Verlet):
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
             walls=(walls[0], walls[1]),
-            root="start" if held is None else held.end,
+            root="start" if wall is None else wall.end,
         )
 
     def enter(self, state: RodState) -> UntwistedMotion:
@@ -144,11 +142,11 @@ class UntwistedStepper(Verlet):
     def leave(self, motion: UntwistedMotion) -> RodState:
         """Puts the state together again, with frames that are not twisted."""
         direction = motion.direction
-        held = held_end(self.scene)
-        if isinstance(held, Clamp):
-            root = split_quaternion(held.orientation)
-        else:
+        wall = wall_of(self.scene)
+        if wall is None:
             root = at_end(split_quaternion(self.start.orientations), self.root)
+        else:
+            root = split_quaternion(wall.orientation)
         index = 0 if self.root == "start" else -1
         x, y, z = direction
         root = turned_to(root, (x[index], y[index], z[index]))
@@ -226,7 +224,7 @@ class UntwistedStepper(Verlet):
         """Adds the loads of all effects, but for what would twist the rod."""
         in_space = motion.in_space
         for effect in self.scene.effects:
-            if isinstance(effect, Clamp):
+            if has_elastic_wall(effect, self.scene.rod):
                 continue
             loads = effect.loads(self.scene.rod, in_space)
             if loads.forces is not None:
@@ -247,7 +245,12 @@ class UntwistedStepper(Verlet):
         direction = motion.direction
         if held.orientation is not free.orientation:
             direction = directors(held.orientation)[2]
-        return replace(motion, position=held.position, direction=direction)
+        return replace(
+            motion,
+            position=held.position,
+            direction=direction,
+            remainder=held.remainder,
+        )
 
 
 def _across(vector: Vec3, direction: Vec3) -> Vec3:
