@@ -207,11 +207,10 @@ class ImplicitStepper:
             *lax.stop_gradient((balance, guess, tolerance)),
             self.settings.max_iterations,
         )
+        # What moves at a given rate does so with its derivative.
+        moves = balanced(balance, balance.following(guess, found.moves))
         # Failure is data: not finite, for health to find.
-        moves = jax.tree.map(
-            lambda a: jnp.where(found.converged, a, jnp.nan),
-            balanced(balance, found.moves),
-        )
+        moves = jax.tree.map(lambda a: jnp.where(found.converged, a, jnp.nan), moves)
         reached = balance.motion(moves)
         return Increments(
             displacement=moves.displacement,

@@ -195,6 +195,22 @@ class Balance:
         )
         return Moves(displacement, vectors.add(own, change))
 
+    def following(self, guess: Float[Array, "n+1 6"], found: Moves) -> Moves:
+        """Moves found, but of what the scene holds those of the guess."""
+        free = unblocked(self.free)
+        displacement, turn = unblocked(guess)
+        own = to_material(directors(self.base.orientation), turn)
+
+        def mixed(free: Vec3, found: Vec3, held: Vec3) -> Vec3:
+            parts = zip(free, found, held, strict=True)
+            x, y, z = (jnp.where(a == 1, b, c) for a, b, c in parts)
+            return x, y, z
+
+        return Moves(
+            displacement=mixed(free[0], found.displacement, displacement),
+            turn=mixed(free[1], found.turn, own),
+        )
+
     @property
     def free(self) -> Float[Array, "n+1 6"]:
         """One for what can move, zero for what the scene holds."""
@@ -270,7 +286,8 @@ def balanced(balance: Balance, moves: Moves) -> Moves:
     """The moves that balance, found by other means, as a function of the balance.
 
     The value is `moves` itself. Its derivative, by the implicit function theorem, is
-    that of the exact solution: one linear solve, however many iterations it took.
+    that of the exact solution: one linear solve, however many iterations it took. What
+    the scene holds changes as it does in `moves`.
     """
     return moves
 
@@ -281,6 +298,6 @@ def _balanced_jvp(
 ) -> tuple[Moves, Moves]:
     balance, found = primals
     found = balanced(balance, found)
-    _, change = jax.jvp(lambda b: b.residual(found), primals[:1], tangents[:1])
+    _, change = jax.jvp(Balance.residual, (balance, found), tangents)
     step = balance.held_tangent(found)[0].solve(-change)
-    return found, balance.change(found, step)
+    return found, jax.tree.map(jnp.add, tangents[1], balance.change(found, step))

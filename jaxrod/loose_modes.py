@@ -56,12 +56,13 @@ def loose_modes(
         zeros in place of modes that something resists.
     """
     modes, units = _modes_of_the_whole(rod, motion), _units(rod)
-    sizes = jax.tree.map(jnp.abs, tangent)
-    resisted = jax.vmap(tangent.multiply)(free * units * modes)
+    steps = units[None] * modes
+    resisted = jax.vmap(tangent.multiply)(free[None] * steps)
     # What rows would be without cancellation.
-    whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(units * modes)), axis=0)
-    resisted = free * resisted / jnp.where(whole > 0, whole, 1)
-    broken = (1 - free) * modes
+    sizes = jax.tree.map(jnp.abs, tangent)
+    whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(steps)), axis=0)
+    resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
+    broken = (1 - free)[None] * modes
     both = jnp.concatenate([resisted, broken], axis=1).reshape(len(modes), -1)
     _, resistance, mixtures = jnp.linalg.svd(both.T, full_matrices=False)
     none = resistance <= _ROUNDINGS * jnp.finfo(resistance.dtype).eps
@@ -118,8 +119,8 @@ def _middle(rod: Rod) -> int:
     return rod.n_elements // 2
 
 
-def _units(rod: Rod) -> Float[Array, "6"]:
+def _units(rod: Rod) -> Float[Array, "1 6"]:
     """Of displacements and turns: the length of the rod [m], and one [rad]."""
     length = jnp.sum(rod.rest_lengths)
     one = jnp.ones_like(length)
-    return jnp.stack([length, length, length, one, one, one])
+    return jnp.stack([length, length, length, one, one, one])[None]

@@ -32,8 +32,8 @@ class Equilibrium:
     converged: Bool[Array, ""]
     """Whether all loads balance there, to the tolerance."""
     stable: Bool[Array, ""]
-    """Whether the stored energy is least there: the tangent is positive definite, but
-    for what is `loose`.
+    """Whether it has converged and the stored energy is least there: the tangent is
+    positive definite, but for what is `loose`.
 
     For loads with a potential; with loads that turn with the rod (follower couples)
     it says nothing about instability in motion (flutter).
@@ -141,7 +141,7 @@ def _equilibrium(
     return Equilibrium(
         state=state_of(balance.motion(moves)),
         converged=end.converged,
-        stable=end.tangent.is_positive(),
+        stable=end.converged & end.tangent.is_positive(),
         loose=end.loose,
         iterations=end.iterations,
         force_residual=largest(force),
