@@ -35,7 +35,7 @@ import functools
 import operator
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -52,7 +52,7 @@ from jaxrod._validation import (
 )
 from jaxrod.bodies import Body
 from jaxrod.contact_points import Points, check_spacing, contact_points
-from jaxrod.effects import Effect, Resistance
+from jaxrod.effects import Effect, Reach, Resistance
 from jaxrod.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import directors, to_material
@@ -89,6 +89,13 @@ class Contact(Effect):
     """How many those are."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    @property
+    def twists(self) -> str | None:
+        """Friction, which makes rods roll."""
+        return None if self.friction is None else "friction"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Normal forces, and what friction does."""

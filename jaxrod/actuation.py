@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod._validation import (
     Numbers,
@@ -31,6 +32,8 @@ from jaxrod.effects import Effect
 from jaxrod.interpolation import interpolated
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod
+from jaxrod.rotations import directors, to_world
+from jaxrod.tangents import Matrix, skew
 
 MOST_CONTROLS = 100
 """More are taken for a mistake: the spline's equations are of full size."""
@@ -46,6 +49,16 @@ class ElementCouples(Effect):
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """The couples as they are."""
         return Loads(couples=(self.couples[0], self.couples[1], self.couples[2]))
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
+        """They turn with the elements."""
+        couples = vectors.split(self.couples)
+        return skew(to_world(directors(motion.orientation), couples))
+
+    @property
+    def twists(self) -> str:
+        """All of it."""
+        return "couples in the material frame"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> ElementCouples:
         """Couples of the same density per rest length, interpolated between middles."""

@@ -16,14 +16,21 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrod import vectors
-from jaxrod._pytree import pytree
+from jaxrod._pytree import pytree, static
 from jaxrod.block_tridiagonal import BlockTridiagonal
-from jaxrod.effect_tangents import coloured, has_closed_form, turning_tangent
-from jaxrod.effects import Effect
+from jaxrod.blocks import blocks, unblocked
+from jaxrod.effect_tangents import (
+    Tangent,
+    total_loads,
+    with_differentiated,
+    with_turning_tangents,
+)
 from jaxrod.elasticity import ElasticLaw, internal_loads
+from jaxrod.freedoms import freedoms
+from jaxrod.loose_modes import are_any, held_in_the_middle, loose_modes
 from jaxrod.motion import Motion
 from jaxrod.rotations import (
     directors,
@@ -34,10 +41,9 @@ from jaxrod.rotations import (
     to_material,
     to_world,
 )
-from jaxrod.scene import Scene, external_loads, hold_rates
+from jaxrod.scene import Scene
 from jaxrod.tangents import (
     Matrix,
-    add,
     assembled,
     element_tangent,
     joint_tangent,
@@ -74,6 +80,8 @@ class Balance:
     """Rates per move [1/s]; zero in statics."""
     damping: tuple[Array, Array] | None
     """Decay rates of velocities and spins [1/s]."""
+    at_rest: bool = static(default=False)
+    """Whether there is no inertia."""
 
     def motion(self, moves: Moves) -> Motion:
         """Where the rod is, and its rates."""
@@ -96,7 +104,6 @@ class Balance:
         """
         motion = self.motion(moves)
         internal = internal_loads(self.law, motion)
-        assert internal.forces is not None and internal.couples is not None
         node_rate, element_rate = self._rates
         change = vectors.subtract(
             vectors.scale(node_rate, motion.velocity),
@@ -107,10 +114,10 @@ class Balance:
             vectors.scale(element_rate, motion.spin),
             vectors.scale(self.pace, self.base.spin),
         )
-        loads = self._loads(motion, internal.forces, internal.couples)
+        loads = total_loads(self.scene, motion, internal)
         return self.free * (blocks(push, twist) - loads)
 
-    def tangent(self, moves: Moves) -> BlockTridiagonal:
+    def tangent(self, moves: Moves) -> Tangent:
         """Derivative of the residual by a step: see `moved`.
 
         What the scene holds keeps the identity for its rows and columns.
@@ -120,21 +127,31 @@ class Balance:
         masses = self.pace * node_rate * self.scene.rod.node_masses
         momentum = self._momentum_tangent(moves, motion)
         turning = scale(element_rate, momentum)
-        for effect in self.scene.effects:
-            if has_closed_form(effect):
-                turn = turning_tangent(effect, self.scene.rod, motion)
-                turning = turning if turn is None else add(turning, turn)
-        total = assembled(
+        turning = with_turning_tangents(turning, self.scene, motion)
+        chain = assembled(
             element_tangent(self.law, motion),
             joint_tangent(self.law, motion),
             jnp.broadcast_to(masses, self.base.position[0].shape),
             turning,
         )
-        others = tuple(e for e in self.scene.effects if not has_closed_form(e))
-        if others:
-            rest = self._differentiated(others, motion, momentum)
-            total = jax.tree.map(jnp.subtract, total, rest)
-        return _restricted(total, self.free)
+        free = self.free
+        return with_differentiated(
+            _restricted(chain, free), self.scene, motion, self.pace, momentum, free
+        )
+
+    def held_tangent(self, moves: Moves) -> tuple[Tangent, Bool[Array, ""]]:
+        """The tangent to solve with: without inertia, what nothing resists is held.
+
+        Returns:
+            The tangent, and whether there is something that nothing resists.
+        """
+        tangent = self.tangent(moves)
+        if not self.at_rest:
+            return tangent, jnp.zeros((), bool)
+        rod = self.scene.rod
+        there = (tangent, rod, self.motion(moves), self.free)
+        modes = loose_modes(*lax.stop_gradient(there))
+        return held_in_the_middle(tangent, rod, modes), are_any(modes)
 
     def moved(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
         """Moves with a small step on top, to first order.
@@ -178,15 +195,26 @@ class Balance:
         )
         return Moves(displacement, vectors.add(own, change))
 
+    def following(self, guess: Float[Array, "n+1 6"], found: Moves) -> Moves:
+        """Moves found, but of what the scene holds those of the guess."""
+        free = unblocked(self.free)
+        displacement, turn = unblocked(guess)
+        own = to_material(directors(self.base.orientation), turn)
+
+        def mixed(free: Vec3, found: Vec3, held: Vec3) -> Vec3:
+            parts = zip(free, found, held, strict=True)
+            x, y, z = (jnp.where(a == 1, b, c) for a, b, c in parts)
+            return x, y, z
+
+        return Moves(
+            displacement=mixed(free[0], found.displacement, displacement),
+            turn=mixed(free[1], found.turn, own),
+        )
+
     @property
     def free(self) -> Float[Array, "n+1 6"]:
         """One for what can move, zero for what the scene holds."""
-        moving = hold_rates(self.scene, jax.tree.map(jnp.ones_like, self.base))
-        still = hold_rates(self.scene, jax.tree.map(jnp.zeros_like, self.base))
-        return blocks(
-            vectors.subtract(moving.velocity, still.velocity),
-            vectors.subtract(moving.spin, still.spin),
-        )
+        return blocks(*freedoms(self.scene, self.base))
 
     @property
     def _inertia(self) -> Vec3:
@@ -201,18 +229,6 @@ class Balance:
             return self.pace, self.pace
         return self.pace + self.damping[0], self.pace + self.damping[1]
 
-    def _loads(self, motion: Motion, forces: Vec3, couples: Vec3) -> Array:
-        """Given loads and those of all effects, couples in the world frame."""
-        loads = external_loads(self.scene, motion, forces, couples)
-        # Fusing further, XLA's CPU compiler takes minutes over the derivative.
-        # One by one: those that do not depend on what is differentiated are no part
-        # of reverse mode.
-        loads = jax.tree.map(lax.optimization_barrier, loads)
-        assert loads.forces is not None and loads.couples is not None
-        return blocks(
-            loads.forces, to_world(directors(motion.orientation), loads.couples)
-        )
-
     def _momentum_tangent(self, moves: Moves, motion: Motion) -> Matrix:
         """Derivative of the angular momenta by the turn."""
         frame = directors(motion.orientation)
@@ -220,35 +236,6 @@ class Balance:
         turn = to_world(frame, moves.turn)
         changed = times_inverse(inertia, turn, _coupling(moves))
         return subtract(changed, skew(motion.spin))
-
-    def _differentiated(
-        self, effects: tuple[Effect, ...], motion: Motion, momentum: Matrix
-    ) -> BlockTridiagonal:
-        """Derivative of the loads of effects, whatever they are."""
-        others = replace(self, scene=replace(self.scene, effects=effects))
-        none = jax.tree.map(jnp.zeros_like, (motion.position, motion.spin))
-        # Fused with what computes the motion, 18 times over, it compiles for minutes.
-        motion, momentum = jax.tree.map(lax.optimization_barrier, (motion, momentum))
-        _, push = jax.linearize(lambda there: others._loads(there, *none), motion)
-
-        def answer(step: Array) -> Array:
-            displacement, turn = unblocked(step)
-            half = vectors.scale(0.5, turn)
-            still = jnp.zeros_like(half[0])
-            turned = multiply_quaternions((still, *half), motion.orientation)
-            x, y, z = (vectors.dot(row, turn) for row in momentum)
-            change = jax.tree.map(jnp.zeros_like, motion)
-            return push(
-                replace(
-                    change,
-                    position=displacement,
-                    orientation=turned,
-                    velocity=vectors.scale(self.pace, displacement),
-                    spin=(x, y, z),
-                )
-            )
-
-        return jax.tree.map(lax.optimization_barrier, coloured(answer, self.free))
 
 
 def _coupling(moves: Moves) -> Array:
@@ -294,26 +281,13 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
     return replace(motion, position=position, remainder=vectors.subtract(moved, step))
 
 
-def blocks(nodes: Vec3, elements: Vec3) -> Float[Array, "n+1 6"]:
-    """Node and element fields side by side; zeros where the last node has none."""
-    padded = [vectors.pad(entry, 0, 1) for entry in elements]
-    return jnp.stack([*nodes, *padded], axis=-1)
-
-
-def unblocked(step: Float[Array, "n+1 6"]) -> tuple[Vec3, Vec3]:
-    """The node and the element field of an array of blocks."""
-    return (
-        (step[:, 0], step[:, 1], step[:, 2]),
-        (step[:-1, 3], step[:-1, 4], step[:-1, 5]),
-    )
-
-
 @jax.custom_jvp
 def balanced(balance: Balance, moves: Moves) -> Moves:
     """The moves that balance, found by other means, as a function of the balance.
 
     The value is `moves` itself. Its derivative, by the implicit function theorem, is
-    that of the exact solution: one linear solve, however many iterations it took.
+    that of the exact solution: one linear solve, however many iterations it took. What
+    the scene holds changes as it does in `moves`.
     """
     return moves
 
@@ -324,6 +298,6 @@ def _balanced_jvp(
 ) -> tuple[Moves, Moves]:
     balance, found = primals
     found = balanced(balance, found)
-    _, change = jax.jvp(lambda b: b.residual(found), primals[:1], tangents[:1])
-    step = balance.tangent(found).solve(-change)
-    return found, balance.change(found, step)
+    _, change = jax.jvp(Balance.residual, (balance, found), tangents)
+    step = balance.held_tangent(found)[0].solve(-change)
+    return found, jax.tree.map(jnp.add, tangents[1], balance.change(found, step))

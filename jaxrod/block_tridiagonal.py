@@ -13,9 +13,11 @@ block would cost more than the elimination, and would not batch.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxrod._pytree import pytree
 
@@ -65,10 +67,17 @@ class BlockTridiagonal:
             lambda _, b: eliminate(self.transposed, b),
         )
 
-    def negative_pivots(self) -> Int[Array, ""]:
-        """How many pivots are negative: of a symmetric matrix, how many eigenvalues."""
+    def is_positive(self) -> Bool[Array, ""]:
+        """Whether all pivots are positive: a symmetric matrix is positive definite.
+
+        False where it is not finite.
+        """
         _, pivots = _descend(self, jnp.zeros(self.diagonal.shape[:2], self.dtype))
-        return jnp.sum(pivots < 0)
+        return jnp.all(pivots > 0)
+
+    def stiffened(self, index: int, block: Float[Array, "m m"]) -> BlockTridiagonal:
+        """The matrix with something added to a block of its diagonal."""
+        return replace(self, diagonal=self.diagonal.at[index].add(block))
 
     @property
     def dtype(self) -> jnp.dtype:

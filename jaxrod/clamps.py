@@ -14,6 +14,7 @@ from jaxrod.effects import Effect, Resistance
 from jaxrod.elasticity import joint_couples
 from jaxrod.ends import (
     End,
+    Wall,
     at_end,
     check_end,
     only_at_end,
@@ -32,6 +33,7 @@ from jaxrod.rotations import (
     rotation_log_and_coupling,
     split_quaternion,
 )
+from jaxrod.tangents import Matrix, skew, subtract, turned_joint
 from jaxrod.vectors import Vec3
 
 _LARGEST_ANGLE = 2.5
@@ -61,9 +63,14 @@ class Clamp(Effect):
         rotation, coupling = rotation_log_and_coupling(
             multiply_quaternions(wall, orientation)
         )
+        stiffness = vectors.split(self._stiffness(rod))
+        return rotation, coupling, vectors.multiply(stiffness, rotation)
+
+    def _stiffness(self, rod: Rod) -> Float[Array, "3"]:
+        """Of the joint [N m]: that of half an element."""
         index = 0 if self.end == "start" else -1
-        stiffness = rod.bend_twist_stiffness[:, index] / (0.5 * rod.rest_lengths[index])
-        return rotation, coupling, vectors.multiply(vectors.split(stiffness), rotation)
+        half = 0.5 * rod.rest_lengths[..., index, None]
+        return rod.bend_twist_stiffness[..., index] / half
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """The wall joint's couple on the end element."""
@@ -74,15 +81,27 @@ class Clamp(Effect):
             couples=only_at_end(vectors.subtract(even, odd), rod.n_elements, self.end)
         )
 
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
+        """Of the joint, on the end element."""
+        orientation = at_end(motion.orientation, self.end)
+        rotation, coupling, moment = self._joint(rod, orientation)
+        stiffness = vectors.split(self._stiffness(rod))
+        joint = turned_joint(orientation, rotation, coupling, stiffness, moment)
+        rows = subtract(joint.stiffness, skew(joint.couple))
+        x, y, z = (only_at_end(row, rod.n_elements, self.end) for row in rows)
+        return x, y, z
+
+    def wall(self, rod: Rod) -> Wall:
+        """The wall, and the joint to it."""
+        return Wall(self.orientation, self._stiffness(rod), self.end)
+
     def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Stops the end node."""
         return replace(motion, velocity=zero_at_end(motion.velocity, self.end))
 
     def resistance(self, rod: Rod) -> Resistance:
         """The stiffness of the wall joint, on the end element."""
-        index = 0 if self.end == "start" else -1
-        bend_twist = rod.bend_twist_stiffness[:, index]
-        stiffness = jnp.max(bend_twist) / (0.5 * rod.rest_lengths[index])
+        stiffness = jnp.max(self._stiffness(rod))
         return Resistance(elements=place(stiffness, rod.n_elements, self.end))
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
@@ -135,6 +154,10 @@ class FixedEnd(Effect):
         _, x, y, z = multiply_quaternions(conjugate(held), actual)
         turned = 2 * vectors.safe_norm((x, y, z))
         return _offset(self.position, self.end, rod, state) + turned
+
+    def wall(self, rod: Rod) -> Wall:
+        """The end element itself, held fast."""
+        return Wall(self.orientation, None, self.end)
 
     def hold(self, rod: Rod, motion: Motion) -> Motion:
         """Puts the end node and end element back."""

@@ -1,81 +1,124 @@
 """How the loads of effects change with the configuration: their part of the tangent.
 
-Constant loads have none. Effects that turn with an element or join it to a wall have
-theirs in closed form; any other is differentiated, whatever it does.
+An effect may know it in closed form (`Effect.turning_tangent`). Any other is
+differentiated: in as many directions as tell neighbours apart where it promises to see
+no further (`Effect.reach`), in all of them otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrod import vectors
-from jaxrod.actuation import ElementCouples
 from jaxrod.block_tridiagonal import BlockTridiagonal
-from jaxrod.clamps import Clamp
-from jaxrod.effects import Effect, EndLoad, Gravity, UniformLoad
-from jaxrod.ends import End
-from jaxrod.motion import Motion
-from jaxrod.rod import Rod
-from jaxrod.rotations import (
-    Quaternion,
-    conjugate,
-    directors,
-    multiply_quaternions,
-    rotation_log_and_coupling,
-    split_quaternion,
-    to_world,
-)
-from jaxrod.tangents import Matrix, skew, subtract, turned_joint
-from jaxrod.vectors import Vec3
+from jaxrod.blocks import blocks, unblocked
+from jaxrod.dense import Dense, columns, dense
+from jaxrod.effects import Effect
+from jaxrod.motion import Loads, Motion
+from jaxrod.rotations import directors, multiply_quaternions, to_world
+from jaxrod.scene import Scene, external_loads
+from jaxrod.tangents import Matrix, add
 
-CLOSED_FORMS: tuple[type[Effect], ...] = (
-    Clamp,
-    ElementCouples,
-    EndLoad,
-    Gravity,
-    UniformLoad,
-)
+Tangent = BlockTridiagonal | Dense
+"""Of a chain, or of one with effects that couple distant parts of it."""
 
 
 def has_closed_form(effect: Effect) -> bool:
-    """Whether `turning_tangent` knows all there is; subclasses may do anything."""
-    return type(effect) in CLOSED_FORMS or type(effect).loads is Effect.loads
+    """Whether there is no more to know of the loads than `Effect.turning_tangent`."""
+    kind = type(effect)
+    knows = kind.turning_tangent is not Effect.turning_tangent
+    return knows or kind.loads is Effect.loads
 
 
-def turning_tangent(effect: Effect, rod: Rod, motion: Motion) -> Matrix | None:
-    """Derivative of minus the couples (world frame) by the elements' own turns.
+def with_turning_tangents(turning: Matrix, scene: Scene, motion: Motion) -> Matrix:
+    """A derivative by the elements' own turns with that of effects that know theirs."""
+    for effect in scene.effects:
+        if type(effect).turning_tangent is not Effect.turning_tangent:
+            own = effect.turning_tangent(scene.rod, motion)
+            turning = turning if own is None else add(turning, own)
+    return turning
 
-    For effects of a closed form, which have no other derivative; `None` for zero.
+
+def with_differentiated(
+    chain: BlockTridiagonal,
+    scene: Scene,
+    motion: Motion,
+    pace: Array,
+    momentum: Matrix,
+    free: Float[Array, "n+1 6"],
+) -> Tangent:
+    """A tangent with that of the effects that do not know theirs, whatever they are.
+
+    Args:
+        chain: The tangent without them.
+        scene: The scene.
+        motion: Where the rod is.
+        pace: Velocities per displacement [1/s].
+        momentum: Derivative of the angular momenta by the turns.
+        free: One for what can move, zero for what the scene holds.
     """
-    if isinstance(effect, ElementCouples):
-        couples = vectors.split(effect.couples)
-        return skew(to_world(directors(motion.orientation), couples))
-    if isinstance(effect, EndLoad) and effect.follower:
-        frame = directors(_at_end(motion.orientation, effect.end))
-        couple = to_world(frame, vectors.split(effect.couple))
-        return _placed(skew(couple), rod.n_elements, effect.end)
-    if isinstance(effect, Clamp):
-        return _placed(_wall_tangent(effect, rod, motion), rod.n_elements, effect.end)
-    return None
+    others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
+    near = tuple(effect for effect in others if effect.reach == "neighbours")
+    far = tuple(effect for effect in others if effect.reach == "any")
+    # Fused with what computes the motion, 18 times over, it compiles for minutes.
+    barrier = lax.optimization_barrier
+
+    def push_of(effects: tuple[Effect, ...]) -> Callable[[Array], Array]:
+        there, inertia = jax.tree.map(barrier, (motion, momentum))
+        push = change_of_loads(replace(scene, effects=effects), there, pace, inertia)
+        return lambda step: free * push(free * step)
+
+    if near:
+        part = jax.tree.map(barrier, coloured(push_of(near), free))
+        chain = jax.tree.map(jnp.subtract, chain, part)
+    if not far:
+        return chain
+    rest = jax.tree.map(barrier, columns(push_of(far), free))
+    return jax.tree.map(jnp.subtract, dense(chain), rest)
 
 
-def _wall_tangent(wall: Clamp, rod: Rod, motion: Motion) -> Matrix:
-    """Of the joint between the wall and the end element."""
-    index = 0 if wall.end == "start" else -1
-    orientation = _at_end(motion.orientation, wall.end)
-    rotation, coupling = rotation_log_and_coupling(
-        multiply_quaternions(conjugate(split_quaternion(wall.orientation)), orientation)
-    )
-    stiffness = vectors.split(
-        rod.bend_twist_stiffness[:, index] / (0.5 * rod.rest_lengths[index])
-    )
-    moment = vectors.multiply(stiffness, rotation)
-    joint = turned_joint(orientation, rotation, coupling, stiffness, moment)
-    return subtract(joint.stiffness, skew(joint.couple))
+def change_of_loads(
+    scene: Scene, motion: Motion, pace: Array, momentum: Matrix
+) -> Callable[[Float[Array, "n+1 6"]], Float[Array, "n+1 6"]]:
+    """The derivative of the loads of all effects by a step, in the world frame."""
+    none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
+    _, push = jax.linearize(lambda there: total_loads(scene, there, none), motion)
+
+    def change(step: Array) -> Array:
+        displacement, turn = unblocked(step)
+        half = vectors.scale(0.5, turn)
+        still = jnp.zeros_like(half[0])
+        turned = multiply_quaternions((still, *half), motion.orientation)
+        x, y, z = (vectors.dot(row, turn) for row in momentum)
+        return push(
+            replace(
+                jax.tree.map(jnp.zeros_like, motion),
+                position=displacement,
+                orientation=turned,
+                velocity=vectors.scale(pace, displacement),
+                spin=(x, y, z),
+            )
+        )
+
+    return change
+
+
+def total_loads(scene: Scene, motion: Motion, others: Loads) -> Float[Array, "n+1 6"]:
+    """Other loads and those of all effects, couples in the world frame."""
+    assert others.forces is not None and others.couples is not None
+    loads = external_loads(scene, motion, others.forces, others.couples)
+    # Fusing further, XLA's CPU compiler takes minutes over the derivative.
+    # One by one: those that do not depend on what is differentiated are no part
+    # of reverse mode.
+    loads = jax.tree.map(lax.optimization_barrier, loads)
+    assert loads.forces is not None and loads.couples is not None
+    return blocks(loads.forces, to_world(directors(motion.orientation), loads.couples))
 
 
 def coloured(
@@ -101,20 +144,3 @@ def coloured(
         return jnp.where(mover == 2, columns[2], answer)
 
     return BlockTridiagonal(answers_to(-1), answers_to(0), answers_to(1))
-
-
-def _at_end(field: Quaternion, end: End) -> Quaternion:
-    index = 0 if end == "start" else -1
-    w, x, y, z = (component[index] for component in field)
-    return w, x, y, z
-
-
-def _placed(matrix: Matrix, size: int, end: End) -> Matrix:
-    """A field that is zero but for one end."""
-    before, after = (0, size - 1) if end == "start" else (size - 1, 0)
-
-    def one(row: Vec3) -> Vec3:
-        x, y, z = (vectors.pad(entry[None], before, after) for entry in row)
-        return x, y, z
-
-    return one(matrix[0]), one(matrix[1]), one(matrix[2])

@@ -7,20 +7,23 @@ it needs; the ones it leaves alone cost nothing in the compiled step. Held ends 
 
 from __future__ import annotations
 
+from typing import Any, ClassVar, Literal, get_args
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
 from jaxrod._validation import Numbers, as_array
-from jaxrod.ends import End, at_end, check_end, only_at_end
+from jaxrod.ends import End, Wall, at_end, check_end, only_at_end
 from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod, RodState
-from jaxrod.rotations import (
-    directors,
-    to_material,
-)
+from jaxrod.rotations import directors, to_material, to_world
+from jaxrod.tangents import Matrix, skew
 from jaxrod.vectors import Vec3
+
+Reach = Literal["neighbours", "any"]
+"""How far along the rod the loads of an effect may see."""
 
 
 @pytree
@@ -46,8 +49,36 @@ class Effect:
 
     Hooks are pure. `loads` is called at the configuration in the middle of a step;
     `hold_rates` after the rates were changed by all loads and by damping; `hold`
-    after every change of configuration.
+    after every change of configuration. What holds something has both.
+
+    `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
+    need to know more than their values. Without them every method is right or refuses
+    the effect; with them implicit steps and equilibria cost less, and a scene without
+    twist knows how the rod is held. A subclass that has loads of its own does not
+    inherit them.
     """
+
+    reach: ClassVar[Reach] = "any"
+    """How far along the rod `loads` see.
+
+    "neighbours" promises that the force on node `k` and the couple on element `k`
+    depend on nodes and elements `k - 1`, `k` and `k + 1` alone. Then the linear systems
+    of implicit steps and of `equilibrium` stay block-tridiagonal, with work in
+    proportion to the number of elements; with "any" they are dense. A broken promise
+    would be a wrong derivative: both try the effect out and refuse it if they can tell.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Forgets what a base says of loads that this class replaces."""
+        super().__init_subclass__(**kwargs)
+        if cls.reach not in get_args(Reach):
+            raise ValueError(
+                f"reach must be one of {', '.join(get_args(Reach))}, got {cls.reach!r} "
+                f"in {cls.__name__}"
+            )
+        for name in ("reach", "turning_tangent", "twists", "wall"):
+            if _says_of_other_loads(cls, name):
+                setattr(cls, name, vars(Effect)[name])
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Forces and couples at this moment."""
@@ -117,6 +148,42 @@ class Effect:
         """
         return self
 
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
+        """Derivative of minus the couples by the elements' own turns, world frame.
+
+        For effects whose loads change with nothing else: forces are constant, and so
+        are couples in the world frame but for this. `None` if they are constant, too.
+        An effect without this hook is differentiated automatically.
+        """
+        raise NotImplementedError
+
+    @property
+    def twists(self) -> str | None:
+        """What of this effect twists a rod or turns with it about its axis, in words.
+
+        A scene without twist refuses such an effect whatever its numbers; what it can
+        find out by calling `loads` needs not be said.
+        """
+        return None
+
+    def wall(self, rod: Rod) -> Wall | None:
+        """What the orientation at an end is held by, if this effect holds one.
+
+        A scene without twist takes the frames of elements from there. The couple of an
+        elastic joint has to be all there is to `loads`.
+        """
+        return None
+
+
+def _says_of_other_loads(kind: type, name: str) -> bool:
+    """Whether what a class inherits by a name was said of loads that it replaced."""
+    for base in kind.__mro__:
+        if name in vars(base):
+            return False
+        if "loads" in vars(base):
+            return True
+    return False
+
 
 @pytree
 class Gravity(Effect):
@@ -130,6 +197,9 @@ class Gravity(Effect):
         masses = rod.node_masses
         g = self.acceleration
         return Loads(forces=(masses * g[0], masses * g[1], masses * g[2]))
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the weight is constant."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Minus the work of gravity from the origin [J]."""
@@ -162,6 +232,20 @@ class EndLoad(Effect):
             couples=only_at_end(couple, rod.n_elements, self.end),
         )
 
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
+        """Of the couple, if it turns with the element."""
+        if not self.follower:
+            return None
+        frame = directors(at_end(motion.orientation, self.end))
+        rows = skew(to_world(frame, vectors.split(self.couple)))
+        x, y, z = (only_at_end(row, rod.n_elements, self.end) for row in rows)
+        return x, y, z
+
+    @property
+    def twists(self) -> str | None:
+        """The couple, if it turns with the element."""
+        return "follower=True" if self.follower else None
+
 
 @pytree
 class UniformLoad(Effect):
@@ -182,6 +266,9 @@ class UniformLoad(Effect):
             forces=vectors.pair_sum(forces),
             couples=to_material(directors(motion.orientation), couples),
         )
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the couples are constant in the world frame."""
 
 
 @pytree

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from typing import Literal
 
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxrod import vectors
+from jaxrod._pytree import pytree, static
 from jaxrod.rotations import Quaternion
 from jaxrod.vectors import Vec3
 
 End = Literal["start", "finish"]
+
+
+@pytree
+class Wall:
+    """What holds the orientation of the element at one end of a rod."""
+
+    orientation: Float[Array, "4"]
+    """The element's orientation at rest (w, x, y, z)."""
+    stiffness: Float[Array, "3"] | None = None
+    """Of the elastic joint between wall and element, about its axes [N m]; `None`
+    for an element held fast."""
+    end: End = static(default="start")
+    """Which end."""
 
 
 def zero_one_end(field: Array, end: End) -> Array:

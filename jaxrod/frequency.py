@@ -23,11 +23,12 @@ from jaxrod import vectors
 from jaxrod._pytree import pytree
 from jaxrod._validation import check_count
 from jaxrod.elasticity import elastic_law, internal_loads
+from jaxrod.freedoms import freedoms
 from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.motion import Loads, Motion, motion_of
 from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import multiply_quaternions, rotation_exp
-from jaxrod.scene import Scene, check_scene_and_state, external_loads, hold_rates
+from jaxrod.scene import Scene, check_scene_and_state, external_loads
 
 InertiaFactors = tuple[Array, Array]
 """What stands in for damping: factors of node masses and of rotary inertias."""
@@ -160,11 +161,9 @@ def linearised(
     _, change = jax.linearize(loads_after, jnp.zeros_like(root))
 
     # Constraints stop some freedoms altogether and leave the others.
-    velocity, spin = take_apart(jnp.ones_like(root))
-    held = hold_rates(scene, replace(still, velocity=velocity, spin=spin))
-    about_axis = held.spin[2] if scene.method.twist else jnp.zeros_like(held.spin[2])
-    turning = (held.spin[0], held.spin[1], about_axis)
-    free = jnp.concatenate([*held.velocity, *turning]) / root
+    nodes, (x, y, z) = freedoms(scene, still)
+    about_axis = z if scene.method.twist else jnp.zeros_like(z)
+    free = jnp.concatenate([*nodes, x, y, about_axis]) / root
 
     def apply(motion: Array) -> Array:
         # Barriers: without, XLA's CPU compiler works for minutes on fusing the map

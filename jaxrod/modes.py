@@ -6,13 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod import vectors
 from jaxrod._validation import check_count, is_traced
+from jaxrod.freedoms import freedoms
 from jaxrod.frequency import linearised, no_damping
-from jaxrod.motion import Motion
+from jaxrod.motion import motion_of
 from jaxrod.rod import RodState
-from jaxrod.rotations import split_quaternion
-from jaxrod.scene import Scene, check_scene_and_state, hold_rates
+from jaxrod.scene import Scene, check_scene_and_state
 
 
 def natural_frequencies(
@@ -79,11 +78,5 @@ def _stiffness(scene: Scene, state: RodState) -> jax.Array:
 @jax.jit
 def _free(scene: Scene, state: RodState) -> jax.Array:
     """Which freedoms no constraint holds; node displacements first, then turns."""
-    moving = Motion(
-        position=vectors.split(state.positions),
-        orientation=split_quaternion(state.orientations),
-        velocity=vectors.split(jnp.ones_like(state.velocities)),
-        spin=vectors.split(jnp.ones_like(state.angular_momenta)),
-    )
-    held = hold_rates(scene, moving)
-    return jnp.concatenate([*held.velocity, *held.spin]) != 0
+    nodes, elements = freedoms(scene, motion_of(state))
+    return jnp.concatenate([*nodes, *elements]) != 0

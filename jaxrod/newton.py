@@ -15,8 +15,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod._pytree import pytree
-from jaxrod.balance import Balance, Moves, unblocked
-from jaxrod.block_tridiagonal import BlockTridiagonal
+from jaxrod.balance import Balance, Moves
+from jaxrod.blocks import unblocked
+from jaxrod.effect_tangents import Tangent
 from jaxrod.motion import Motion
 from jaxrod.vectors import Vec3
 
@@ -35,8 +36,10 @@ class Search:
 
     base: Motion
     moves: Moves
-    tangent: BlockTridiagonal
+    tangent: Tangent
     """At the moves."""
+    loose: Bool[Array, ""]
+    """Whether the rod could move as a whole there and nothing would resist."""
     step: Float[Array, "n+1 6"]
     """The whole correction of the moves."""
     share: Float[Array, ""]
@@ -53,8 +56,6 @@ def newton(
     guess: Float[Array, "n+1 6"],
     tolerance: Array,
     max_iterations: int | Array,
-    *,
-    static: bool = False,
 ) -> Search:
     """Searches for moves that balance.
 
@@ -64,11 +65,11 @@ def newton(
         tolerance: The search ends at a correction of less than this many element
             lengths and radians; it is still added.
         max_iterations: How many trials to allow.
-        static: Whether there is no inertia. Then every configuration taken becomes
-            the new base, so that elements can turn any number of times; and without
-            inertia, which makes any tangent definite, progress is judged with more
-            care: by the correction that the tangent of before would make, which has
-            to shrink.
+
+    At rest every configuration taken becomes the new base, so that elements can turn
+    any number of times; and without inertia, which makes any tangent definite, progress
+    is judged with more care: by the correction that the tangent of before would make,
+    which has to shrink.
     """
     none = jax.tree.map(jnp.zeros_like, (balance.base.position, balance.base.spin))
     lengths = balance.scene.rod.rest_lengths
@@ -88,11 +89,12 @@ def newton(
     def improve(search: Search) -> Search:
         here = replace(balance, base=search.base)
         moves = here.followed(search.moves, search.share * search.step)
-        if static:
+        if balance.at_rest:
             here, moves = replace(here, base=here.motion(moves)), Moves(*none)
-        tangent, residual = here.tangent(moves), here.residual(moves)
+        tangent, loose = here.held_tangent(moves)
+        residual = here.residual(moves)
         step = tangent.solve(-residual)
-        if static:
+        if balance.at_rest:
             rest = size(search.tangent.solve(-residual))
             better = rest <= (1 - 0.25 * search.share) * size(search.step)
         else:
@@ -108,6 +110,7 @@ def newton(
             base=here.base,
             moves=moves,
             tangent=tangent,
+            loose=loose,
             step=step,
             share=jnp.minimum(1, LARGEST_TURN / jnp.maximum(turned, LARGEST_TURN)),
             trials=search.trials,
@@ -118,11 +121,12 @@ def newton(
         after = jax.tree.map(lambda a, b: jnp.where(better, a, b), accepted, rejected)
         return replace(after, trials=search.trials + 1)
 
-    blank = jnp.zeros((*guess.shape, 6), guess.dtype)
+    shapes = jax.eval_shape(lambda: balance.tangent(Moves(*none)))
     begin = Search(
         base=balance.base,
         moves=Moves(*none),
-        tangent=BlockTridiagonal(blank, blank, blank),
+        tangent=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes),
+        loose=jnp.zeros((), bool),
         step=guess,
         share=jnp.ones((), guess.dtype),
         trials=jnp.zeros((), jnp.int32),

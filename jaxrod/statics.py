@@ -11,7 +11,9 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod._pytree import pytree
 from jaxrod._validation import as_array, check_count
-from jaxrod.balance import Balance, Moves, balanced, unblocked
+from jaxrod.balance import Balance, Moves, balanced
+from jaxrod.blocks import unblocked
+from jaxrod.effect_promises import check_promises
 from jaxrod.effect_tangents import has_closed_form
 from jaxrod.effects import Effect
 from jaxrod.elasticity import elastic_law
@@ -30,10 +32,19 @@ class Equilibrium:
     converged: Bool[Array, ""]
     """Whether all loads balance there, to the tolerance."""
     stable: Bool[Array, ""]
-    """Whether the stored energy is least there: no negative pivot in the tangent.
+    """Whether it has converged and the stored energy is least there: the tangent is
+    positive definite, but for what is `loose`.
 
     For loads with a potential; with loads that turn with the rod (follower couples)
     it says nothing about instability in motion (flutter).
+    """
+    loose: Bool[Array, ""]
+    """Whether the rod could move as a whole, or all elements turn about their own
+    axes, and nothing would resist: as on two pins, or on a smooth floor.
+
+    The balance of loads does not say where it is on that way. Derivatives are those of
+    a rod that does not move on it in its middle, and say nothing about loads that would
+    drive it.
     """
     iterations: Int[Array, ""]
     """Newton's corrections taken."""
@@ -89,13 +100,16 @@ def equilibrium(
             "loads, and any number without. Add jaxrod.clamp(state) or "
             "jaxrod.fixed_end(state)"
         )
+    check_promises(scene)
     return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
 
 
 def _is_loose(scene: Scene) -> bool:
     """Whether nothing in the scene could hold the rod."""
     return all(
-        type(effect).hold_rates is Effect.hold_rates and has_closed_form(effect)
+        type(effect).hold_rates is Effect.hold_rates
+        and type(effect).hold is Effect.hold
+        and has_closed_form(effect)
         for effect in scene.effects
     )
 
@@ -103,7 +117,7 @@ def _is_loose(scene: Scene) -> bool:
 def _at_rest(scene: Scene, base: Motion) -> Balance:
     """The balance of loads alone."""
     still = jnp.zeros((), scene.rod.rest_lengths.dtype)
-    return Balance(scene, elastic_law(scene.rod), base, still, None)
+    return Balance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
 
 
 @jax.jit
@@ -116,7 +130,6 @@ def _equilibrium(
     end = newton(
         *lax.stop_gradient((_at_rest(scene, start), guess, tolerance)),
         max_iterations,
-        static=True,
     )
     found = _at_rest(scene, end.base).motion(end.moves)
     # What is held is where the state and the scene have it, with their derivatives.
@@ -126,7 +139,8 @@ def _equilibrium(
     return Equilibrium(
         state=state_of(balance.motion(moves)),
         converged=end.converged,
-        stable=end.tangent.negative_pivots() == 0,
+        stable=end.converged & end.tangent.is_positive(),
+        loose=end.loose,
         iterations=end.iterations,
         force_residual=largest(force),
         couple_residual=largest(couple),

@@ -215,7 +215,6 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
-    scene.method.check(scene)
     # Within jit the step is traced, and so is whatever is worked out there.
     if not is_traced(scene, state, step):
         scene.method.check_state(scene, state)

@@ -29,8 +29,11 @@ from jaxtyping import Array, Float
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
 from jaxrod._validation import Numbers, as_array, check_count
-from jaxrod.balance import Balance, balanced, blocks, displaced
+from jaxrod.balance import Balance, balanced, displaced
+from jaxrod.blocks import blocks
+from jaxrod.effect_promises import check_promises
 from jaxrod.elasticity import ElasticLaw, elastic_law
+from jaxrod.freedoms import free_places
 from jaxrod.motion import Motion, motion_of, state_of
 from jaxrod.newton import default_tolerance, newton
 from jaxrod.rod import RodState
@@ -59,6 +62,10 @@ class Implicit(Method):
     radians [1]; the error that is left is about its square. `None`: by precision."""
     max_iterations: int = static(default=20)
     """Per stage. A step that needs more yields a state that is not finite."""
+
+    def check(self, scene: Scene) -> None:
+        """Raises ValueError if an effect is not what a step would take it for."""
+        check_promises(scene)
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> ImplicitStepper:
         """Constants of the step."""
@@ -196,6 +203,9 @@ class ImplicitStepper:
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )
         guess = self.duration * blocks(*base.rates)
+        placed = free_places(self.scene, base.motion)
+        if placed is not None:
+            guess = guess * blocks(*placed)
         tolerance = self.settings.tolerance
         if tolerance is None:
             tolerance = jnp.asarray(default_tolerance(guess.dtype), guess.dtype)
@@ -203,11 +213,10 @@ class ImplicitStepper:
             *lax.stop_gradient((balance, guess, tolerance)),
             self.settings.max_iterations,
         )
+        # What moves at a given rate does so with its derivative.
+        moves = balanced(balance, balance.following(guess, found.moves))
         # Failure is data: not finite, for health to find.
-        moves = jax.tree.map(
-            lambda a: jnp.where(found.converged, a, jnp.nan),
-            balanced(balance, found.moves),
-        )
+        moves = jax.tree.map(lambda a: jnp.where(found.converged, a, jnp.nan), moves)
         reached = balance.motion(moves)
         return Increments(
             displacement=moves.displacement,

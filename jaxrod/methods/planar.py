@@ -16,9 +16,9 @@ from jaxrod.methods.planar_consistent import PlanarConsistentStepper
 from jaxrod.methods.planar_pyelastica import PlanarPyElasticaStepper
 from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
 from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.motion import Loads, Motion
-from jaxrod.rod import RodState
-from jaxrod.scene import Law, Method, Scene
+from jaxrod.motion import Loads, Motion, motion_of, state_of
+from jaxrod.rod import Rod, RodState
+from jaxrod.scene import Law, Method, Scene, hold, hold_rates
 
 _PARTS = (
     "node positions",
@@ -119,22 +119,48 @@ def _shares_outside(
     scene: Scene, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
     """How far out of the plane each of `_PARTS` is, relative to its own scale."""
-    a, b, out = PLANES[method.plane]
+    out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors
-    n1, n2, n3 = frame[0, out], frame[1, out], frame[2, out]
+    n1, n2 = frame[0, out], frame[1, out]
     oblique = n1 * n2
     length = jnp.sum(rod.rest_lengths)
     bend, shear = rod.bend_twist_stiffness, rod.shear_stretch_stiffness
     rest = rod.rest_curvatures
     bent = jnp.stack([n2[1:] * rest[0] - n1[1:] * rest[1], rest[2]]) * length
+    given = motion_of(state)
+    held = hold_rates(scene, hold(scene, given))
+    motion = _shares_of_state(scene.rod, method, state)
+    if held is not given:
+        others = _shares_of_state(scene.rod, method, state_of(held))
+        motion = jax.tree.map(jnp.maximum, motion, others)
+    force, couple, tilt = _shares_of_effects(scene, method, state, n1, n2)
+    shares = {
+        **motion,
+        "rest curvatures": _largest(bent),
+        "rest strains": _largest(n1 * rod.rest_strains[0] + n2 * rod.rest_strains[1]),
+        "bending stiffness": _share(oblique * (bend[0] - bend[1]), bend, 0),
+        "shear stiffness": _share(oblique * (shear[0] - shear[1]), shear, 0),
+        "forces of effects": force,
+        "couples of effects": couple,
+        "the surfaces of bodies": tilt,
+    }
+    return jnp.stack([shares[part] for part in _PARTS])
+
+
+def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
+    """Of a state, as it is given or as effects hold it."""
+    a, b, out = PLANES[method.plane]
+    n1, n2, n3 = (axis[out] for axis in state.directors)
+    length = jnp.sum(rod.rest_lengths)
     heights = state.positions[out]
     spins = state.angular_momenta
     # A rod this slow, compared with its waves, has come to rest but for rounding.
-    wave_speed = jnp.sqrt(jnp.max(shear[2]) / jnp.min(rod.linear_density))
+    wave_speed = jnp.sqrt(
+        jnp.max(rod.shear_stretch_stiffness[2]) / jnp.min(rod.linear_density)
+    )
     still = 1e-6 * wave_speed
-    force, couple, tilt = _shares_of_effects(scene, method, state, n1, n2)
-    shares = {
+    return {
         "node positions": _largest(heights - heights[0]) / length,
         "velocities": _share(state.velocities[out], state.velocities, still),
         "the directions of elements": _largest(n3),
@@ -146,15 +172,7 @@ def _shares_outside(
         "twist between elements": jnp.maximum(
             _largest(jnp.diff(n1)), _largest(jnp.diff(n2))
         ),
-        "rest curvatures": _largest(bent),
-        "rest strains": _largest(n1 * rod.rest_strains[0] + n2 * rod.rest_strains[1]),
-        "bending stiffness": _share(oblique * (bend[0] - bend[1]), bend, 0),
-        "shear stiffness": _share(oblique * (shear[0] - shear[1]), shear, 0),
-        "forces of effects": force,
-        "couples of effects": couple,
-        "the surfaces of bodies": tilt,
     }
-    return jnp.stack([shares[part] for part in _PARTS])
 
 
 def _shares_of_effects(

@@ -29,6 +29,7 @@ from jaxrod.motion import Loads, Motion
 from jaxrod.rod import Rod, RodState
 from jaxrod.rotations import (
     Quaternion,
+    conjugate,
     directors,
     join_quaternion,
     multiply_quaternions,
@@ -36,7 +37,7 @@ from jaxrod.rotations import (
     sine_ratio_and_cosine,
     split_quaternion,
 )
-from jaxrod.scene import hold_rates
+from jaxrod.scene import hold, hold_rates
 from jaxrod.vectors import Vec3
 
 Vec2 = tuple[Array, Array]
@@ -188,16 +189,12 @@ class PlanarVerlet(Verlet):
             spin=self.spin_from_momentum(state.angular_momenta[out]),
             remainder=None if remainders is None else (remainders[a], remainders[b]),
         )
-        return self.hold_rates(motion)
+        return self.hold_rates(self.hold(motion))
 
     def leave(self, motion: PlanarMotion) -> RodState:
         """Puts the state together again."""
-        a, b, out = PLANES[self.plane]
+        _, _, out = PLANES[self.plane]
         start = self.start
-        remainders = start.remainders
-        if motion.remainder is not None and remainders is not None:
-            remainders = remainders.at[a].set(motion.remainder[0])
-            remainders = remainders.at[b].set(motion.remainder[1])
         return RodState(
             positions=jnp.stack(self._in_space(motion.position, start.positions)),
             orientations=join_quaternion(
@@ -207,7 +204,7 @@ class PlanarVerlet(Verlet):
             angular_momenta=jnp.zeros_like(start.angular_momenta)
             .at[out]
             .set(self.momentum_from_spin(motion.spin)),
-            remainders=remainders,
+            remainders=vectors.join_optional(self._remainder(motion)),
         )
 
     def drift(self, motion: PlanarMotion, dt: Array) -> PlanarMotion:
@@ -224,11 +221,11 @@ class PlanarVerlet(Verlet):
         )
         step = dt * motion.velocity[0], dt * motion.velocity[1]
         if motion.remainder is None:
-            return replace(moved, position=_add(motion.position, step))
+            return self.hold(replace(moved, position=_add(motion.position, step)))
         step = _subtract(step, motion.remainder)
         position = _add(motion.position, step)
         remainder = _subtract(_subtract(position, motion.position), step)
-        return replace(moved, position=position, remainder=remainder)
+        return self.hold(replace(moved, position=position, remainder=remainder))
 
     def add_loads(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
@@ -250,6 +247,35 @@ class PlanarVerlet(Verlet):
                 couple = couple + n1 * loads.couples[0] + n2 * loads.couples[1]
         return forces, couple
 
+    def hold(self, motion: PlanarMotion) -> PlanarMotion:
+        """Applies all constraints on configuration."""
+        a, b, out = PLANES[self.plane]
+        free = self.in_space(motion)
+        held = hold(self.scene, free)
+        if held is free:
+            return motion
+        rest = held.remainder
+        motion = replace(
+            motion,
+            position=(held.position[a], held.position[b]),
+            remainder=None if rest is None else (rest[a], rest[b]),
+        )
+        if held.orientation is free.orientation:
+            return motion
+        # By how much elements are turned back, the short way around.
+        turned = multiply_quaternions(held.orientation, conjugate(free.orientation))
+        way = jnp.where(turned[0] < 0, -1, 1)
+        back = 2 * jnp.arctan2(way * turned[1 + out], way * turned[0])
+        pairs = zip(held.orientation, free.orientation, strict=True)
+        is_held = jnp.any(jnp.stack([one != other for one, other in pairs]), axis=0)
+        d3 = directors(held.orientation)[2]
+        x, y = motion.direction
+        return replace(
+            motion,
+            turn=jnp.where(is_held, motion.turn + back, motion.turn),
+            direction=(jnp.where(is_held, d3[a], x), jnp.where(is_held, d3[b], y)),
+        )
+
     def hold_rates(self, motion: PlanarMotion) -> PlanarMotion:
         """Applies all constraints on rates."""
         a, b, _ = PLANES[self.plane]
@@ -266,8 +292,15 @@ class PlanarVerlet(Verlet):
             orientation=self._orientation(motion),
             velocity=self._in_space(motion.velocity, jnp.zeros_like(start.velocities)),
             spin=spin,
+            remainder=self._remainder(motion),
             spin_is_velocity=is_velocity,
         )
+
+    def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
+        """With that out of the plane, which stays as it is."""
+        if motion.remainder is None or self.start.remainders is None:
+            return None
+        return self._in_space(motion.remainder, self.start.remainders)
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
         """Three components from the two in the plane and the one out of it."""

@@ -27,14 +27,14 @@ from jaxtyping import Array
 
 from jaxrod import vectors
 from jaxrod._pytree import pytree, static
-from jaxrod.clamps import Clamp
 from jaxrod.directions import angle_over_sine, frame_along, transported, turned_to
 from jaxrod.ends import End, at_end
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.torsion_free_checks import (
     check_structure,
     check_torsion_free,
-    held_end,
+    has_elastic_wall,
+    wall_of,
 )
 from jaxrod.methods.verlet import Verlet
 from jaxrod.motion import Loads, Motion, motion_of, state_of
@@ -107,15 +107,14 @@ class TorsionFreeStepper(Verlet):
         shear, _, axial = vectors.split(rod.shear_stretch_stiffness)
         transverse, _ = rod.inertias
         rates = damping_rates(scene) or (None, None)
-        held = held_end(scene)
+        wall = wall_of(scene)
         joint = rod.joint_stiffness[0] / rod.joint_lengths
         walls: list[Vec3 | None] = [None, None]
-        if isinstance(held, Clamp):
-            index, part = (0, 0) if held.end == "start" else (-1, 1)
-            walls[part] = directors(split_quaternion(held.orientation))[2]
-            wall = rod.bend_twist_stiffness[0, index] / (0.5 * rod.rest_lengths[index])
+        if wall is not None and wall.stiffness is not None:
+            part = 0 if wall.end == "start" else 1
+            walls[part] = directors(split_quaternion(wall.orientation))[2]
             joints = [joint, joint]
-            joints[part] = wall[None]
+            joints[part] = wall.stiffness[:1]
             joint = jnp.concatenate(joints)
         return TorsionFreeStepper(
             scene=scene,
@@ -129,7 +128,7 @@ class TorsionFreeStepper(Verlet):
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
             walls=(walls[0], walls[1]),
-            root="start" if held is None else held.end,
+            root="start" if wall is None else wall.end,
         )
 
     def enter(self, state: RodState) -> TorsionFreeMotion:
@@ -147,11 +146,11 @@ class TorsionFreeStepper(Verlet):
     def leave(self, motion: TorsionFreeMotion) -> RodState:
         """Puts the state together again, with frames that are not twisted."""
         direction = motion.direction
-        held = held_end(self.scene)
-        if isinstance(held, Clamp):
-            root = split_quaternion(held.orientation)
-        else:
+        wall = wall_of(self.scene)
+        if wall is None:
             root = at_end(split_quaternion(self.start.orientations), self.root)
+        else:
+            root = split_quaternion(wall.orientation)
         index = 0 if self.root == "start" else -1
         x, y, z = direction
         root = turned_to(root, (x[index], y[index], z[index]))
@@ -229,7 +228,7 @@ class TorsionFreeStepper(Verlet):
         """Adds the loads of all effects, but for what would twist the rod."""
         in_space = motion.in_space
         for effect in self.scene.effects:
-            if isinstance(effect, Clamp):
+            if has_elastic_wall(effect, self.scene.rod):
                 continue
             frame = directors(in_space.orientation)
             before = Loads(forces, to_material(frame, couples))
@@ -252,7 +251,12 @@ class TorsionFreeStepper(Verlet):
         direction = motion.direction
         if held.orientation is not free.orientation:
             direction = directors(held.orientation)[2]
-        return replace(motion, position=held.position, direction=direction)
+        return replace(
+            motion,
+            position=held.position,
+            direction=direction,
+            remainder=held.remainder,
+        )
 
 
 def _across(vector: Vec3, direction: Vec3) -> Vec3:
@@ -273,6 +277,10 @@ class TorsionFree(Method):
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError if the rod or an effect has to do with twist."""
+        check_torsion_free(scene)
+
+    def check_state(self, scene: Scene, state: RodState) -> None:
+        """Raises as `check` does: a scene may have been changed since it was made."""
         check_torsion_free(scene)
 
 

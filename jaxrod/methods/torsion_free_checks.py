@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxrod import vectors
-from jaxrod._contact import Contact
 from jaxrod._validation import is_traced
-from jaxrod.actuation import ElementCouples
-from jaxrod.clamps import Clamp, FixedEnd
-from jaxrod.directions import frame_along
-from jaxrod.effects import Effect, EndLoad
+from jaxrod.effects import Effect
+from jaxrod.ends import Wall
 from jaxrod.motion import Motion
 from jaxrod.rod import Rod
 from jaxrod.rotations import Quaternion, directors, multiply_quaternions
 from jaxrod.scene import Scene
+from jaxrod.trial_motion import trial_motion
 from jaxrod.vectors import Vec3
 
 
-def held_end(scene: Scene) -> Clamp | FixedEnd | None:
-    """The effect that holds an end of the rod, if there is one."""
+def wall_of(scene: Scene) -> Wall | None:
+    """What holds the orientation at an end of the rod, if something does."""
     for effect in scene.effects:
-        if isinstance(effect, (Clamp, FixedEnd)):
-            return effect
+        wall = effect.wall(scene.rod)
+        if wall is not None:
+            return wall
     return None
+
+
+def has_elastic_wall(effect: Effect, rod: Rod) -> bool:
+    """Whether the loads of an effect are those of a joint to a wall, and no others."""
+    wall = effect.wall(rod)
+    return wall is not None and wall.stiffness is not None
 
 
 def check_structure(scene: Scene) -> None:
@@ -37,18 +44,41 @@ def check_structure(scene: Scene) -> None:
     """
     held = 0
     for effect in scene.effects:
-        held += isinstance(effect, (Clamp, FixedEnd))
-        if isinstance(effect, ElementCouples):
-            _refuse("loads that do not turn with the elements", "ElementCouples")
-        if isinstance(effect, EndLoad) and effect.follower:
+        if effect.twists is not None:
             _refuse(
-                "loads that do not turn with the elements",
-                "an EndLoad with follower=True",
+                "loads that neither turn with the elements nor twist them",
+                f"{type(effect).__name__} with {effect.twists}",
             )
-        if isinstance(effect, Contact) and effect.friction is not None:
-            _refuse("loads without couples about d3", "a Contact with friction")
+        has_wall = effect.wall(scene.rod) is not None
+        held += has_wall
+        if not has_wall and _holds_elements(effect, scene.rod):
+            _refuse(
+                "effects that hold elements to say which and how by `Effect.wall`",
+                type(effect).__name__,
+            )
     if held > 1:
         _refuse("at most one held end, because two store twist", f"{held} of them")
+
+
+def _holds_elements(effect: Effect, rod: Rod) -> bool:
+    """Whether an effect has anything to do with how elements are turned or turn.
+
+    Of many rods at once it is not known: each is looked at when it steps.
+    """
+    if rod.rest_lengths.ndim > 1:
+        return False
+    touched = []
+
+    def look(motion: Motion) -> None:
+        placed, paced = effect.hold(rod, motion), effect.hold_rates(rod, motion)
+        pairs = (
+            *zip(placed.orientation, motion.orientation, strict=True),
+            *zip(paced.spin, motion.spin, strict=True),
+        )
+        touched.append(any(one is not other for one, other in pairs))
+
+    jax.eval_shape(lambda: look(trial_motion(rod)))
+    return touched[0]
 
 
 def check_torsion_free(scene: Scene) -> None:
@@ -109,21 +139,15 @@ def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
     Looked at on a rod of no particular shape, before and after its elements are
     turned about their axes. A wall's twist is known to be none: it is left out.
     """
+    before = trial_motion(rod)
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
-    x, y, z = jnp.cos(1.1 * k + 0.3), jnp.sin(1.7 * k + 0.7), jnp.cos(0.6 * k - 0.5)
-    direction = vectors.scale(1 / jnp.sqrt(x * x + y * y + z * z), (x, y, z))
-    position = _summed(vectors.scale(rod.rest_lengths, direction))
-    spin = vectors.cross(direction, vectors.scale(rod.inertias[0], (y, z, x)))
-    orientation = frame_along(direction)
     zero = jnp.zeros_like(k)
     turn = (jnp.cos(k + 0.4), zero, zero, jnp.sin(k + 0.4))
-    before, after = (
-        Motion(position, frame, (position[1], position[2], position[0]), spin)
-        for frame in (orientation, multiply_quaternions(orientation, turn))
-    )
+    turned = multiply_quaternions(before.orientation, turn)
+    after = replace(before, orientation=turned)
 
     def of(effect: Effect) -> Array:
-        if isinstance(effect, Clamp):
+        if has_elastic_wall(effect, rod):
             return jnp.zeros(2, k.dtype)
         one, other = effect.loads(rod, before), effect.loads(rod, after)
         turning, about_axis = jnp.zeros((), k.dtype), jnp.zeros((), k.dtype)
@@ -137,11 +161,6 @@ def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
         return jnp.stack([turning, about_axis])
 
     return jnp.stack([of(effect) for effect in effects])
-
-
-def _summed(edges: Vec3) -> Vec3:
-    x, y, z = (vectors.pad(jnp.cumsum(c), 1, 0) for c in edges)
-    return x, y, z
 
 
 def _across(orientation: Quaternion, couples: Vec3) -> Vec3:

@@ -138,7 +138,7 @@ def refused(rod, state):
         "about d3, got EndLoad": jaxrod.end_load(couple=couple),
         "about d3, got UniformLoad": jaxrod.uniform_load(couple_per_length=couple),
         "one held end": (jaxrod.clamp(state), jaxrod.fixed_end(state, "finish")),
-        "got a Contact with friction": jaxrod.contact(
+        "got Contact with friction": jaxrod.contact(
             jaxrod.sphere((0.0, 0.0, 2.0), 0.3),
             stiffness=1e3,
             friction=0.3,
