@@ -85,9 +85,11 @@ def random_rod(seed, n_elements=None, length=1.0):
     edges *= length / n * random.uniform(0.7, 1.3, n) / np.linalg.norm(edges, axis=0)
     nodes = np.concatenate([np.zeros((3, 1)), np.cumsum(edges, axis=1)], axis=1)
     radius = length * 10 ** random.uniform(-2.5, -1.0)
+    taper = random.uniform(0.0, 0.6) * np.arange(n) / n
     return jaxrod.rod_along(
         nodes,
-        radius=radius * (1 - random.uniform(0.0, 0.6) * np.arange(n) / n),
+        # Of two elements two radii could be those of the ends: they are refused.
+        radius=radius if n == 2 else radius * (1 - taper),
         density=random.uniform(800, 1200, n),
         youngs_modulus=10 ** random.uniform(5, 8) * random.uniform(0.8, 1.2, n),
         poisson_ratio=random.uniform(0.2, 0.5),

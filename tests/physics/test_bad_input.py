@@ -80,8 +80,8 @@ CASES = {
     "effects[0].acceleration must be between": lambda: jaxrod.make_scene(
         straight(dtype=jnp.float32)[0], jaxrod.gravity((0.0, 0.0, 1e40))
     ),
-    "implicit.tolerance must be between": lambda: jaxrod.make_scene(
-        straight(dtype=jnp.float32)[0], implicit=jaxrod.implicit(tolerance=1e-50)
+    "method.tolerance must be between": lambda: jaxrod.make_scene(
+        straight(dtype=jnp.float32)[0], method=jaxrod.implicit(tolerance=1e-50)
     ),
     # Effects and actuation.
     "acceleration must have shape (3,), got ()": lambda: jaxrod.gravity(-9.8),

@@ -1,4 +1,4 @@
-"""Block-tridiagonal systems against dense linear algebra."""
+"""Block-tridiagonal systems, and dense ones of blocks, against linear algebra."""
 
 import jax
 import jax.numpy as jnp
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxrod.block_tridiagonal import BlockTridiagonal
+from jaxrod.dense import columns, dense
 from physics.rods import difference, largest
 
 N, M = 7, 6
@@ -22,41 +23,64 @@ def random_matrix(seed, dtype=jnp.float64, n=N, m=M):
     return BlockTridiagonal(*entries), jnp.asarray(right, dtype)
 
 
-def dense(matrix):
-    """The whole matrix, zeros and all."""
+# A block-tridiagonal matrix as it is, and as a dense one.
+both_forms = pytest.mark.parametrize("form", [lambda matrix: matrix, dense])
+
+
+def whole(matrix):
+    """All entries of a block-tridiagonal matrix, zeros and all."""
     n, m = matrix.diagonal.shape[:2]
-    whole = np.zeros((n, m, n, m))
+    entries = np.zeros((n, m, n, m))
     for k in range(n):
-        whole[k, :, k] = matrix.diagonal[k]
+        entries[k, :, k] = matrix.diagonal[k]
         if k > 0:
-            whole[k, :, k - 1] = matrix.lower[k]
+            entries[k, :, k - 1] = matrix.lower[k]
         if k < n - 1:
-            whole[k, :, k + 1] = matrix.upper[k]
-    return whole.reshape(n * m, n * m)
+            entries[k, :, k + 1] = matrix.upper[k]
+    return entries.reshape(n * m, n * m)
 
 
 def solve(matrix, right):
-    return jax.jit(BlockTridiagonal.solve)(matrix, right)
+    return jax.jit(lambda matrix, right: matrix.solve(right))(matrix, right)
 
 
+@both_forms
 @pytest.mark.parametrize(("n", "m"), [(N, M), (1, 3), (2, 1)])
-def test_the_solution_is_that_of_the_dense_system(n, m, dtype):
+def test_the_solution_is_that_of_the_whole_system(n, m, form, dtype):
     matrix, right = random_matrix(0, dtype, n, m)
-    expected = np.linalg.solve(dense(matrix), np.asarray(right, float).ravel())
-    error = np.max(np.abs(np.ravel(solve(matrix, right)) - expected))
-    assert solve(matrix, right).dtype == dtype
+    expected = np.linalg.solve(whole(matrix), np.asarray(right, float).ravel())
+    solution = solve(form(matrix), right)
+    error = np.max(np.abs(np.ravel(solution) - expected))
+    assert solution.dtype == dtype
     assert error < 10 * jnp.finfo(dtype).eps * np.max(np.abs(expected))
 
 
-def test_product_and_transpose_are_those_of_the_dense_matrix():
+@both_forms
+def test_the_product_is_that_of_the_whole_matrix(form):
     matrix, right = random_matrix(1)
     np.testing.assert_allclose(
-        np.ravel(matrix.multiply(right)), dense(matrix) @ np.ravel(right), rtol=1e-13
+        np.ravel(form(matrix).multiply(right)),
+        whole(matrix) @ np.ravel(right),
+        rtol=1e-12,
     )
-    np.testing.assert_array_equal(dense(matrix.transposed), dense(matrix).T)
 
 
-def test_the_units_of_the_unknowns_do_not_matter():
+def test_transpose_and_dense_form_have_the_entries_they_should():
+    matrix, _ = random_matrix(1)
+    entries = dense(matrix).entries.reshape(N * M, N * M)
+    np.testing.assert_array_equal(entries, whole(matrix))
+    np.testing.assert_array_equal(whole(matrix.transposed), whole(matrix).T)
+
+
+@pytest.mark.parametrize("n", [N, 25])
+def test_columns_are_found_one_by_one_or_some_at_once(n):
+    matrix, right = random_matrix(1, n=n)
+    found = columns(matrix.multiply, right)
+    assert difference(found, dense(matrix)) == 0
+
+
+@both_forms
+def test_the_units_of_the_unknowns_do_not_matter(form):
     """Rows and columns scaled over twelve orders give the scaled solution."""
     matrix, right = random_matrix(2)
     units = jnp.asarray(10.0 ** np.linspace(-6, 6, M))
@@ -64,32 +88,51 @@ def test_the_units_of_the_unknowns_do_not_matter():
         lambda b: b * units[None, :, None] * units[None, None], matrix
     )
     expected = solve(matrix, right) / units[None]
-    got = solve(scaled, right * units[None])
+    got = solve(form(scaled), right * units[None])
     np.testing.assert_allclose(got, expected, rtol=1e-11)
 
 
-def test_as_many_negative_pivots_as_negative_eigenvalues():
-    for seed in range(5):
+@both_forms
+def test_what_has_positive_eigenvalues_alone_is_positive(form):
+    answers = []
+    for seed in range(6):
         matrix, _ = random_matrix(seed)
-        shifted = matrix.diagonal - 3 * (seed + 1) * M * jnp.eye(M)[None]
+        shifted = matrix.diagonal - 4 * seed * jnp.eye(M)[None]
         symmetric = BlockTridiagonal(
             lower=jnp.swapaxes(jnp.roll(matrix.upper, 1, axis=0), 1, 2),
             diagonal=shifted + jnp.swapaxes(shifted, 1, 2),
             upper=matrix.upper,
         )
-        eigenvalues = np.linalg.eigvalsh(dense(symmetric))
-        assert int(symmetric.negative_pivots()) == np.sum(eigenvalues < 0)
+        expected = np.min(np.linalg.eigvalsh(whole(symmetric))) > 0
+        answers.append(bool(form(symmetric).is_positive()))
+        assert answers[-1] == expected
+    assert any(answers) and not all(answers)
+    unknown = jax.tree.map(lambda a: jnp.nan * a, symmetric)
+    assert not bool(form(unknown).is_positive())
 
 
-def test_a_singular_matrix_gives_no_finite_solution():
+@both_forms
+def test_what_is_added_to_a_block_of_the_diagonal_is_there(form):
     matrix, right = random_matrix(3)
-    singular = BlockTridiagonal(*jax.tree.map(jnp.zeros_like, jax.tree.leaves(matrix)))
-    assert not np.any(np.isfinite(solve(singular, right)))
+    block = jnp.arange(M * M, dtype=right.dtype).reshape(M, M)
+    change = form(matrix).stiffened(2, block).multiply(right)
+    change = change - form(matrix).multiply(right)
+    np.testing.assert_allclose(change[2], block @ right[2], rtol=1e-12)
+    assert largest(change.at[2].set(0)) == 0
 
 
-def test_derivatives_of_the_solution():
-    matrix, right = random_matrix(4)
+@both_forms
+def test_a_singular_matrix_gives_no_finite_solution(form):
+    matrix, right = random_matrix(3)
+    singular = jax.tree.map(jnp.zeros_like, matrix)
+    assert not np.any(np.isfinite(solve(form(singular), right)))
+
+
+@both_forms
+def test_derivatives_of_the_solution(form):
+    chain, right = random_matrix(4)
     change, push = random_matrix(5)
+    matrix, change = form(chain), form(change)
 
     def moved(t):
         return solve(jax.tree.map(lambda a, b: a + t * b, matrix, change), right)
@@ -110,7 +153,7 @@ def test_derivatives_of_the_solution():
         for a, b in zip(*map(jax.tree.leaves, (at_matrix, change)), strict=True)
     )
     assert float(reverse) == pytest.approx(float(forward), rel=1e-12)
-    expected = np.linalg.solve(dense(matrix).T, np.ravel(push))
+    expected = np.linalg.solve(whole(chain).T, np.ravel(push))
     np.testing.assert_allclose(np.ravel(at_right), expected, rtol=1e-11)
 
 

@@ -126,8 +126,8 @@ def test_a_transformation_by_itself_compiles_once(
     kind, run, steps, compilations, monkeypatch
 ):
     """As users write it, without jit around it: the second call runs what is there."""
-    made = lambda scene, state, dt: Falling(dt, scene.effects[0].rate)
-    monkeypatch.setattr("jaxrod.stepping.stepper", made)
+    made = lambda method, scene, state, dt: Falling(dt, scene.effects[0].rate)
+    monkeypatch.setattr(jaxrod.Consistent, "stepper", made)
     rod, state = arm(3)
 
     def height(rate):

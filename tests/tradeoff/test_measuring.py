@@ -103,7 +103,7 @@ def test_own_scenes_become_problems():
     np.testing.assert_allclose(tips[-1], alone.tip, atol=1e-12)
     with pytest.raises(ValueError, match="duration must be positive"):
         problem_of(scene, state, duration=0.0)
-    with pytest.raises(ValueError, match="PyElastica mode has no setting"):
+    with pytest.raises(ValueError, match="PyElastica's law has no setting"):
         problem_of(dataclasses.replace(scene, method=jaxrod.pyelastica()), state)
 
 

@@ -1,0 +1,201 @@
+"""What effects say of their loads, and hold, is what implicit methods take it for."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxrod
+from jaxrod._pytree import pytree
+from jaxrod.effect_promises import check_promises
+from jaxrod.effect_tangents import has_closed_form
+from jaxrod.rotations import directors, to_material, to_world
+from jaxrod.tangents import skew
+from physics.distant import Repulsion, Tendon
+from physics.pins import Pin
+from physics.rods import arm
+
+ONE = jnp.asarray(1.0)
+
+
+@pytree
+class Springs(jaxrod.Effect):
+    """Ties every node to its place, and neighbours to each other."""
+
+    reach = "neighbours"
+    stiffness: jax.Array
+
+    def loads(self, rod, motion):
+        edges = jaxrod.vectors.difference(motion.edges)
+        return jaxrod.Loads(
+            tuple(
+                self.stiffness * (edge - place)
+                for edge, place in zip(edges, motion.position, strict=True)
+            )
+        )
+
+
+@pytree
+class Vanes(jaxrod.Effect):
+    """Couples that turn with the elements."""
+
+    couple: jax.Array
+
+    def in_world(self, motion):
+        one = jnp.full_like(motion.orientation[0], self.couple)
+        return to_world(directors(motion.orientation), (one, -one, 2 * one))
+
+    def loads(self, rod, motion):
+        couples = to_material(directors(motion.orientation), self.in_world(motion))
+        return jaxrod.Loads(couples=couples)
+
+    def turning_tangent(self, rod, motion):
+        return skew(self.in_world(motion))
+
+
+@pytree
+class Nearby(Tendon):
+    """Says that it sees neighbours alone, which is not so."""
+
+    reach = "neighbours"
+
+
+@pytree
+class Crowd(Repulsion):
+    """The same; no pair of a straight rod's nodes is near enough to be noticed."""
+
+    reach = "neighbours"
+
+
+@pytree
+class Constant(Springs):
+    """Says that its loads are constant, which is not so."""
+
+    def turning_tangent(self, rod, motion):
+        return None
+
+
+@pytree
+class Backwards(Vanes):
+    """Has the sign of its tangent wrong."""
+
+    def turning_tangent(self, rod, motion):
+        return skew(tuple(-c for c in self.in_world(motion)))
+
+
+@pytree
+class Drag(jaxrod.Effect):
+    """Says that its loads are constant, but they change with rates."""
+
+    drag: jax.Array
+
+    def loads(self, rod, motion):
+        return jaxrod.Loads(tuple(-self.drag * c for c in motion.velocity))
+
+    def turning_tangent(self, rod, motion):
+        return None
+
+
+@pytree
+class Rail(jaxrod.Effect):
+    """Lets the first node slide along an oblique line."""
+
+    def hold_rates(self, rod, motion):
+        x, y, z = motion.velocity
+        mean = 0.5 * (x[0] + y[0])
+        velocity = (x.at[0].set(mean), y.at[0].set(mean), z.at[0].set(0.0))
+        return replace(motion, velocity=velocity)
+
+
+@pytree
+class Tie(jaxrod.Effect):
+    """Puts the last node where the first is."""
+
+    def hold(self, rod, motion):
+        return replace(
+            motion, position=tuple(c.at[-1].set(c[0]) for c in motion.position)
+        )
+
+
+@pytree
+class Slowed(jaxrod.Effect):
+    """Halves a velocity in every step."""
+
+    def hold_rates(self, rod, motion):
+        return replace(
+            motion, velocity=tuple(c.at[2].multiply(0.5) for c in motion.velocity)
+        )
+
+
+def tendon(kind):
+    return kind(ONE, ONE, ONE, jnp.asarray([0, 2, 5]))
+
+
+HONEST = {
+    "a tendon, which says nothing": lambda: tendon(Tendon),
+    "springs between neighbours": lambda: Springs(ONE),
+    "couples that turn": lambda: Vanes(ONE),
+    "a pin": lambda: Pin(jnp.zeros(3), ONE),
+}
+BROKEN = {
+    "what Nearby.reach says": lambda: tendon(Nearby),
+    "what Crowd.reach says": lambda: Crowd(ONE, 1e-2 * ONE),
+    "what Constant.turning_tangent says": lambda: Constant(ONE),
+    "what Backwards.turning_tangent says": lambda: Backwards(ONE),
+    "what Drag.turning_tangent says": lambda: Drag(ONE),
+    "Rail holds parts of some": Rail,
+    "Tie holds parts of some": Tie,
+    "Slowed holds parts of some": Slowed,
+}
+
+
+def scene_with(effect, dtype):
+    rod, _ = arm(6, dtype)
+    return jaxrod.make_scene(rod, jaxrod.gravity(), effect)
+
+
+@pytest.mark.parametrize("name", HONEST)
+def test_what_is_so_is_accepted(name, dtype):
+    check_promises(scene_with(HONEST[name](), dtype))
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_not_so_is_refused_in_words(name, dtype):
+    with pytest.raises(ValueError, match=name):
+        check_promises(scene_with(BROKEN[name](), dtype))
+
+
+def test_it_is_refused_before_a_step_or_an_iteration_is_made():
+    rod, state = arm(6)
+    effects = (jaxrod.clamp(state), tendon(Nearby))
+    with pytest.raises(ValueError, match=r"what Nearby\.reach says"):
+        jaxrod.make_scene(rod, *effects, implicit=jaxrod.implicit())
+    with pytest.raises(ValueError, match=r"what Nearby\.reach says"):
+        jaxrod.equilibrium(jaxrod.make_scene(rod, *effects), state)
+
+
+def test_what_a_base_says_of_other_loads_is_forgotten():
+    class Lighter(jaxrod.Gravity):
+        """Weight that falls with height: no constant load any more."""
+
+        def loads(self, rod, motion):
+            weight = super().loads(rod, motion).forces
+            return jaxrod.Loads(tuple(w * motion.position[2] for w in weight))
+
+    class Looser(Springs):
+        def loads(self, rod, motion):
+            return super().loads(rod, motion)
+
+    class Mixed(Lighter, Springs):
+        """The loads of the first base with what the second says of its own."""
+
+    class Same(jaxrod.Gravity):
+        """No loads of its own."""
+
+    assert has_closed_form(Same(ONE))
+    assert not has_closed_form(Lighter(ONE))
+    assert Springs.reach == "neighbours" and Looser.reach == "any"
+    assert Mixed.reach == "any"
+    with pytest.raises(ValueError, match="reach must be one of neighbours, any"):
+        type("Far", (jaxrod.Effect,), {"reach": "far"})
