@@ -46,7 +46,7 @@ def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
     raise TypeError(f"{name} must be a {wanted}, got {type(value).__name__}{hint}")
 
 
-def check_count(name: str, value: Any, smallest: int, largest: int = MOST) -> int:
+def check_count(name: str, value: Any, smallest: int, largest: float = MOST) -> int:
     """Returns `value` as an int, or raises if it is not a count within bounds."""
     if isinstance(value, jax.core.Tracer):
         raise ValueError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -81,7 +81,7 @@ def train(
         OSError: something cannot be written; with its name.
         FloatingPointError: learning diverged; the checkpoints are from before.
     """
-    steps, seed = check_count("steps", steps, 1, sys.maxsize), check_seed(seed)
+    steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
     learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
     config = learner.checked(config)
     devices = jax.devices() if devices is None else devices

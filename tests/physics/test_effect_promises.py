@@ -170,7 +170,7 @@ def test_it_is_refused_before_a_step_or_an_iteration_is_made():
     rod, state = arm(6)
     effects = (jaxrod.clamp(state), tendon(Nearby))
     with pytest.raises(ValueError, match=r"what Nearby\.reach says"):
-        jaxrod.make_scene(rod, *effects, implicit=jaxrod.implicit())
+        jaxrod.make_scene(rod, *effects, method=jaxrod.implicit())
     with pytest.raises(ValueError, match=r"what Nearby\.reach says"):
         jaxrod.equilibrium(jaxrod.make_scene(rod, *effects), state)
 

@@ -206,6 +206,7 @@ def test_momentum_and_angular_momentum_of_a_free_rod(record):
 class Spring(Effect):
     """Holds neighbouring nodes together, and drags on them: of no closed form."""
 
+    reach = "neighbours"
     stiffness: jax.Array
     drag: jax.Array
 
@@ -216,7 +217,29 @@ class Spring(Effect):
         return Loads(vectors.add(vectors.difference(pull), drag), turned)
 
 
-def test_the_tangent_is_the_derivative_of_the_residual(record):
+@pytree
+class Belt(Effect):
+    """Pulls the second node after the last, and turns the first element with it."""
+
+    stiffness: jax.Array
+
+    def loads(self, rod, motion):
+        pull = [self.stiffness * jnp.sin(c[-1] - c[1]) for c in motion.position]
+        slip = [u[-1] - v[0] for u, v in zip(motion.velocity, motion.spin, strict=True)]
+        return Loads(
+            tuple(
+                jnp.zeros_like(c).at[1].set(f)
+                for c, f in zip(motion.position, pull, strict=True)
+            ),
+            tuple(
+                jnp.zeros_like(c).at[0].set(f)
+                for c, f in zip(motion.spin, slip, strict=True)
+            ),
+        )
+
+
+@pytest.mark.parametrize("distant", [False, True])
+def test_the_tangent_is_the_derivative_of_the_residual(distant, record):
     rod, _ = random_rod(3, N)
     state = deformed(rod, 1, largest_angle=1.5, speed=0.5)
     scene = jaxrod.make_scene(
@@ -230,6 +253,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(record):
         jaxrod.fixed_end(state, "finish"),
         Spring(jnp.asarray(7.0), jnp.asarray(0.3)),
         jaxrod.exponential_damping(0.7, 1.9),
+        *([Belt(jnp.asarray(5.0))] if distant else []),
     )
     law, rates = elastic_law(rod), damping_rates(scene)
     start = Balance(scene, law, motion_of(state), jnp.asarray(0.0), rates)
@@ -257,7 +281,8 @@ def test_the_tangent_is_the_derivative_of_the_residual(record):
         got = product(balance, moves, direction)
         worst = max(worst, difference(expected, got) / largest(expected))
     record(
-        "Tangent of the balance of loads in closed form, all effects",
+        "Tangent of the balance of loads in closed form, all effects"
+        + ", and one that couples distant elements" * distant,
         "automatic differentiation of the residual",
         worst,
         at_most=1e-13,

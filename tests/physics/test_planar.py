@@ -9,8 +9,9 @@ import pytest
 
 import jaxrod
 from jaxrod.methods.laws import IN_SPACE
+from jaxrod.motion import motion_of
 from physics.reductions import arithmetic_left, check_one_program
-from physics.rods import arm
+from physics.rods import arm, difference, turn
 
 AXES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 MODES = ("consistent", "pyelastica")
@@ -169,6 +170,51 @@ def test_what_is_zero_out_of_the_plane_stays_zero(mode, dtype):
     np.testing.assert_array_equal(state.angular_momenta[::2], 0)
     tilts = np.asarray(state.directors)[2, 1]
     np.testing.assert_array_less(np.abs(tilts), 4 * np.finfo(dtype).eps)
+
+
+@pytest.mark.parametrize(
+    "plane",
+    ["xy", *(pytest.param(p, marks=pytest.mark.slow) for p in ("yz", "zx"))],
+)
+def test_an_end_held_fast_is_put_back_as_in_space(plane):
+    """Displaced and turned within the plane, and held by an effect that has both."""
+    scene, state = swinging(plane)
+    a, b = AXES[plane]
+    turned = turn(state.orientations, 0.1 * state.directors[:, 3 - a - b])
+    off = replace(
+        state,
+        positions=state.positions.at[a, 0].add(0.02).at[b, 0].add(-0.01),
+        orientations=turned,
+    )
+    held = (jaxrod.fixed_end(state), *scene.effects[1:])
+    scene = replace(scene, effects=held)
+    flat = jaxrod.advance(scene, off, 1e-4, 200)
+    full = jaxrod.advance(in_space(scene), off, 1e-4, 200)
+    np.testing.assert_allclose(flat.positions[:, 0], state.positions[:, 0], atol=1e-15)
+    for field in ("positions", "orientations", "velocities"):
+        expected = getattr(full, field)
+        np.testing.assert_allclose(getattr(flat, field), expected, atol=1e-10)
+
+
+def test_an_end_held_out_of_the_plane_is_refused():
+    scene, state = swinging("xy")
+    lifted = replace(state, positions=state.positions + 0.1)
+    held = replace(scene, effects=(jaxrod.fixed_end(lifted),))
+    with pytest.raises(ValueError, match="xy plane needs node positions"):
+        jaxrod.advance(held, state, 1e-4, 5)
+
+
+@pytest.mark.parametrize("plane", ["yz"])
+def test_effects_see_what_rounding_has_added_to_the_positions(plane):
+    scene, state = swinging(plane, dtype=jnp.float32)
+    remainders = 1e-8 * jnp.cos(jnp.arange(39.0, dtype=jnp.float32)).reshape(3, 13)
+    state = replace(state, remainders=remainders)
+    integrator = scene.method.stepper(scene, state, jnp.asarray(1e-4, jnp.float32))
+    seen = integrator.in_space(integrator.enter(state))
+    assert difference(seen.edges, motion_of(state).edges) == 0
+    assert difference(seen.edges, motion_of(replace(state, remainders=None)).edges) > 0
+    after = integrator.leave(integrator.enter(state))
+    assert difference(after.remainders, state.remainders) == 0
 
 
 @pytest.mark.parametrize(
