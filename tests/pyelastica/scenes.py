@@ -89,6 +89,8 @@ def random_scene(seed: int, n_elements: int | None = None) -> Scene:
     lengths /= lengths.sum()
     middle = np.cumsum(lengths) - lengths / 2
     radii = 0.05 - random.uniform(0.0, 0.03) * middle
+    if len(radii) == 2:
+        radii = np.full(2, np.mean(radii))
     waves = random.uniform(-1.5, 1.5, (3, 3)) * [[1.0], [1.0], [0.5]]
     joints = (middle[1:] + middle[:-1]) / 2
     shapes = np.stack([np.ones_like(joints), np.cos(3 * joints), np.sin(5 * joints)])
