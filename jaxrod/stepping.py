@@ -42,6 +42,7 @@ def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
 
     Raises:
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
+        TypeError: If `scene` or `state` is something else.
     """
     return _static_compiled(scene, state, _check(scene, state, dt), 1)
 
@@ -54,23 +55,25 @@ def advance(
     Called with plain arrays it runs a program compiled once for any `dt`, any
     number of steps and any numbers in the scene, and warns when `dt` is above
     `stable_dt`. Compression, which takes a tenth from that, is seen before and after
-    the steps, not between. Inside another transformation it becomes part of that
-    program: with an `int` number of steps it is differentiable in reverse mode (memory
-    grows with the square root of the number of steps), with a traced one in forward
-    mode.
+    the steps, not between. Within `jax.jit` it becomes part of that program. With an
+    `int` number of steps it is differentiable in reverse mode (memory grows with the
+    square root of the number of steps), with a traced one in forward mode. `jax.grad`,
+    `jax.vmap` and the like need no `jax.jit` around them: what they make of it is
+    compiled once for every `int` number of steps, or once for all traced ones.
 
     Args:
         scene: The scene.
         state: The initial state.
         dt: Step size [s].
-        n_steps: How many steps, at least 0; an array below 0 counts as 0.
+        n_steps: How many steps, from 0 to 2147483647; an array below 0 counts as 0.
 
     Returns:
         The final state.
 
     Raises:
-        ValueError: If `dt` is not positive, `n_steps` is negative, or the state is
+        ValueError: If `dt` is not positive, `n_steps` is not a count, or the state is
             not of the scene's rod.
+        TypeError: If `scene` or `state` is something else.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
@@ -109,6 +112,7 @@ def rollout(
 
     Raises:
         ValueError: If an argument is out of range.
+        TypeError: If `scene` or `state` is something else.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.

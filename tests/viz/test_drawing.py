@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxrod.viz import animation, frame
+from missing import pretend_missing
 from viz.swinging_arm import swinging_arm
 
 
@@ -35,3 +36,9 @@ def test_an_animation_has_one_picture_per_thinned_frame():
     replay = swinging_arm(num_frames=121, duration=2.0)
     player = animation(replay, frames_per_second=4, width=160, height=120).to_jshtml()
     assert player.count("data:image/png;base64") == 9
+
+
+def test_without_matplotlib_a_sentence_says_what_to_install(monkeypatch):
+    pretend_missing(monkeypatch, "matplotlib")
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[viz\]"'):
+        frame(swinging_arm(num_frames=11), 0)

@@ -1,0 +1,58 @@
+"""The Python that README and docs print runs as printed, and prints what they say."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```python\n(.*?)^```\n+(?:prints `([^`]*)`)?", re.S | re.M)
+
+
+def programs(page):
+    """A page's blocks: README's are one program, those of other pages one each."""
+    blocks = BLOCK.findall(page.read_text())
+    if page.name == "README.md":
+        return [("\n\n".join(code for code, _ in blocks), "")] if blocks else []
+    return blocks
+
+
+def run(program, tmp_path):
+    # Compiling is most of it, and twice as fast without LLVM's optimisations.
+    environment = {**os.environ, "XLA_FLAGS": "--xla_backend_optimization_level=0"}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+def test_readme_runs_as_printed(tmp_path):
+    ((program, _),) = programs(PAGES[0])
+    printed = run(program, tmp_path)
+    tip = printed.partition("]")[0].strip("[").split()
+    assert abs(float(tip[1]) + 0.194) < 2e-3, "not the sag of this rod"
+    assert "nan" not in printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("program", "says"),
+    [
+        pytest.param(*pair, id=f"{page.name}-{k}")
+        for page in PAGES[1:]
+        for k, pair in enumerate(programs(page))
+    ],
+)
+def test_pages_run_as_printed(program, says, tmp_path):
+    printed = run(program, tmp_path)
+    if says:
+        assert printed.splitlines()[-1] == says
