@@ -35,7 +35,7 @@ from jaxrod.rod import Rod
 from jaxrod.rotations import directors, to_world
 from jaxrod.tangents import Matrix, skew
 
-MOST_CONTROLS = 100
+MOST_CONTROLS = 1000
 """More are taken for a mistake: the spline's equations are of full size."""
 
 
@@ -175,7 +175,8 @@ def control_spline(
     breaks = knots[2:-2]
     origins = xp.concatenate([np.zeros(1), breaks])
     powers = end ** np.arange(4)
-    coefficients = _cardinal_coefficients(knots, breaks, origins)
+    with np.errstate(all="ignore"):
+        coefficients = _cardinal_coefficients(knots) / powers[None, :, None]
     if not is_traced(coefficients):
         size = np.max(np.abs(coefficients))
         if not size < jnp.finfo(kind).max:
@@ -186,7 +187,7 @@ def control_spline(
     return ControlSpline(
         breaks=jnp.asarray(breaks * end, kind),
         origins=jnp.asarray(origins * end, kind),
-        coefficients=jnp.asarray(coefficients / powers[None, :, None], kind),
+        coefficients=jnp.asarray(coefficients, kind),
     )
 
 
@@ -208,36 +209,49 @@ def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
     return points / end
 
 
-def _cardinal_coefficients(knots: Any, breaks: Any, origins: Any) -> Any:
+def _cardinal_coefficients(knots: Any) -> Any:
     """Piecewise coefficients of the splines that are one at a single control point.
 
-    Unknowns: one cubic plus one truncated cube per break, as many as knots, so the
-    interpolation conditions determine them. In units of the length.
+    Unknowns: the second derivatives at the knots. Between knots the first derivative
+    is continuous; at the first and last knot but one the third is (not a knot), so
+    the outer two intervals at either end share a cubic.
+
+    Args:
+        knots: Ends and control points, in units of the length `(controls + 2,)`.
+
+    Returns:
+        `(pieces, 4, controls)`, in units of the length; not finite where knots are too
+        near each other.
     """
     xp = jnp if is_traced(knots) else np
-    cubes = xp.maximum(knots[:, None] - breaks[None, :], 0.0) ** 3
-    powers = xp.stack([xp.ones_like(knots), knots, knots**2, knots**3], axis=1)
-    system = xp.concatenate([powers, cubes], axis=1)
+    count = len(knots)
+    values = np.eye(count)[:, 1:-1]
+    h = knots[1:] - knots[:-1]
+    slopes = (values[1:] - values[:-1]) / h[:, None]
+    inner = np.arange(1, count - 1)
+    before, after = np.eye(count)[inner - 1], np.eye(count)[inner + 1]
+    at, one, two = np.eye(count)[inner], h[:-1, None], h[1:, None]
+    smooth = one * before + 2 * (one + two) * at + two * after
+    # The third derivative before a knot and the one after it, times both intervals.
+    same = two * before - (one + two) * at + one * after
+    system = xp.concatenate([same[:1], smooth, same[-1:]])
+    bends = 6 * (slopes[1:] - slopes[:-1])
+    zero = np.zeros((1, count - 2))
     try:
-        solution = xp.linalg.solve(system, np.eye(len(knots))[:, 1:-1])
+        second = xp.linalg.solve(system, xp.concatenate([zero, bends, zero]))
     except np.linalg.LinAlgError:
-        return np.full((len(origins), 4, len(knots) - 2), np.inf)
-    pieces = []
-    for index, origin in enumerate(origins):
-        # Taylor coefficients of the active cubes and the first cubic at the origin.
-        first, second, third, fourth = solution[:4]
-        local = [
-            first + origin * (second + origin * (third + origin * fourth)),
-            second + origin * (2 * third + 3 * origin * fourth),
-            third + 3 * origin * fourth,
-            fourth,
-        ]
-        for break_, cube in zip(breaks[:index], solution[4 : 4 + index], strict=True):
-            d = origin - break_
-            factors = (d**3, 3 * d**2, 3 * d, 1)
-            local = [a + f * cube for a, f in zip(local, factors, strict=True)]
-        pieces.append(xp.stack(local))
-    return xp.stack(pieces)
+        second = np.full((count, count - 2), np.inf)
+    start, end, width = second[:-1], second[1:], h[:, None]
+    cubics = xp.stack(
+        [
+            values[:-1],
+            slopes - width * (2 * start + end) / 6,
+            start / 2,
+            (end - start) / (6 * width),
+        ],
+        axis=1,
+    )
+    return xp.concatenate([cubics[:1], cubics[2:-1]])
 
 
 def spline_couples(
