@@ -95,5 +95,6 @@ class Environment(Protocol):
             limit, numerical health); what follows has a value, to be estimated
             from this observation. `info` maps fixed names to scalars; under
             `"flagged"` an environment may report that a numerical health flag
-            rose, in which case the step is also truncated or terminated.
+            rose, in which case the step is also truncated or terminated. What the
+            tasks then report of the arm (`"distance"`) is of the last sound one.
         """

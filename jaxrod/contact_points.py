@@ -138,8 +138,8 @@ def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
     """
     if inradius is None or is_traced(inradius, rod):
         return
-    body, radii = float(np.min(inradius)), np.asarray(rod.radii)
-    lengths = np.asarray(rod.rest_lengths)
+    body, radii = float(np.min(inradius)), np.ravel(rod.radii)
+    lengths = np.ravel(rod.rest_lengths)
     needed = lengths / (radii + body)
     worst = int(np.argmax(needed))
     if needed[worst] <= per_element * (1 + 1e-5):
