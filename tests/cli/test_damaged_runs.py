@@ -145,6 +145,21 @@ def test_a_folder_of_other_things_is_not_trained_in(run, tmp_path):
         check_refused(result, before, tmp_path, "nothing is replaced there")
 
 
+@pytest.mark.default_precision
+def test_a_run_without_the_mark_is_read_and_never_written_to(trained, run, tmp_path):
+    """As those of versions that marked none."""
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    config = json.loads((folder / "config.json").read_text())
+    del config["format"]
+    (folder / "config.json").write_text(json.dumps(config))
+    assert run("evaluate", folder, "--episodes", "2")[0] == 0
+    before = contents(folder)
+    for how in ("--resume", "--overwrite"):
+        result = run("train", "trivial", "--out", folder, how)
+        check_refused(result, before, folder, "nothing is replaced there")
+
+
 @pytest.mark.parametrize("steps", ["1e30", "1e400000", "9" * 5000])
 def test_too_many_steps_are_refused_at_once_and_leave_nothing(steps, run, tmp_path):
     code, _, err = run("train", "trivial", "--steps", steps, "--out", tmp_path / "run")

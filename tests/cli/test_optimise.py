@@ -25,6 +25,8 @@ def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path):
     assert json.loads(printed) == summary | {"out": str(out)}
     assert summary["target"] == pytest.approx([0.3, 0.7, -0.2])
     assert summary["iterations"] == 2 and not summary["success"]
+    asked = json.loads((out / "config.json").read_text())
+    assert (asked["knots"], asked["target"]) == (3, [0.3, 0.7, -0.2])
     with (out / "history.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["iteration"] for row in rows] == ["0", "1"]
@@ -65,6 +67,9 @@ def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypa
         ),
         (["tracking", "--tolerance", "0"], "tolerance must be positive, got 0 m"),
         (["tracking", "--duration", "-1"], "duration must be positive, got -1 s"),
+        (["tracking", "--duration", "1e9"], "duration must be less than 1,073,741,824"),
+        (["tracking", "--duration", "1e308"], "duration must be less than"),
+        (["tracking", "--knots", "9" * 20], "n_knots must be at most 2147483647"),
         (["tracking", "--target", "nan", "0", "0"], "target must be finite, got nan m"),
         (["tracking", "--elements", "7"], "n_elements must be"),
         (["tracking", "--knots", "1"], "knots must be at least 2, got 1"),
@@ -75,6 +80,24 @@ def test_wrong_requests_are_refused_in_one_sentence(run, tmp_path, words, messag
     assert (code, out) == (2, "")
     assert message in err and err.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+@pytest.mark.parametrize("name", ["trajectory.npz", "config.json"])
+def test_what_it_did_not_write_is_never_replaced(name, more, run, tmp_path):
+    """A training run's folder, for one."""
+    (tmp_path / name).write_text('{"format": "jaxrod training run 1"}')
+    code, _, err = run("optimise", "tracking", "--out", tmp_path, *more)
+    assert code == 2 and err.count("\n") == 1
+    assert f"{tmp_path} holds {name}, and " in err
+    assert "nothing is replaced there" in err
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_a_file_is_no_folder_for_a_result(run, tmp_path):
+    (tmp_path / "notes").write_text("mine")
+    code, _, err = run("optimise", "tracking", "--out", tmp_path / "notes")
+    assert code == 2 and "notes is a file, not a folder" in err
 
 
 def test_the_arm_is_the_tasks_without_its_muscles():
