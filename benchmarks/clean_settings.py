@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jaxrod
-from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import make, names
-from jaxrod.envs.clean_problem import CleanTask, clean_problem, recorded_actions
+from jaxrod.envs.tasks.clean_problem import CleanTask, clean_problem, recorded_actions
+from jaxrod.files import write_atomically
 from jaxrod.tradeoff import Reference, Setting, measure, reference, tune
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -31,8 +31,9 @@ HEADER = """\
 # How accurate the clean tasks are
 
 Written by `python benchmarks/clean_settings.py`; do not edit. The arm of every task's
-`clean` variant under one second of recorded actions (`jaxrod.envs.clean_problem`):
-`tracking` under those of a trained policy, a third of them at their limits;
+`clean` variant under one second of recorded actions
+(`jaxrod.envs.tasks.clean_problem`): `tracking` under those of a trained policy, a
+third of them at their limits;
 `reaching` under actions drawn anew every 0.1 s; the two with obstacles likewise, at
 0.3 of full strength, since at full strength arms a rounding apart soon part ways.
 Error: root mean square over time of the tip's distance from a reference of

@@ -17,9 +17,9 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
-from jaxrod.rod import RodState
+from jaxrod.files import write_atomically
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,11 +21,11 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
 import jaxrod
-from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import VectorEnvironment, VectorState, make
+from jaxrod.files import write_atomically
 from jaxrod.training.algorithm import DEVICE_AXIS
-from jaxrod.training.devices import device_mesh, place
+from jaxrod.training.runs.devices import device_mesh, place
 
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = ("tracking", "reaching", "structured", "unstructured")

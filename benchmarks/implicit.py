@@ -19,9 +19,9 @@ import jax
 import numpy as np
 
 import jaxrod
-from jaxrod._files import write_atomically
 from jaxrod.cli.benchmark import processor_and_versions
-from jaxrod.rod import RodState
+from jaxrod.files import write_atomically
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 import jax
 import pytest
 
-from jaxrod._files import write_atomically
+from jaxrod.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = (

@@ -23,10 +23,10 @@ except ModuleNotFoundError as missing:
         name="brax",
     ) from missing
 
-from jaxrod._pytree import pytree
-from jaxrod.envs.brax_patch import patched_jax
+from jaxrod.envs.adapters.brax_patch import patched_jax
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
+from jaxrod.structure import pytree
 
 __all__ = ["BraxEnv", "patched_jax"]
 

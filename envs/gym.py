@@ -17,8 +17,8 @@ except ModuleNotFoundError as missing:
         name="gymnasium",
     ) from missing
 
-from jaxrod.envs.gymnasium_env import GymnasiumEnv
-from jaxrod.envs.gymnasium_vector_env import GymnasiumVectorEnv
+from jaxrod.envs.adapters.gymnasium_env import GymnasiumEnv
+from jaxrod.envs.adapters.gymnasium_vector_env import GymnasiumVectorEnv
 
 __all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "ids"]
 

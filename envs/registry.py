@@ -9,11 +9,11 @@ from typing import Any
 from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
-    "reaching": "jaxrod.envs.reaching:reaching",
-    "structured": "jaxrod.envs.structured_obstacles:structured_obstacles",
-    "tracking": "jaxrod.envs.tracking:tracking",
+    "reaching": "jaxrod.envs.tasks.reaching:reaching",
+    "structured": "jaxrod.envs.tasks.structured_obstacles:structured_obstacles",
+    "tracking": "jaxrod.envs.tasks.tracking:tracking",
     "trivial": "jaxrod.envs.trivial:Trivial",
-    "unstructured": "jaxrod.envs.unstructured_nest:unstructured_nest",
+    "unstructured": "jaxrod.envs.tasks.unstructured_nest:unstructured_nest",
 }
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod._pytree import pytree
+from jaxrod.structure import pytree
 
 
 @pytree

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt
 
-from jaxrod._pytree import pytree
 from jaxrod.envs.protocol import Environment
+from jaxrod.structure import pytree
 
 
 @pytree

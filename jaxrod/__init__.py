@@ -21,24 +21,22 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from jaxrod._jax_version import require_sound_jax
+from jaxrod.installation.jax_version import require_sound_jax
 
 __version__ = "0.1.0"
 
 _NAMES = {
-    "_contact": ("Contact", "contact"),
-    "_health": ("Health", "HealthLimits", "freeze", "health"),
-    "_near_contact": ("near_contact",),
-    "actuation": (
-        "ControlSpline",
-        "ElementAverages",
-        "ElementCouples",
-        "control_spline",
-        "limit_rate",
-        "spline_couples",
+    "analysis.frequency": ("highest_frequency",),
+    "analysis.health": ("Health", "HealthLimits", "freeze", "health"),
+    "analysis.inertia_scaling": (
+        "InertiaScaling",
+        "frequency_changes",
+        "scale_inertia",
     ),
-    "backend": ("configure_cpu",),
-    "bodies": (
+    "analysis.modes": ("natural_frequencies",),
+    "analysis.stability": ("StableStep", "stable_dt"),
+    "composition": ("make_scene",),
+    "contacts.bodies": (
         "Body",
         "Box",
         "Capsule",
@@ -53,33 +51,39 @@ _NAMES = {
         "signed_distance",
         "sphere",
     ),
-    "composition": ("make_scene",),
-    "clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
-    "contact_points": ("ThinBodyWarning",),
-    "effects": (
-        "Effect",
+    "contacts.contact": ("Contact", "contact"),
+    "contacts.near": ("near_contact",),
+    "contacts.points": ("ThinBodyWarning",),
+    "effects.actuation": (
+        "ControlSpline",
+        "ElementAverages",
+        "ElementCouples",
+        "control_spline",
+        "limit_rate",
+        "spline_couples",
+    ),
+    "effects.base": ("Effect", "Resistance"),
+    "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
+    "effects.loads": (
         "EndLoad",
         "ExponentialDamping",
         "Gravity",
-        "Resistance",
         "UniformLoad",
         "end_load",
         "exponential_damping",
         "gravity",
         "uniform_load",
     ),
-    "elasticity": ("stored_energy", "strains"),
-    "factories": ("rod_along", "straight_rod", "unstressed"),
-    "frequency": ("highest_frequency",),
-    "inertia_scaling": ("InertiaScaling", "frequency_changes", "scale_inertia"),
+    "installation.backend": ("configure_cpu",),
     "methods.consistent": ("Consistent", "consistent"),
     "methods.implicit": ("Implicit", "implicit"),
     "methods.planar": ("Planar", "planar"),
     "methods.pyelastica": ("PyElastica", "pyelastica"),
     "methods.torsion_free": ("TorsionFree", "torsion_free"),
-    "modes": ("natural_frequencies",),
-    "motion": ("Loads", "Motion"),
-    "rod": (
+    "rods.elasticity": ("stored_energy", "strains"),
+    "rods.factories": ("rod_along", "straight_rod", "unstressed"),
+    "rods.motion": ("Loads", "Motion"),
+    "rods.rod": (
         "Rod",
         "RodState",
         "angular_velocities",
@@ -95,13 +99,22 @@ _NAMES = {
         "potential_energy",
         "total_energy",
     ),
-    "stability": ("StableStep", "stable_dt"),
-    "statics": ("Equilibrium", "equilibrium"),
+    "statics.equilibrium": ("Equilibrium", "equilibrium"),
     "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
+    "structure": ("pytree", "static"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
-_SUBMODULES = ("envs", "rotations", "tradeoff", "training", "vectors", "viz")
+_SUBMODULES = {
+    "envs": "envs",
+    "geometry": "geometry",
+    "rotations": "geometry.rotations",
+    "tradeoff": "tradeoff",
+    "training": "training",
+    "validation": "validation",
+    "vectors": "geometry.vectors",
+    "viz": "viz",
+}
 
 __all__ = sorted(_MODULE_OF)
 
@@ -120,7 +133,7 @@ def __getattr__(name: str) -> Any:
 
 def _submodule(name: str) -> Any:
     try:
-        return importlib.import_module(f"jaxrod.{name}")
+        return importlib.import_module(f"jaxrod.{_SUBMODULES[name]}")
     except ModuleNotFoundError as error:
         # An optional package is missing. Attribute look-up has to say so as
         # attributes do, or help(jaxrod) and hasattr would fail.

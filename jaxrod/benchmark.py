@@ -12,7 +12,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.actuation import ElementCouples
 from jaxrod.benchmark_arms import (
     N_ELEMENTS,
     AdvanceArms,
@@ -21,8 +20,9 @@ from jaxrod.benchmark_arms import (
     even_share,
 )
 from jaxrod.benchmark_pyelastica import TIME_STEP, pyelastica_steps_per_s
+from jaxrod.effects.actuation import ElementCouples
 from jaxrod.methods.laws import IN_SPACE
-from jaxrod.rod import RodState
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Law, Scene
 from jaxrod.stepping import advance
 

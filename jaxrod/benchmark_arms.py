@@ -15,14 +15,14 @@ import jax.numpy as jnp
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from jaxrod.actuation import ElementCouples
 from jaxrod.benchmark_pyelastica import DAMPING_RATE, ELEMENT_COUPLE, TIME_STEP
-from jaxrod.clamps import clamp, fixed_end
 from jaxrod.composition import make_scene
-from jaxrod.effects import exponential_damping
-from jaxrod.factories import straight_rod
+from jaxrod.effects.actuation import ElementCouples
+from jaxrod.effects.clamps import clamp, fixed_end
+from jaxrod.effects.loads import exponential_damping
 from jaxrod.methods.laws import IN_SPACE
-from jaxrod.rod import RodState
+from jaxrod.rods.factories import straight_rod
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Law, Scene
 from jaxrod.stepping import advance
 

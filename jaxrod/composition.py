@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod._validation import check_held, check_kind, is_traced
-from jaxrod.effects import Effect
+from jaxrod.effects.base import Effect
 from jaxrod.methods.consistent import Consistent
-from jaxrod.rod import Rod
+from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
+from jaxrod.validation import check_held, check_kind, is_traced
 
 
 def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scene:

@@ -7,14 +7,14 @@ from typing import Any, ClassVar, Literal, Protocol
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod import vectors
-from jaxrod._pytree import pytree
-from jaxrod._validation import check_kind
-from jaxrod.effects import Effect
-from jaxrod.elasticity import stored_energy
-from jaxrod.motion import Loads, Motion, accumulate
-from jaxrod.rod import Rod, RodState, angular_velocities, check_state
-from jaxrod.vectors import Vec3
+from jaxrod.effects.base import Effect
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.elasticity import stored_energy
+from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.rods.rod import Rod, RodState, angular_velocities, check_state
+from jaxrod.structure import pytree
+from jaxrod.validation import check_kind
 
 Law = Literal["consistent", "pyelastica"]
 """Elastic laws: loads from a stored energy, and PyElastica 1.0's."""

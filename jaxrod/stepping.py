@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from jaxrod._validation import as_array, check_array, check_count, is_traced
-from jaxrod.rod import RodState
+from jaxrod.analysis.stability import compression, stable_dt
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene, check_scene, check_scene_and_state
-from jaxrod.stability import compression, stable_dt
+from jaxrod.validation import as_array, check_array, check_count, is_traced
 
 Carry = TypeVar("Carry")
 

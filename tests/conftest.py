@@ -14,7 +14,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import jax
 import pytest
 
-from jaxrod.backend import with_backend_options
+from jaxrod.installation.backend import with_backend_options
 
 # Compiled as jaxrod does for its users: twice as fast to compile. In force for this
 # process and those it starts, so that both compute the same to the last bit. JAX

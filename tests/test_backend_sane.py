@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxrod import doctor
+from jaxrod.installation import doctor
 
 CPU = jax.devices("cpu")[0]
 

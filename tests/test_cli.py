@@ -7,7 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from jaxrod import _jax_version, cli
+from jaxrod import cli
+from jaxrod.installation import jax_version
 
 
 @pytest.fixture
@@ -71,7 +72,7 @@ def test_unknown_words_exit_with_two(words, capsys):
         (ValueError("dt must be positive, got -1 s"), "dt must be positive", 2),
         (FileNotFoundError(2, "No such file", "runs/x"), "runs/x: No such file", 2),
         (ModuleNotFoundError("x", name="flax.linen"), 'pip install "jaxrod[rl]"', 2),
-        (_jax_version.UnsoundJaxError("jax 0.10.2 is refused"), "0.10.2", 1),
+        (jax_version.UnsoundJaxError("jax 0.10.2 is refused"), "0.10.2", 1),
     ],
 )
 def test_an_error_is_one_sentence_on_stderr(error, sentence, code, command, capsys):

@@ -7,7 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxrod import _jax_version, cli, doctor
+from jaxrod import cli
+from jaxrod.installation import doctor, jax_version
 
 CPU = jax.devices("cpu")[0]
 
@@ -32,8 +33,8 @@ def test_unsound_jax_is_refused_with_the_version_the_fault_and_the_remedy(
     version, pretend_version
 ):
     pretend_version(version)
-    with pytest.raises(_jax_version.UnsoundJaxError) as caught:
-        _jax_version.require_sound_jax()
+    with pytest.raises(jax_version.UnsoundJaxError) as caught:
+        jax_version.require_sound_jax()
     sentence = str(caught.value)
     assert sentence.startswith(f"jax {version} is refused: ")
     assert "pip install" in sentence
@@ -45,11 +46,11 @@ def test_unsound_jax_is_refused_with_the_version_the_fault_and_the_remedy(
 @pytest.mark.parametrize("version", ["0.10.1", "0.11.2", "0.12.0.1", "0.12.1", "1.0"])
 def test_sound_jax_is_accepted(version, pretend_version):
     pretend_version(version)
-    _jax_version.require_sound_jax()
+    jax_version.require_sound_jax()
 
 
 def test_development_builds_count_as_their_release():
-    assert _jax_version.release("0.10.2.dev20260601+abc") == (0, 10, 2)
+    assert jax_version.release("0.10.2.dev20260601+abc") == (0, 10, 2)
 
 
 def test_jaxlib_of_another_series_is_reported(monkeypatch):

@@ -6,32 +6,32 @@ if __name__ != "jaxrod.training":
     )
 
 try:
-    from jaxrod.training.actuated_arm import ActuatedArm, actuated_arm
     from jaxrod.training.algorithm import (
         Algorithm,
         Metrics,
         algorithm_names,
         find_algorithm,
     )
-    from jaxrod.training.ddpg import DDPG, DDPGConfig
+    from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
+    from jaxrod.training.algorithms.off_policy import OffPolicyConfig
+    from jaxrod.training.algorithms.on_policy import OnPolicyConfig
+    from jaxrod.training.algorithms.ppo import PPO, PPOConfig
+    from jaxrod.training.algorithms.sac import SAC, SACConfig
+    from jaxrod.training.algorithms.td3 import TD3, TD3Config
+    from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
-    from jaxrod.training.loop import train
-    from jaxrod.training.off_policy import OffPolicyConfig
-    from jaxrod.training.on_policy import OnPolicyConfig
     from jaxrod.training.policy import Policy, load_policy, save_policy
-    from jaxrod.training.ppo import PPO, PPOConfig
-    from jaxrod.training.run import Result
-    from jaxrod.training.run_folder import RunFolder
-    from jaxrod.training.sac import SAC, SACConfig
-    from jaxrod.training.seeds import train_seeds
+    from jaxrod.training.runs.folder import RunFolder
+    from jaxrod.training.runs.loop import train
+    from jaxrod.training.runs.run import Result
+    from jaxrod.training.runs.seeds import train_seeds
     from jaxrod.training.settings import LearnerConfig
-    from jaxrod.training.td3 import TD3, TD3Config
-    from jaxrod.training.trajectory_optimisation import (
+    from jaxrod.training.trajectory.actuated_arm import ActuatedArm, actuated_arm
+    from jaxrod.training.trajectory.optimise import (
         UnreachableTargetWarning,
         optimise_trajectory,
     )
-    from jaxrod.training.trajectory_result import TrajectoryHistory, TrajectoryResult
-    from jaxrod.training.trpo import TRPO, TRPOConfig
+    from jaxrod.training.trajectory.result import TrajectoryHistory, TrajectoryResult
 except ModuleNotFoundError as missing:
     package = (missing.name or "").partition(".")[0]
     if package not in ("flax", "optax", "orbax"):

@@ -9,8 +9,8 @@ from typing import Any
 
 from jaxtyping import Array
 
-from jaxrod._pytree import pytree
 from jaxrod.envs import EpisodeRecord
+from jaxrod.structure import pytree
 from jaxrod.training.policy import Policy
 
 DEVICE_AXIS = "env"
@@ -84,11 +84,11 @@ class Algorithm:
 
 
 _ALGORITHMS = {
-    "ddpg": "jaxrod.training.ddpg:DDPG",
-    "ppo": "jaxrod.training.ppo:PPO",
-    "sac": "jaxrod.training.sac:SAC",
-    "td3": "jaxrod.training.td3:TD3",
-    "trpo": "jaxrod.training.trpo:TRPO",
+    "ddpg": "jaxrod.training.algorithms.ddpg:DDPG",
+    "ppo": "jaxrod.training.algorithms.ppo:PPO",
+    "sac": "jaxrod.training.algorithms.sac:SAC",
+    "td3": "jaxrod.training.algorithms.td3:TD3",
+    "trpo": "jaxrod.training.algorithms.trpo:TRPO",
 }
 
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod._validation import check_seed
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.action_repeat import repeating
 from jaxrod.training.policy import held_for
+from jaxrod.validation import check_seed
 
 
 @dataclass(frozen=True)

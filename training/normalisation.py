@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, DTypeLike, Float
 
-from jaxrod._pytree import pytree
+from jaxrod.structure import pytree
 
 
 @pytree

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod._files import (
+from jaxrod.files import (
     OBJECT,
     check_entries,
     one_of,
@@ -22,7 +22,7 @@ from jaxrod._files import (
     whole,
     write_atomically,
 )
-from jaxrod._pytree import pytree, static
+from jaxrod.structure import pytree, static
 from jaxrod.training.normalisation import RunningMoments, normalise
 
 FORMAT = 1

@@ -9,8 +9,8 @@ from typing import Any
 
 from jaxtyping import Array, Float
 
-from jaxrod._pytree import pytree, static
-from jaxrod._validation import check_count
+from jaxrod.structure import pytree, static
+from jaxrod.validation import check_count
 
 Scalar = float | Float[Array, ""]
 """A number of a configuration, before and after it is traced."""

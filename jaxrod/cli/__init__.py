@@ -28,8 +28,8 @@ from contextlib import contextmanager
 from typing import TextIO
 
 from jaxrod import __version__
-from jaxrod._jax_version import UnsoundJaxError
-from jaxrod.cli._text import printable
+from jaxrod.cli.text import printable
+from jaxrod.installation.jax_version import UnsoundJaxError
 
 COMMANDS = {
     "train": "train a policy on a task",

@@ -20,7 +20,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli._machine import processor
+from jaxrod.cli.machine import processor
 
 if TYPE_CHECKING:
     from jaxrod.benchmark import Report
@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     }
     text = json.dumps(result, indent=2)
     if args.out is not None:
-        from jaxrod._files import write_atomically
+        from jaxrod.files import write_atomically
 
         write_atomically(args.out / "rod_steps.json", f"{text}\n".encode())
         page = f"# Rod-steps per second\n\n{_table(report, machine)}"
@@ -129,7 +129,7 @@ def machine_facts(load: float | None) -> dict[str, Any]:
     """What the numbers depend on."""
     import jax
 
-    from jaxrod.backend import available_cores
+    from jaxrod.installation.backend import available_cores
 
     versions = {"python": platform.python_version()}
     for package in ("jax", "jaxlib", "numpy", "pyelastica", "mujoco"):

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the checks and prints what they found."""
-    from jaxrod.doctor import run_checks
+    from jaxrod.installation.doctor import run_checks
 
     checks = run_checks()
     failed = sum(not check.ok for check in checks)

@@ -10,7 +10,7 @@ import argparse
 import json
 import time
 
-from jaxrod.cli import _settings
+from jaxrod.cli import settings
 
 EXAMPLES = """\
 examples:
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod evaluate`."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "run_folder", type=_settings.path, metavar="RUN", help="folder of a run"
+        "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
     )
     parser.add_argument(
         "--episodes", type=int, default=32, metavar="N", help="how many (default: 32)"
@@ -40,14 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plays the episodes and prints how they went."""
     import jaxrod
-    from jaxrod._validation import check_seed
-    from jaxrod.cli import _runs
+    from jaxrod.cli import runs
+    from jaxrod.validation import check_seed
 
     if args.episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {args.episodes}")
     check_seed(args.seed)
     jaxrod.configure_cpu()
-    stored = _runs.open_run(args.run_folder)
+    stored = runs.open_run(args.run_folder)
     policy = stored.policy()
     from jaxrod.training import evaluate
 
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     print(
         f"return    {found.mean:,.1f} ± {found.standard_deviation:,.1f} "
         f"({found.returns.min():,.1f} to {found.returns.max():,.1f})"
-        f"{_runs.paper_sentence(stored.config)}"
+        f"{runs.paper_sentence(stored.config)}"
     )
     print(f"flagged   {found.flagged_fraction:.1%} of the episodes")
     print(f"took      {wall:.1f} s, compiling included")

@@ -25,12 +25,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli import _settings
+from jaxrod.cli import settings
 
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
     from jaxrod.training import ActuatedArm, TrajectoryResult
-    from jaxrod.training.owned_folder import OwnedFolder
+    from jaxrod.training.runs.owned_folder import OwnedFolder
 
 EXAMPLES = """\
 examples:
@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=_settings.path,
+        type=settings.path,
         default=Path("runs/optimise"),
         metavar="DIR",
         help="folder for the result (default: runs/optimise)",
@@ -155,7 +155,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Optimises, writes the folder, and prints the result."""
     import jaxrod
-    from jaxrod._validation import check_seed
+    from jaxrod.validation import check_seed
 
     if args.case not in CASES:
         raise ValueError(f"case must be one of {', '.join(CASES)}; got {args.case!r}")
@@ -167,7 +167,7 @@ def run(args: argparse.Namespace) -> int:
 
     from jaxrod import envs
     from jaxrod.training import optimise_trajectory
-    from jaxrod.training.owned_folder import OwnedFolder
+    from jaxrod.training.runs.owned_folder import OwnedFolder
 
     out: Path = args.out
     folder = OwnedFolder(out, "optimised trajectory", FILES)
@@ -266,7 +266,7 @@ def _write(out: Path, result: TrajectoryResult, summary: dict[str, Any]) -> None
     import numpy as np
 
     from jaxrod import viz
-    from jaxrod._files import write_atomically
+    from jaxrod.files import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
     table = io.StringIO(newline="")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 
-from jaxrod.cli import _settings
+from jaxrod.cli import settings
 
 EXAMPLES = """\
 examples:
@@ -24,11 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod render`."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "run_folder", type=_settings.path, metavar="RUN", help="folder of a run"
+        "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
     )
     parser.add_argument(
         "--out",
-        type=_settings.path,
+        type=settings.path,
         metavar="FILE",
         help="where to write the replay (default: RUN/replay.html)",
     )
@@ -46,18 +46,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draws and prints the names of the files."""
     import jaxrod
-    from jaxrod._validation import check_seed
-    from jaxrod.cli import _pictures, _runs
+    from jaxrod.cli import pictures, runs
+    from jaxrod.validation import check_seed
 
     if args.seconds is not None and not 0 < args.seconds < float("inf"):
         raise ValueError(f"seconds must be positive and finite, got {args.seconds} s")
     check_seed(args.seed)
     jaxrod.configure_cpu()
-    stored = _runs.open_run(args.run_folder)
-    _pictures.print_paths(_pictures.draw_learning_curve(stored.path, stored.config))
+    stored = runs.open_run(args.run_folder)
+    pictures.print_paths(pictures.draw_learning_curve(stored.path, stored.config))
     policy = stored.policy()
-    _pictures.print_paths(
-        _pictures.write_replay(
+    pictures.print_paths(
+        pictures.write_replay(
             stored, policy, args.out, seconds=args.seconds, seed=args.seed
         )
     )

@@ -21,7 +21,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from jaxrod.cli import _settings
+from jaxrod.cli import settings
 
 EXAMPLES = """\
 examples:
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--steps",
-        type=_settings.count,
+        type=settings.count,
         metavar="N",
         help="control steps of every cell (default: those of "
         "training/grid_settings.py; of --variant paper the paper's or fewer)",
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--jobs",
-        type=_settings.count,
+        type=settings.count,
         default=1,
         metavar="N",
         help="cells that run side by side, each on its share of the cores (default: 1)",
@@ -99,11 +99,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the grid, or says what it would run."""
-    from jaxrod.cli import _grid, _grid_records, _grid_report
+    from jaxrod.cli import grid, grid_records, grid_report
 
     if args.jobs < 1:
         raise ValueError(f"jobs must be at least 1, got {args.jobs}")
-    cells = _grid.plan(
+    cells = grid.plan(
         args.cases,
         args.algorithms,
         args.seeds,
@@ -113,11 +113,11 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.out.exists() and not args.out.is_dir():
         raise ValueError(f"out must be a folder, {args.out} is a file")
-    records = _grid_records.Records(args.out)
+    records = grid_records.Records(args.out)
     if args.dry_run:
         _describe(cells, records, args.overwrite, args.json)
         return 0
-    from jaxrod.cli._grid_run import run_grid
+    from jaxrod.cli.grid_run import run_grid
 
     code = run_grid(
         cells,
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
         ended = [record for cell in cells if (record := records.get(cell))]
         print(json.dumps(ended, indent=2))
     elif code != 130:
-        print(_grid_report.report(records).partition("Settings that")[0].rstrip())
+        print(grid_report.report(records).partition("Settings that")[0].rstrip())
         for name in ("results.csv", "results.md"):
             print(args.out / name)
     return code
@@ -138,8 +138,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) -> None:
     """Prints what would run, and for how long as far as is known."""
-    from jaxrod.cli._grid_run import changed_since
-    from jaxrod.cli._grid_view import against, duration
+    from jaxrod.cli.grid_run import changed_since
+    from jaxrod.cli.grid_view import against, duration
 
     rows = []
     for cell in cells:

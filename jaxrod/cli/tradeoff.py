@@ -94,8 +94,8 @@ def run(args: argparse.Namespace) -> int:
     # One core each: what is compared is work, not machines.
     jaxrod.configure_cpu(1)
     from jaxrod import tradeoff
-    from jaxrod._files import write_atomically
     from jaxrod.cli.benchmark import machine_facts
+    from jaxrod.files import write_atomically
     from jaxrod.tradeoff import grid
     from jaxrod.viz.work_precision import work_precision
 

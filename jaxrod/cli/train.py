@@ -21,8 +21,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxrod._files import reading
-from jaxrod.cli import _settings
+from jaxrod.cli import settings
+from jaxrod.files import reading
 
 STEPS = 10_000_000
 """Control steps by default: the published budget."""
@@ -70,14 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--steps",
-        type=_settings.count,
+        type=settings.count,
         metavar="N",
         help="control steps, such as 500k or 10M (default: 10M)",
     )
     parser.add_argument("--seed", type=int, help="of all randomness (default: 0)")
     parser.add_argument(
         "--out",
-        type=_settings.path,
+        type=settings.path,
         metavar="DIR",
         help="folder of the run (default: runs/CASE-VARIANT-ALGORITHM-SEED)",
     )
@@ -127,14 +127,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Trains, draws, and prints the result."""
     import jaxrod
-    from jaxrod._validation import check_seed
-    from jaxrod.cli import _runs
+    from jaxrod.cli import runs
     from jaxrod.training import RunFolder, find_algorithm, train
     from jaxrod.training.settings import check_steps
+    from jaxrod.validation import check_seed
 
     stored = None
     if args.resume:
-        stored = _runs.open_run(_folder(args, None)).config
+        stored = runs.open_run(_folder(args, None)).config
         if stored["case"] != args.case:
             raise ValueError(
                 f"{_folder(args, None)} holds a run of {stored['case']}, "
@@ -144,12 +144,12 @@ def run(args: argparse.Namespace) -> int:
             find_algorithm(stored["algorithm"])
     learner = find_algorithm(_chosen(args.algorithm, stored, "algorithm", "ppo"))
     if "help" in args.set:
-        print(_settings.listing(learner.config_type()))
+        print(settings.listing(learner.config_type()))
         return 0
     config = learner.config_type()
     if stored:
         with reading(_folder(args, None) / "config.json"):
-            config = _settings.configure(config, stored["settings"], [])
+            config = settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
             check_steps(stored["steps"], learner.steps_per_update(config))
     options = dict(stored["env_options"]) if stored else {}
@@ -159,7 +159,7 @@ def run(args: argparse.Namespace) -> int:
         options["controls"] = args.controls
     if args.nest is not None:
         options["nest"] = None if args.nest == PUBLISHED else args.nest
-    env = _runs.make_case(args.case, options)
+    env = runs.make_case(args.case, options)
     # What is as by default is not told apart from what was not chosen.
     options = {name: value for name, value in options.items() if value is not None}
     if hasattr(env, "variant"):
@@ -168,7 +168,7 @@ def run(args: argparse.Namespace) -> int:
     words = list(args.set)
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
-    config = _settings.configure(config, {}, words)
+    config = settings.configure(config, {}, words)
     out = _folder(args, options.get("variant"))
     if not args.resume:
         RunFolder(out).check_replaceable()
@@ -197,7 +197,7 @@ def run(args: argparse.Namespace) -> int:
             config=config,
             env_options=options,
             score_window=_chosen(
-                None, stored, "score_window", _runs.score_window(args.case)
+                None, stored, "score_window", runs.score_window(args.case)
             ),
             resume=args.resume,
             overwrite=args.overwrite,
@@ -218,9 +218,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({**summary, "run": str(out)}, indent=2))
         return 0
-    for line in _lines(summary, _runs.read_config(out)):
+    for line in _lines(summary, runs.read_config(out)):
         print(line)
-    from jaxrod.cli._pictures import print_paths
+    from jaxrod.cli.pictures import print_paths
 
     print_paths(*pictures)
     return 0
@@ -228,18 +228,18 @@ def run(args: argparse.Namespace) -> int:
 
 def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
     """Draws what there is to draw of a finished run."""
-    from jaxrod.cli import _pictures, _runs
+    from jaxrod.cli import pictures, runs
 
-    stored = _runs.open_run(out)
-    drawn = [_pictures.draw_learning_curve(out, stored.config)]
+    stored = runs.open_run(out)
+    drawn = [pictures.draw_learning_curve(out, stored.config)]
     if replay:
-        drawn.append(_pictures.write_replay(stored, policy))
+        drawn.append(pictures.write_replay(stored, policy))
     return drawn
 
 
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """The result in words."""
-    from jaxrod.cli import _runs
+    from jaxrod.cli import runs
 
     final = summary["final_score"]
     score = "no episode was completed"
@@ -247,9 +247,9 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
         episodes = min(summary["score_window"], summary["episodes"])
         score = f"{final:,.1f}, mean return of the last {episodes} training episodes"
     lines = [
-        f"{_runs.describe(config)}: {summary['env_steps']:,} control steps in "
+        f"{runs.describe(config)}: {summary['env_steps']:,} control steps in "
         f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s",
-        f"final score   {score}{_runs.paper_sentence(config)}",
+        f"final score   {score}{runs.paper_sentence(config)}",
     ]
     if "evaluation_score" in summary:
         lines.append(
@@ -288,9 +288,9 @@ def _nest(text: str) -> int | str:
 
 
 def _default_variant(case: str) -> str | None:
-    from jaxrod.cli import _runs
+    from jaxrod.cli import runs
 
-    return getattr(_runs.make_case(case, {}), "variant", None)
+    return getattr(runs.make_case(case, {}), "variant", None)
 
 
 def _chosen(
@@ -311,7 +311,7 @@ def _share(num_envs: int, asked: int | None, available: int | None) -> int:
         available: devices there are; None before JAX has started, for the cores.
     """
     if available is None:
-        from jaxrod.backend import available_cores
+        from jaxrod.installation.backend import available_cores
 
         available = available_cores()
         # More would be made of the same cores, and nobody told.

@@ -18,14 +18,8 @@ from dataclasses import replace
 
 from jaxtyping import Array
 
-from jaxrod import vectors
-from jaxrod._pytree import pytree
-from jaxrod.elasticity import ElasticLaw, elastic_law, internal_loads
-from jaxrod.methods.kick import Kick
-from jaxrod.methods.verlet import Verlet
-from jaxrod.motion import Motion, motion_of, state_of
-from jaxrod.rod import RodState
-from jaxrod.rotations import (
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
     directors,
     multiply_quaternions,
     normalise,
@@ -33,7 +27,13 @@ from jaxrod.rotations import (
     sine_ratio_and_cosine,
     to_world,
 )
+from jaxrod.methods.kick import Kick
+from jaxrod.methods.verlet import Verlet
+from jaxrod.rods.elasticity import ElasticLaw, elastic_law, internal_loads
+from jaxrod.rods.motion import Motion, motion_of, state_of
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Method, Scene, damping_rates, external_loads, hold, hold_rates
+from jaxrod.structure import pytree
 
 
 @pytree

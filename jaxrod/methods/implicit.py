@@ -3,8 +3,9 @@ r"""The implicit method: steps as large as the motion allows, however stiff the 
 Two stages of a singly diagonally implicit Runge-Kutta method of second order, with
 coefficient $\gamma$ and stages at $\gamma h$ and $(1 - \gamma) h$ of equal weight.
 Each stage is a backward Euler step of $\gamma h$ from its own base: the balance of
-loads of `jaxrod.balance`, solved by Newton's method on block-tridiagonal systems.
-Turns are composed as rotations, so the method works on the rotation group itself.
+loads of `jaxrod.statics.residual`, solved by Newton's method on block-tridiagonal
+systems. Turns are composed as rotations, so the method works on the rotation group
+itself.
 
 The method is stable at any step size, for nonlinear motion too (it is algebraically
 stable for $\gamma \ge 1/4$). An infinitely stiff mode loses the factor
@@ -26,18 +27,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxrod import vectors
-from jaxrod._pytree import pytree, static
-from jaxrod._validation import Numbers, as_array, check_count
-from jaxrod.balance import Balance, balanced, displaced
-from jaxrod.blocks import blocks
-from jaxrod.effect_promises import check_promises
-from jaxrod.elasticity import ElasticLaw, elastic_law
-from jaxrod.freedoms import free_places
-from jaxrod.motion import Motion, motion_of, state_of
-from jaxrod.newton import default_tolerance, newton
-from jaxrod.rod import RodState
-from jaxrod.rotations import (
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
     directors,
     multiply_quaternions,
     normalise,
@@ -45,8 +36,18 @@ from jaxrod.rotations import (
     to_material,
     to_world,
 )
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.elasticity import ElasticLaw, elastic_law
+from jaxrod.rods.motion import Motion, motion_of, state_of
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Method, Scene, damping_rates, hold, hold_rates
-from jaxrod.vectors import Vec3
+from jaxrod.statics.blocks import blocks
+from jaxrod.statics.freedoms import free_places
+from jaxrod.statics.newton import default_tolerance, newton
+from jaxrod.statics.promises import check_promises
+from jaxrod.statics.residual import Balance, balanced, displaced
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, as_array, check_count
 
 
 @pytree

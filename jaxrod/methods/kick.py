@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod._pytree import pytree
+from jaxrod.structure import pytree
 
 
 @pytree

@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod._pytree import pytree, static
-from jaxrod.effects import Effect
+from jaxrod.effects.base import Effect
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.planar_consistent import PlanarConsistentStepper
 from jaxrod.methods.planar_pyelastica import PlanarPyElasticaStepper
 from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
 from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.motion import Loads, Motion, motion_of, state_of
-from jaxrod.rod import Rod, RodState
+from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Law, Method, Scene, hold, hold_rates
+from jaxrod.structure import pytree, static
 
 _PARTS = (
     "node positions",

@@ -10,7 +10,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod._pytree import pytree
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.planar_verlet import (
     PLANES,
@@ -20,9 +20,9 @@ from jaxrod.methods.planar_verlet import (
     PlaneName,
     spread,
 )
-from jaxrod.rod import RodState
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene, damping_rates
-from jaxrod.vectors import Vec3
+from jaxrod.structure import pytree
 
 
 @pytree

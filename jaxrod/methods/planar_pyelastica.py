@@ -18,7 +18,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod._pytree import pytree
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.planar_verlet import (
     PlanarMotion,
     PlanarRod,
@@ -26,9 +26,9 @@ from jaxrod.methods.planar_verlet import (
     PlaneName,
     spread,
 )
-from jaxrod.rod import RodState
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene, damping_rates
-from jaxrod.vectors import Vec3
+from jaxrod.structure import pytree
 
 
 @pytree

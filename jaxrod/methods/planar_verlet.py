@@ -21,13 +21,8 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod import vectors
-from jaxrod._pytree import pytree, static
-from jaxrod.elasticity import joint_rotations
-from jaxrod.methods.verlet import Verlet
-from jaxrod.motion import Loads, Motion
-from jaxrod.rod import Rod, RodState
-from jaxrod.rotations import (
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
     Quaternion,
     conjugate,
     directors,
@@ -37,8 +32,13 @@ from jaxrod.rotations import (
     sine_ratio_and_cosine,
     split_quaternion,
 )
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.methods.verlet import Verlet
+from jaxrod.rods.elasticity import joint_rotations
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import hold, hold_rates
-from jaxrod.vectors import Vec3
+from jaxrod.structure import pytree, static
 
 Vec2 = tuple[Array, Array]
 

@@ -22,13 +22,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod import vectors
-from jaxrod._pytree import pytree
-from jaxrod.elasticity import joint_rotations
-from jaxrod.methods.verlet import Verlet
-from jaxrod.motion import Loads, Motion, motion_of, state_of
-from jaxrod.rod import Rod, RodState, angular_velocities, with_angular_velocities
-from jaxrod.rotations import (
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
     directors,
     multiply_quaternions,
     normalise,
@@ -36,6 +31,11 @@ from jaxrod.rotations import (
     to_material,
     to_world,
 )
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.methods.verlet import Verlet
+from jaxrod.rods.elasticity import joint_rotations
+from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
+from jaxrod.rods.rod import Rod, RodState, angular_velocities, with_angular_velocities
 from jaxrod.scene import (
     Law,
     Method,
@@ -45,7 +45,7 @@ from jaxrod.scene import (
     hold,
     hold_rates,
 )
-from jaxrod.vectors import Vec3
+from jaxrod.structure import pytree
 
 
 @pytree

@@ -25,10 +25,21 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
 
-from jaxrod import vectors
-from jaxrod._pytree import pytree, static
-from jaxrod.directions import angle_over_sine, frame_along, transported, turned_to
-from jaxrod.ends import End, at_end
+from jaxrod.effects.directions import (
+    angle_over_sine,
+    frame_along,
+    transported,
+    turned_to,
+)
+from jaxrod.effects.ends import End, at_end
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    sine_ratio_and_cosine,
+    split_quaternion,
+    to_material,
+)
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.torsion_free_checks import (
     check_structure,
@@ -37,16 +48,10 @@ from jaxrod.methods.torsion_free_checks import (
     wall_of,
 )
 from jaxrod.methods.verlet import Verlet
-from jaxrod.motion import Loads, Motion, motion_of, state_of
-from jaxrod.rod import RodState
-from jaxrod.rotations import (
-    directors,
-    sine_ratio_and_cosine,
-    split_quaternion,
-    to_material,
-)
+from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Method, Scene, damping_rates, hold, hold_rates
-from jaxrod.vectors import Vec3
+from jaxrod.structure import pytree, static
 
 
 @pytree

@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod import vectors
-from jaxrod._validation import is_traced
-from jaxrod.effects import Effect
-from jaxrod.ends import Wall
-from jaxrod.motion import Motion
-from jaxrod.rod import Rod
-from jaxrod.rotations import Quaternion, directors, multiply_quaternions
+from jaxrod.effects.base import Effect
+from jaxrod.effects.ends import Wall
+from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import Quaternion, directors, multiply_quaternions
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
 from jaxrod.scene import Scene
-from jaxrod.trial_motion import trial_motion
-from jaxrod.vectors import Vec3
+from jaxrod.validation import is_traced
 
 
 def wall_of(scene: Scene) -> Wall | None:

@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 
 from jaxtyping import Array
 
-from jaxrod._pytree import pytree
-from jaxrod.rod import RodState
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
+from jaxrod.structure import pytree
 
 
 @pytree

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxrod.rod import RodState
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stepping import advance
 from jaxrod.tradeoff.problem import Problem

@@ -13,9 +13,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrod.clamps import Clamp, FixedEnd
-from jaxrod.effects import ExponentialDamping, Gravity
-from jaxrod.rod import Rod, RodState
+from jaxrod.effects.clamps import Clamp, FixedEnd
+from jaxrod.effects.loads import ExponentialDamping, Gravity
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
 from jaxrod.tradeoff.measure import Measurement, Reference, tip_error
 from jaxrod.tradeoff.problem import Problem

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from jaxrod._validation import check_array
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.planar import Planar
 from jaxrod.methods.planar_verlet import PlaneName
-from jaxrod.resampling import resampled
-from jaxrod.rod import RodState, check_size
+from jaxrod.rods.rod import RodState, check_size
 from jaxrod.scene import Law, Scene
+from jaxrod.tradeoff.resampling import resampled
+from jaxrod.validation import check_array
 
 Build = Callable[[int, Law], tuple[Scene, RodState]]
 Act = Callable[[Scene], Callable[[jax.Array], Scene]]

@@ -9,10 +9,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrod.actuation import ElementCouples
-from jaxrod.clamps import FixedEnd
-from jaxrod.effects import Effect, ExponentialDamping, Gravity
-from jaxrod.rod import Rod, RodState
+from jaxrod.effects.actuation import ElementCouples
+from jaxrod.effects.base import Effect
+from jaxrod.effects.clamps import FixedEnd
+from jaxrod.effects.loads import ExponentialDamping, Gravity
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
 from jaxrod.tradeoff.measure import Measurement, Reference, tip_error
 from jaxrod.tradeoff.problem import Problem

@@ -10,15 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod._contact import contact
-from jaxrod.actuation import control_spline, spline_couples
-from jaxrod.bodies import cylinder
-from jaxrod.clamps import clamp, fixed_end
 from jaxrod.composition import make_scene
-from jaxrod.effects import Effect, exponential_damping, gravity
-from jaxrod.factories import straight_rod
+from jaxrod.contacts.bodies import cylinder
+from jaxrod.contacts.contact import contact
+from jaxrod.effects.actuation import control_spline, spline_couples
+from jaxrod.effects.base import Effect
+from jaxrod.effects.clamps import clamp, fixed_end
+from jaxrod.effects.loads import exponential_damping, gravity
 from jaxrod.methods.laws import IN_SPACE
-from jaxrod.rod import Rod, RodState
+from jaxrod.rods.factories import straight_rod
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Law, Scene
 from jaxrod.tradeoff.problem import Problem
 

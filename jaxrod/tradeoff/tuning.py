@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxrod._validation import check_array, check_count, is_traced
-from jaxrod.inertia_scaling import scale_inertia
-from jaxrod.rod import RodState
+from jaxrod.analysis.inertia_scaling import scale_inertia
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.tradeoff.measure import (
     Measurement,
@@ -31,6 +30,7 @@ from jaxrod.tradeoff.setting import (
     may_be_untwisted,
     prepare,
 )
+from jaxrod.validation import check_array, check_count, is_traced
 
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
 """Numbers of elements that are tried, in this order."""

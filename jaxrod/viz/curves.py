@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrod._files import read_csv, reading, write_atomically
+from jaxrod.files import read_csv, reading, write_atomically
 from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.paper import PaperResult, paper_result
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxrod._files import write_atomically
+from jaxrod.files import write_atomically
 from jaxrod.viz.curves import FilePath, common_steps, read_curve
 from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.paper import PaperResult

@@ -15,12 +15,14 @@ import re
 import zlib
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrod._files import write_atomically
-from jaxrod.viz.replay import Replay
+from jaxrod.files import write_atomically
+
+if TYPE_CHECKING:
+    from jaxrod.viz.replay import Replay
 
 # In this order, because later ones use what earlier ones define.
 _SCRIPTS = (

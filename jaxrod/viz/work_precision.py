@@ -6,7 +6,7 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxrod._files import write_atomically
+from jaxrod.files import write_atomically
 from jaxrod.viz.matplotlib_needed import need_matplotlib
 
 if TYPE_CHECKING:

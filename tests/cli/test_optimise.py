@@ -11,7 +11,7 @@ import pytest
 from jaxrod import cli
 from jaxrod.cli import optimise
 from jaxrod.envs import make
-from jaxrod.training import trajectory_optimisation
+from jaxrod.training.trajectory import optimise as solver
 
 
 def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path):
@@ -51,7 +51,7 @@ def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypa
     def interrupt(problem, knots):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trajectory_optimisation, "cost_and_gradient", interrupt)
+    monkeypatch.setattr(solver, "cost_and_gradient", interrupt)
     code, _, err = run("optimise", "tracking", "--out", tmp_path / "none")
     assert code == 130 and "interrupted" in err
     assert not (tmp_path / "none").exists()

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod._pytree import pytree
-from jaxrod.cli import _recording
+from jaxrod.cli import recording
 from jaxrod.envs import make
-from jaxrod.envs.scenery import drawable, obstacles
+from jaxrod.envs.arm.scenery import drawable, obstacles
+from jaxrod.structure import pytree
 from jaxrod.training import Policy, save_policy
 from jaxrod.training.normalisation import no_moments
 
@@ -75,7 +75,7 @@ idle = jax.tree_util.Partial(jnp.zeros_like)
 
 
 def test_frames_are_states_of_the_episode_at_no_more_than_60_hz():
-    replay = _recording.record(Clock(), idle)
+    replay = recording.record(Clock(), idle)
     # 5 ms between control steps: every fourth is shown, 50 a second.
     np.testing.assert_allclose(replay.times, np.arange(26) * 0.02)
     np.testing.assert_array_equal(replay.positions[:, 0, 0, 0], np.arange(26) * 4)
@@ -101,7 +101,7 @@ def test_actions_are_held_as_the_policy_says():
         layers=((jnp.ones((1, 1)), jnp.zeros(1)),),
         action_repeat=3,
     )
-    replay = _recording.record(Echo(), policy)
+    replay = recording.record(Echo(), policy)
     acted = 0.01 * (np.arange(100) // 3 * 3)
     np.testing.assert_allclose(
         replay.readouts["reward"][1:], acted.reshape(25, 4).mean(axis=1)
@@ -109,19 +109,19 @@ def test_actions_are_held_as_the_policy_says():
 
 
 def test_seconds_shorten_the_recording():
-    assert _recording.record(Clock(), idle, seconds=0.1).times[-1] == pytest.approx(0.1)
-    assert _recording.record(Clock(), idle, seconds=99).times[-1] == pytest.approx(0.5)
+    assert recording.record(Clock(), idle, seconds=0.1).times[-1] == pytest.approx(0.1)
+    assert recording.record(Clock(), idle, seconds=99).times[-1] == pytest.approx(0.5)
 
 
 def test_the_recording_ends_with_the_episode():
-    replay = _recording.record(Clock(ends=42), idle)
+    replay = recording.record(Clock(ends=42), idle)
     # The last frame shows the end, not what would have come after it.
     assert replay.positions[-1, 0, 0, 0] == 42
     assert replay.num_frames == 12
 
 
 def test_a_broken_arm_is_shown_until_it_breaks():
-    replay = _recording.record(Clock(breaks=42), idle)
+    replay = recording.record(Clock(breaks=42), idle)
     assert replay.positions[-1, 0, 0, 0] == 40
 
 
@@ -130,7 +130,7 @@ def test_what_has_no_arm_is_not_drawable():
     assert drawable(make("tracking"))
     assert not drawable(make("trivial"))
     with pytest.raises(ValueError, match="trivial has no arm to draw"):
-        _recording.record(make("trivial"), idle)
+        recording.record(make("trivial"), idle)
 
 
 def test_obstacles_are_drawn_where_the_task_has_some():
@@ -171,7 +171,7 @@ def tracking_run(tmp_path):
 
 def test_the_arm_of_the_tracking_task_is_drawn_as_it_moves(tracking_run):
     env, policy = tracking_run.env, tracking_run.policy
-    replay = _recording.record(env, policy, seconds=0.05)
+    replay = recording.record(env, policy, seconds=0.05)
     assert replay.num_frames == 4  # the start, and 36 control steps by twelve
     params = env.default_params()
     _, state = env.reset(jax.random.key(7), params)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from jaxrod import cli, viz
-from jaxrod.cli import _runs, train
+from jaxrod.cli import runs, train
 
 
 def config(case, algorithm="trpo", variant="paper", **options):
@@ -21,11 +21,11 @@ def config(case, algorithm="trpo", variant="paper", **options):
 def test_equidistant_control_points_compare_with_the_papers_rows_of_that_number():
     for number in (2, 4, 6, 8):
         for algorithm in ("ppo", "trpo"):
-            found = _runs.paper_result(config("structured", algorithm, controls=number))
+            found = runs.paper_result(config("structured", algorithm, controls=number))
             assert found == viz.paper_result(
                 "Case3-ctrlpts", algorithm, f"batch=16000,n_ctrl={number}"
             )
-    assert "5,695 after 1.9 h" in _runs.paper_sentence(config("structured", controls=4))
+    assert "5,695 after 1.9 h" in runs.paper_sentence(config("structured", controls=4))
 
 
 def test_the_placed_points_and_the_published_nest_compare_with_the_figures():
@@ -34,7 +34,7 @@ def test_the_placed_points_and_the_published_nest_compare_with_the_figures():
         ("structured", {"controls": None}, "Case3"),
         ("unstructured", {"nest": None}, "Case4"),
     ):
-        found = _runs.paper_result(config(case, **options))
+        found = runs.paper_result(config(case, **options))
         assert found == viz.paper_result(paper, "TRPO")
 
 
@@ -50,21 +50,21 @@ def test_the_placed_points_and_the_published_nest_compare_with_the_figures():
     ],
 )
 def test_other_tasks_than_the_papers_compare_with_nothing(case, algorithm, options):
-    assert _runs.paper_result(config(case, algorithm, **options)) is None
+    assert runs.paper_result(config(case, algorithm, **options)) is None
 
 
 def test_the_score_of_cases_3_and_4_is_of_ten_episodes_as_in_the_paper():
-    windows = [_runs.score_window(case) for case in _runs.PAPER_CASES]
+    windows = [runs.score_window(case) for case in runs.PAPER_CASES]
     assert windows == [50, 50, 10, 10]
 
 
 def test_a_run_is_described_and_filed_with_what_was_chosen():
     assert (
-        _runs.describe(config("structured", controls=4))
+        runs.describe(config("structured", controls=4))
         == "structured (paper, 4 control points), trpo, seed 0"
     )
     assert (
-        _runs.describe(config("unstructured", nest=7))
+        runs.describe(config("unstructured", nest=7))
         == "unstructured (paper, nest 7), trpo, seed 0"
     )
     parser = cli._parser(["train"])[0]

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from jaxrod import backend, cli
-from jaxrod.cli import _settings, train
+from jaxrod import cli
+from jaxrod.cli import settings, train
+from jaxrod.installation import backend
 from jaxrod.training import PPOConfig
-from jaxrod.training.progress import ProgressBar
+from jaxrod.training.runs.progress import ProgressBar
 
 CONTRACT = {
     "final_score",
@@ -206,7 +207,7 @@ def test_resuming_another_case_or_other_settings_is_refused(trained, run):
     ],
 )
 def test_settings_are_read_as_their_kind(word, value):
-    changed = _settings.configure(PPOConfig(), {"clip": 0.1}, [word])
+    changed = settings.configure(PPOConfig(), {"clip": 0.1}, [word])
     name = word.partition("=")[0]
     assert getattr(changed, name) == value
     assert type(getattr(changed, name)) is type(getattr(PPOConfig(), name))
@@ -224,13 +225,13 @@ def test_settings_are_read_as_their_kind(word, value):
     ],
 )
 def test_counts_may_be_written_short(text, count):
-    assert _settings.count(text) == count
+    assert settings.count(text) == count
 
 
 @pytest.mark.parametrize("text", ["", "k", "1.5", "inf", "nan", "many"])
 def test_what_is_not_a_count_is_refused(text):
     with pytest.raises(argparse.ArgumentTypeError):
-        _settings.count(text)
+        settings.count(text)
 
 
 def test_what_is_no_count_is_told_in_words(run):

@@ -9,7 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.envs import make
-from jaxrod.motion import motion_of
+from jaxrod.rods.motion import motion_of
 from physics.validation import record as record
 from playing import KEY, gradient_error, smooth_actions, start, stepping
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxrod.envs import make
-from jaxrod.envs.clean_problem import clean_problem, recorded_actions
+from jaxrod.envs.tasks.clean_problem import clean_problem, recorded_actions
 from jaxrod.tradeoff import Setting, measure, prepare, reference
 from jaxrod.tradeoff.measure import tips_of
 from physics.validation import record as record

@@ -16,10 +16,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from every_id import EVERY_ID
 from jaxrod import straight_rod
-from jaxrod._pytree import pytree
 from jaxrod.envs import VectorEnvironment, make
 from jaxrod.envs.gym import GymnasiumEnv, GymnasiumVectorEnv, ids
 from jaxrod.envs.trivial import Trivial
+from jaxrod.structure import pytree
 
 pytestmark = pytest.mark.default_precision
 

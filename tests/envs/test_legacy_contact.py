@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod import Loads, Motion, straight_rod, vectors
-from jaxrod.envs.cylinders import cylinders
-from jaxrod.envs.legacy_contact import LegacyContact, boxes_overlap
+from jaxrod import Loads, Motion, straight_rod
+from jaxrod.envs.arm.cylinders import cylinders
+from jaxrod.envs.published.contact import LegacyContact, boxes_overlap
+from jaxrod.geometry import vectors
 from legacy_oracle import Obstacle
 from legacy_oracle import shortest as shortest_vector
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxrod.envs import make
-from jaxrod.envs.nest import published_nest, random_nest
+from jaxrod.envs.arm.nest import published_nest, random_nest
 from legacy_oracle import ALONG_Z, LegacyArm, Obstacle
 from playing import (
     KEY,

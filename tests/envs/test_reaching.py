@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxrod.envs import make
-from jaxrod.envs.reaching import (
+from jaxrod.envs.tasks.reaching import (
     Goal,
     frame_at_yaw,
     random_goal,

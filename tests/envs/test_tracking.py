@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.envs import make, moving_target
-from jaxrod.envs.moving_target import Target
-from jaxrod.envs.tracking import HEADING_STEPS, tracking
+from jaxrod.envs import make
+from jaxrod.envs.arm import moving_target
+from jaxrod.envs.arm.moving_target import Target
+from jaxrod.envs.tasks.tracking import HEADING_STEPS, tracking
 from jaxrod.tradeoff import reference, tracking_arm
 from legacy_oracle import LegacyArm
 

@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod._pytree import pytree
-from jaxrod.elasticity import joint_rotations
-from jaxrod.envs.legacy_arm import TORQUE_PER_ELEMENT, VISCOSITY, modern_arm
+from jaxrod.envs.published.law import TORQUE_PER_ELEMENT, VISCOSITY, modern_arm
+from jaxrod.geometry import vectors
 from jaxrod.methods.laws import IN_SPACE
+from jaxrod.rods.elasticity import joint_rotations
+from jaxrod.structure import pytree
 
 N_ELEMENTS, DT, SUBSTEPS = 50, 1e-4, 14
 CONTROL_POINTS = (0.4, 0.9)

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod._pytree import pytree
 from jaxrod.envs import make
+from jaxrod.geometry import vectors
+from jaxrod.structure import pytree
 
 KINDS = ("held", "switched", "random")
 FLAGS = (

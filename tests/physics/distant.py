@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod._pytree import pytree, static
-from jaxrod.motion import Loads
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree, static
 
 
 class Potential(jaxrod.Effect):

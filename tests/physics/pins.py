@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod._pytree import pytree, static
+from jaxrod.structure import pytree, static
 
 
 @pytree

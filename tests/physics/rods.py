@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod.elasticity import elastic_law, internal_loads
-from jaxrod.methods.laws import IN_SPACE
-from jaxrod.motion import Motion
-from jaxrod.rotations import (
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
     join_quaternion,
     multiply_quaternions,
     rotation_exp,
     split_quaternion,
 )
+from jaxrod.methods.laws import IN_SPACE
+from jaxrod.rods.elasticity import elastic_law, internal_loads
+from jaxrod.rods.motion import Motion
 from jaxrod.scene import external_loads
 
 LENGTH, RADIUS, DENSITY, YOUNG = 1.0, 0.05, 1000.0, 1e7

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod.rotations import (
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
     directors,
     multiply_quaternions,
     rotation_exp,

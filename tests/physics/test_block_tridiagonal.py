@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.block_tridiagonal import BlockTridiagonal
-from jaxrod.dense import columns, dense
+from jaxrod.statics.block_tridiagonal import BlockTridiagonal
+from jaxrod.statics.dense import columns, dense
 from physics.rods import difference, largest
 
 N, M = 7, 6

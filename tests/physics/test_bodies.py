@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import vectors
+from jaxrod.geometry import vectors
 from physics.rods import difference
 from physics.shapes import BODIES, rotated, turned
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod._pytree import pytree
-from jaxrod.ends import place
+from jaxrod.effects.ends import place
+from jaxrod.structure import pytree
 
 CYLINDER, ROD = 0.1, 0.0015  # radii [m]; thin: bending should not matter
 CENTRELINE = CYLINDER + ROD

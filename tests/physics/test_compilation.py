@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod._pytree import pytree
 from jaxrod.methods.laws import IN_SPACE
+from jaxrod.structure import pytree
 from physics.rods import arm, difference
 
 COMPILED = "/jax/core/compile/backend_compile_duration"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod.motion import motion_of
+from jaxrod.geometry import vectors
+from jaxrod.rods.motion import motion_of
 from physics.rods import (
     RADIUS,
     deformed,

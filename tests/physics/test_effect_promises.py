@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from jaxrod._pytree import pytree
-from jaxrod.effect_promises import check_promises
-from jaxrod.effect_tangents import has_closed_form
-from jaxrod.rotations import directors, to_material, to_world
-from jaxrod.tangents import skew
+from jaxrod.geometry.matrices import skew
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.statics.effect_tangents import has_closed_form
+from jaxrod.statics.promises import check_promises
+from jaxrod.structure import pytree
 from physics.distant import Repulsion, Tendon
 from physics.pins import Pin
 from physics.rods import arm

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.rotations import (
+from jaxrod.geometry.rotations import (
     directors_from_orientations,
     join_quaternion,
     multiply_quaternions,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod._pytree import pytree
+from jaxrod.structure import pytree
 from physics.rods import arm, deformed, turn
 
 DT = 1e-4

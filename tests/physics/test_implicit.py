@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod._pytree import pytree
-from jaxrod.balance import Balance, Moves
-from jaxrod.effects import Effect
-from jaxrod.elasticity import elastic_law
-from jaxrod.motion import Loads, motion_of
+from jaxrod.effects.base import Effect
+from jaxrod.geometry import vectors
+from jaxrod.rods.elasticity import elastic_law
+from jaxrod.rods.motion import Loads, motion_of
 from jaxrod.scene import damping_rates
+from jaxrod.statics.residual import Balance, Moves
+from jaxrod.structure import pytree
 from physics.rods import arm, deformed, difference, largest, random_rod
 
 N = 6

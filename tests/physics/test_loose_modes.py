@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.balance import Balance, Moves
-from jaxrod.elasticity import elastic_law
-from jaxrod.freedoms import freedoms
-from jaxrod.motion import motion_of
+from jaxrod.rods.elasticity import elastic_law
+from jaxrod.rods.motion import motion_of
+from jaxrod.statics.freedoms import freedoms
+from jaxrod.statics.residual import Balance, Moves
 from physics.pins import Pin, Place, pinned
 from physics.rods import arm, difference
 

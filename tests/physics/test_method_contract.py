@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod._pytree import pytree
-from jaxrod.ends import Wall
-from jaxrod.rotations import directors, to_material
+from jaxrod.effects.ends import Wall
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.structure import pytree
 from physics.rods import arm
 
 # The programs run a few times: LLVM need not optimise them.

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import vectors
-from jaxrod.contact_points import contact_points
-from jaxrod.motion import motion_of
+from jaxrod.contacts.points import contact_points
+from jaxrod.geometry import vectors
+from jaxrod.rods.motion import motion_of
 from physics.rods import deformed, difference, random_rod
 from physics.shapes import BODIES, turned
 from physics.touching import contact_loads, moving_arm, rubbing

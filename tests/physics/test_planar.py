@@ -9,7 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.methods.laws import IN_SPACE
-from jaxrod.motion import motion_of
+from jaxrod.rods.motion import motion_of
 from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm, difference, turn
 

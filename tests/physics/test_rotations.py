@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.rotations import (
+from jaxrod.geometry.rotations import (
     conjugate,
     directors_from_orientations,
     join_quaternion,

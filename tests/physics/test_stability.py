@@ -10,10 +10,10 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import jaxrod
-from jaxrod._pytree import pytree
-from jaxrod.envs.tracking import tracking
+from jaxrod.analysis.stability import compression
+from jaxrod.envs.tasks.tracking import tracking
 from jaxrod.methods.laws import IN_SPACE
-from jaxrod.stability import compression
+from jaxrod.structure import pytree
 from physics.rods import arm, deformed, random_rod
 from physics.small_motions import (
     frequencies,

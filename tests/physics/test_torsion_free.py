@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.directions import angle_over_sine, frame_along, smallest_rotation
-from jaxrod.rotations import directors
+from jaxrod.effects.directions import angle_over_sine, frame_along, smallest_rotation
+from jaxrod.geometry.rotations import directors
 from jaxrod.scene import (
     angular_momentum,
     momentum,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.resampling import resampled
+from jaxrod.tradeoff.resampling import resampled
 
 MATERIAL = {
     "radius": 0.05,

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod import vectors
+from jaxrod.geometry import vectors
 from jaxrod.methods.laws import IN_SPACE
-from jaxrod.motion import motion_of
+from jaxrod.rods.motion import motion_of
 from jaxrod.scene import external_loads
 from physics.rods import AREA, DENSITY, RADIUS, arm, deformed, random_rod
 

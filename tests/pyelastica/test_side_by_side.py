@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import motion
-from jaxrod._pytree import pytree
+from jaxrod.rods import motion
+from jaxrod.structure import pytree
 from pyelastica import scenes
 from pyelastica.reference import Loads, simulate
 

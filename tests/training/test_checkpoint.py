@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod._files import DamagedFileError
 from jaxrod.envs import make
-from jaxrod.training.checkpoint import Checkpoints
+from jaxrod.files import DamagedFileError
+from jaxrod.training.runs.checkpoint import Checkpoints
 
 
 @pytest.fixture

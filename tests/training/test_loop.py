@@ -28,7 +28,7 @@ from jaxrod.training import (
     load_policy,
     train,
 )
-from jaxrod.training.progress import ProgressBar, progress_line
+from jaxrod.training.runs.progress import ProgressBar, progress_line
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)

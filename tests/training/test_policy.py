@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import PPOConfig, SACConfig, load_policy, ppo, sac, save_policy
+from jaxrod.training import PPOConfig, SACConfig, load_policy, save_policy
+from jaxrod.training.algorithms import ppo, sac
+from jaxrod.training.algorithms.on_policy import policy_network
 from jaxrod.training.normalisation import RunningMoments, normalise
-from jaxrod.training.on_policy import policy_network
 
 
 def some_state():

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial, TrivialParams
-from jaxrod.training import PPOConfig, evaluate, ppo, train, train_seeds
+from jaxrod.training import PPOConfig, evaluate, train, train_seeds
+from jaxrod.training.algorithms import ppo
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.training.replay import (
+from jaxrod.training.algorithms.replay import (
     Transition,
     draw_times,
     empty_replay,

@@ -7,7 +7,7 @@ import pytest
 from jaxrod.envs import ActionRepeat, make
 from jaxrod.envs.trivial import Trivial, TrivialParams
 from jaxrod.training import PPOConfig, train
-from jaxrod.training.loop import _options
+from jaxrod.training.runs.loop import _options
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)

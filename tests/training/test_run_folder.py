@@ -13,8 +13,8 @@ import pytest
 
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import PPOConfig, RunFolder, find_algorithm, train
-from jaxrod.training.folder_lock import FolderInUseError
-from jaxrod.training.resuming import DamagedCheckpointWarning
+from jaxrod.training.runs.lock import FolderInUseError
+from jaxrod.training.runs.resuming import DamagedCheckpointWarning
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)

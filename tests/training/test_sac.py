@@ -13,18 +13,16 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial, TrivialParams
-from jaxrod.training import (
-    RunFolder,
-    SACConfig,
-    evaluate,
-    sac,
-    train,
-    train_seeds,
+from jaxrod.training import RunFolder, SACConfig, evaluate, train, train_seeds
+from jaxrod.training.algorithms import sac
+from jaxrod.training.algorithms.actor_critic import (
+    critic_loss,
+    critic_values,
+    initial_critics,
 )
-from jaxrod.training.actor_critic import critic_loss, critic_values, initial_critics
-from jaxrod.training.checkpoint import Checkpoints
-from jaxrod.training.replay import Transition
-from jaxrod.training.squashed_gaussian import squash
+from jaxrod.training.algorithms.replay import Transition
+from jaxrod.training.algorithms.squashed_gaussian import squash
+from jaxrod.training.runs.checkpoint import Checkpoints
 
 SMALL = SACConfig(
     num_envs=4,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxrod.training.table import Table
+from jaxrod.training.runs.table import Table
 
 
 @pytest.fixture

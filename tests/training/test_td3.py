@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import DDPGConfig, TD3Config, evaluate, td3, train
-from jaxrod.training.td3 import blurred
+from jaxrod.training import DDPGConfig, TD3Config, evaluate, train
+from jaxrod.training.algorithms import td3
+from jaxrod.training.algorithms.td3 import blurred
 
 SIZES = {
     "num_envs": 32,

@@ -9,20 +9,16 @@ import numpy as np
 import pytest
 
 import jaxrod
-import jaxrod.training.trajectory_optimisation as module
-from jaxrod.training import (
-    ActuatedArm,
-    UnreachableTargetWarning,
-    actuated_arm,
-    optimise_trajectory,
-)
-from jaxrod.training.trajectory_cost import (
+import jaxrod.training.trajectory.optimise as module
+from jaxrod.training import ActuatedArm, UnreachableTargetWarning, optimise_trajectory
+from jaxrod.training.trajectory import actuated_arm
+from jaxrod.training.trajectory.cost import (
     controls_over_time,
     cost_and_gradient,
     time_steps,
     trajectory_cost,
 )
-from jaxrod.training.trajectory_progress import TrajectoryProgress, progress_line
+from jaxrod.training.trajectory.progress import TrajectoryProgress, progress_line
 
 REST_TIP = np.array([0.0, 1.0, 0.0])
 TARGET = np.array([0.4, 0.6, 0.2])

@@ -11,15 +11,16 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import TRPOConfig, evaluate, train, train_seeds, trpo
-from jaxrod.training.networks import GaussianPolicy
-from jaxrod.training.trpo import mean_divergence
-from jaxrod.training.trust_region import (
+from jaxrod.training import TRPOConfig, evaluate, train, train_seeds
+from jaxrod.training.algorithms import trpo
+from jaxrod.training.algorithms.trpo import mean_divergence
+from jaxrod.training.algorithms.trust_region import (
     backtrack,
     conjugate_gradient,
     fisher_product,
     longest_step,
 )
+from jaxrod.training.networks import GaussianPolicy
 
 SMALL = TRPOConfig(
     num_envs=8,

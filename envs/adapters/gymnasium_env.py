@@ -1,0 +1,121 @@
+"""One environment as a `gymnasium.Env`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from jaxrod.envs.adapters.gymnasium_batch import METADATA, Batch, observed
+from jaxrod.envs.protocol import Environment
+from jaxrod.envs.wrappers import VectorState
+
+
+class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """An environment as Gymnasium knows it.
+
+    It is a batch of one of `jaxrod.envs.VectorEnvironment`, to the last bit: the seed
+    s starts it with `jax.random.key(s)`, and the episode that follows when one has
+    ended is the batch's. `reset` without a seed in mid-episode starts anew with a
+    seed drawn from `np_random`.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str | Environment,
+        *,
+        render_mode: str | None = None,
+        params: Any = None,
+        **options: Any,
+    ) -> None:
+        """Makes the environment.
+
+        Args:
+            task: a name for `jaxrod.envs.make`, or an environment.
+            render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
+            params: parameters of the environment; None for its own.
+            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+
+        Raises:
+            ValueError: an argument does not fit.
+        """
+        self._batch = Batch(task, 1, render_mode, params, options)
+        self.render_mode = render_mode
+        self.metadata = self._batch.metadata
+        self.observation_space = self._batch.observation_space
+        self.action_space = self._batch.action_space
+        self._ended = False
+        self._shown: VectorState | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts an episode.
+
+        Args:
+            seed: the same seed, the same episode; None for a fresh one.
+            options: none are known.
+
+        Returns:
+            The first observation, shape (observation_size,), and an empty dictionary.
+
+        Raises:
+            ValueError: `options` holds something.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f"reset takes no options, got {sorted(options)}")
+        if seed is not None or not self._ended:
+            drawn = int(self.np_random.integers(2**32)) if seed is None else seed
+            self._batch.reset(drawn)
+        self._ended = False
+        self._shown = self._batch.started()
+        return observed(self._shown.observation[0]), {}
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control step.
+
+        Args:
+            action: in [-1, 1], shape (action_size,).
+
+        Returns:
+            Observation, reward, terminated, truncated, and the environment's scalars.
+
+        Raises:
+            gymnasium.error.ResetNeeded: no episode runs.
+            ValueError: the action has another shape.
+        """
+        if self._ended:
+            raise gymnasium.error.ResetNeeded("the episode has ended: call reset")
+        before = self._batch.started()
+        step = self._batch.step(np.asarray(action)[None])
+        terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
+        self._ended = terminated or truncated
+        # The batch has begun the next episode: what is drawn is the last moment but
+        # one of the episode that ended.
+        self._shown = before if self._ended else self._batch.started()
+        return (
+            observed(step.final_observation[0]),
+            float(step.reward[0]),
+            terminated,
+            truncated,
+            {name: value[0].item() for name, value in step.info.items()},
+        )
+
+    def render(self) -> np.ndarray | None:
+        """A picture, RGB of shape (480, 640, 3), or None without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')
+            return None
+        if self._shown is None:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        return self._batch.picture(self._shown, 0)

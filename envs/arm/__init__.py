@@ -1,0 +1,1 @@
+"""The soft arm, and what all tasks of it share."""

@@ -1,0 +1,130 @@
+"""What the benchmark's tasks share: timing, observations, rewards, options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxrod import ExponentialDamping, Rod, RodState
+from jaxrod.structure import pytree
+from jaxrod.validation import check_count
+
+CONTROL_PERIOD = 1.4e-3
+"""Time between actions, in every case [s]."""
+
+OBSERVED_NODES = 11
+"""Points of the arm that are observed, base and tip included."""
+
+
+class Arm(Protocol):
+    """What a task asks of its arm: the `paper` and the `clean` one have it."""
+
+    @property
+    def rod(self) -> Rod:
+        """The arm's parameters."""
+
+    @property
+    def rest(self) -> RodState:
+        """The arm at the start of an episode."""
+
+    def relaxed(self) -> Any:
+        """What the muscles remember, at the start of an episode."""
+
+    def advance(
+        self,
+        state: RodState,
+        muscles: Any,
+        controls: Float[Array, "3 n_controls"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[RodState, Any, Bool[Array, ""]]:
+        """Simulation steps under one action.
+
+        Args:
+            state: The arm.
+            muscles: What its muscles remember.
+            controls: Commanded values [1] about d1, d2 and d3.
+            dt: Step [s].
+            n_steps: How many, at least 1.
+
+        Returns:
+            The arm, what its muscles remember, and whether it crashed.
+        """
+
+
+@pytree
+class Bonus:
+    """Where the two bonuses of the reward are paid; both bounds are inclusive."""
+
+    near: Float[Array, ""]
+    """Distance within which the first bonus is paid [m]."""
+    touching: Float[Array, ""]
+    """Distance within which the second bonus is paid as well [m]."""
+
+
+def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
+    """Minus the squared distance, 0.5 more nearby, 1.5 more again when touching.
+
+    Args:
+        distance_squared: Of the tip from the target [m^2].
+        bonus: Where the bonuses are paid.
+    """
+    return (
+        -distance_squared
+        + 0.5 * (distance_squared <= bonus.near**2)
+        + 1.5 * (distance_squared <= bonus.touching**2)
+    )
+
+
+def shown_distance(arm: RodState, target: Float[Array, "3"]) -> Array:
+    """Distance of the tip from the target as a step reports it [m].
+
+    Args:
+        arm: The last sound arm: after a crash the one before. Of what has crashed
+            nothing is known, and zero would be the best distance there is.
+        target: Where the target is [m].
+    """
+    squared = jnp.sum((arm.tip - target) ** 2)
+    return jnp.sqrt(jnp.maximum(squared, 1e-12))
+
+
+def observed_points(arm: RodState) -> Float[Array, "33"]:
+    """X of eleven equidistant nodes, then y, then z [m]."""
+    n_elements = arm.positions.shape[-1] - 1
+    return jnp.ravel(arm.positions[:, :: n_elements // (OBSERVED_NODES - 1)])
+
+
+def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Speed [m/s] and unit vector of a velocity; zeros at rest."""
+    squared = jnp.sum(velocity**2)
+    moving = squared > 0
+    speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
+    direction = velocity / jnp.where(moving, speed, 1)
+    return jnp.concatenate([speed[None], direction])
+
+
+def viscous_damping(rod: Rod, viscosity: Array) -> ExponentialDamping:
+    """The published drag as rates; per rest length, and about all axes alike."""
+    return ExponentialDamping(
+        translational_rate=viscosity / jnp.mean(rod.linear_density),
+        rotational_rate=viscosity / jnp.mean(rod.rotary_inertia[0]),
+    )
+
+
+def check_variant(variant: str, variants: Sequence[str]) -> None:
+    """Raises a ValueError unless the variant is one of those there are."""
+    if variant not in variants:
+        known = ", ".join(variants)
+        raise ValueError(f"variant must be one of {known}; got {variant!r}")
+
+
+def check_sizes(n_elements: int, substeps: int, episode_length: int) -> None:
+    """Raises a ValueError unless an arm can be cut, stepped and observed like this."""
+    check_count("n_elements", n_elements, OBSERVED_NODES - 1)
+    if n_elements % (OBSERVED_NODES - 1):
+        raise ValueError(f"n_elements must be a multiple of 10, got {n_elements}")
+    check_count("substeps", substeps, 1)
+    check_count("episode_length", episode_length, 1)

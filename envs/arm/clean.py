@@ -1,0 +1,191 @@
+"""The arm of the `clean` variants: the library's own physics.
+
+The consistent elastic law, a wall-accurate clamp, damping integrated exactly, and
+couples per metre instead of per element, of the same sum as the published ones. When a
+numerical health flag rises the arm is frozen at its last sound state. Its energy is
+not examined: that takes more than half a control step again, and on sound arms raises
+no flag (`tests/envs/test_energy.py`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxrod import (
+    Clamp,
+    Contact,
+    ControlSpline,
+    Effect,
+    ElementAverages,
+    HealthLimits,
+    Method,
+    Rod,
+    RodState,
+    Scene,
+    advance,
+    clamp,
+    consistent,
+    freeze,
+    health,
+    limit_rate,
+    near_contact,
+    planar,
+    spline_couples,
+)
+from jaxrod.envs.arm.arm_task import CONTROL_PERIOD, viscous_damping
+from jaxrod.envs.published.law import (
+    LENGTH,
+    TORQUE_PER_ELEMENT,
+    VISCOSITY,
+    modern_arm,
+)
+from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.structure import pytree, static
+
+
+@pytree
+class CleanArm:
+    """Numbers of the arm and of all that acts on it."""
+
+    rod: Rod
+    """The arm."""
+    rest: RodState
+    """The arm at the start of an episode."""
+    held: Clamp
+    """The wall it grows from."""
+    viscosity: Float[Array, ""]
+    """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
+    spline: ElementAverages
+    """Through the control points, averaged over the arm's elements."""
+    couple_density: Float[Array, ""]
+    """Couple per length for a control value of one [N m/m]."""
+    largest_change: Float[Array, ""] | None
+    """The most a control value may change from one control step to the next; `None`
+    where they jump."""
+    obstacles: tuple[Contact, ...] = ()
+    """Contact with what is in the way."""
+    limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
+    """Beyond these the arm is frozen."""
+    method: Method = dataclasses.field(default_factory=consistent)
+    """How it is stepped: in its plane of motion, where there is one."""
+    nearest: int | None = static(default=None)
+    """How many obstacles each point of the arm looks at in a control step; `None` for
+    all."""
+
+    def relaxed(self) -> Array | None:
+        """Control values at the start of an episode, where they are remembered."""
+        if self.largest_change is None:
+            return None
+        return jnp.zeros((3, self.spline.n_controls), self.rod.radii.dtype)
+
+    def advance(
+        self,
+        state: RodState,
+        muscles: Array | None,
+        controls: Float[Array, "3 n_controls"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[RodState, Array | None, Bool[Array, ""]]:
+        """Simulation steps under one action.
+
+        Args:
+            state: The arm.
+            muscles: Control values of the control step before.
+            controls: Commanded values [1] about d1, d2 and d3.
+            dt: Step [s].
+            n_steps: How many, at least 1.
+
+        Returns:
+            The arm, the control values, and whether a health flag rose; then the arm
+            is what it was.
+        """
+        if self.largest_change is not None and muscles is not None:
+            muscles = controls = limit_rate(muscles, controls, self.largest_change)
+        scene = self.scene(controls, state)
+        after = advance(scene, state, dt, n_steps)
+        flagged = health(scene, after, dt, limits=self.limits).flagged
+        return freeze(flagged, state, after), muscles, flagged
+
+    def scene(
+        self, controls: Float[Array, "3 n_controls"], near: RodState | None = None
+    ) -> Scene:
+        """What acts on the arm under these control values.
+
+        Args:
+            controls: Control values [1].
+            near: Where the arm is about to move from, if obstacles may be left out
+                that are not among the `nearest` ones there.
+        """
+        obstacles = self.obstacles
+        if near is not None and self.nearest is not None:
+            obstacles = tuple(
+                near_contact(touch, self.rod, near, self.nearest) for touch in obstacles
+            )
+        effects: tuple[Effect, ...] = (
+            self.held,
+            viscous_damping(self.rod, self.viscosity),
+            spline_couples(self.rod, self.spline, controls, self.couple_density),
+            *obstacles,
+        )
+        return Scene(self.rod, effects, self.method)
+
+
+def clean_arm(
+    n_elements: int,
+    start: tuple[float, float, float],
+    axis: str,
+    spline: ControlSpline,
+    *,
+    published_elements: int,
+    largest_rate: float | None = None,
+    obstacles: tuple[Contact, ...] = (),
+    nearest: int | None = None,
+    smallest_stretch: float = 0.3,
+    largest_stretch: float = 2.5,
+    plane: PlaneName | None = None,
+) -> CleanArm:
+    """The arm at rest.
+
+    Args:
+        n_elements: Elements.
+        start: Where it is clamped [m].
+        axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
+        spline: Through the control points, in rest arc length.
+        published_elements: Elements of the published arm: how many couples of 75 N m
+            are spread over the length.
+        largest_rate: The fastest a control value may change [1/s].
+        obstacles: Contact with what is in the way.
+        nearest: How many obstacles each point looks at in a control step.
+        smallest_stretch: Below this an arm is flagged [1].
+        largest_stretch: Beyond this an arm is flagged [1].
+        plane: The plane of motion, where there is one.
+    """
+    rod, rest = modern_arm(n_elements, start, axis)
+
+    def number(value: float) -> Array:
+        return jnp.asarray(value, rod.radii.dtype)
+
+    return CleanArm(
+        rod=rod,
+        rest=rest,
+        held=clamp(rest),
+        viscosity=number(VISCOSITY),
+        spline=spline.averaged(rod),
+        couple_density=number(TORQUE_PER_ELEMENT * published_elements / LENGTH),
+        largest_change=(
+            None if largest_rate is None else number(largest_rate * CONTROL_PERIOD)
+        ),
+        obstacles=obstacles,
+        limits=jax.tree.map(
+            number,
+            HealthLimits(
+                smallest_stretch=smallest_stretch, largest_stretch=largest_stretch
+            ),
+        ),
+        method=consistent() if plane is None else planar(plane),
+        nearest=nearest,
+    )

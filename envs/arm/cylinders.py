@@ -1,0 +1,87 @@
+"""The obstacles of the benchmark: cylinders that stay where they are."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, check_array
+
+OBSERVED_POINTS = 5
+"""Points of every cylinder that are observed, both ends included."""
+
+
+@pytree
+class Cylinders:
+    """Fixed round cylinders."""
+
+    starts: Float[Array, "3 m"]
+    """Middle of one end [m]."""
+    directions: Float[Array, "3 m"]
+    """Unit vectors from there to the other end."""
+    normals: Float[Array, "3 m"]
+    """Unit vectors; only the published broad phase looks at them."""
+    lengths: Float[Array, " m"]
+    """[m]"""
+    radii: Float[Array, " m"]
+    """[m]"""
+
+    @property
+    def centres(self) -> Float[Array, "3 m"]:
+        """Their middles [m]."""
+        return self.starts + 0.5 * self.lengths[None, :] * self.directions
+
+    @property
+    def ends(self) -> Float[Array, "3 m"]:
+        """Middle of the other end [m]."""
+        return self.starts + self.lengths[None, :] * self.directions
+
+
+def cylinders(
+    starts: Numbers,
+    directions: Numbers,
+    normals: Numbers,
+    *,
+    length: float,
+    radius: float,
+) -> Cylinders:
+    """Cylinders of one length and radius.
+
+    Args:
+        starts: Middle of one end of each, `(m, 3)` [m].
+        directions: From there to the other end, of any length, `(m, 3)`.
+        normals: Unit vectors `(m, 3)`.
+        length: Of all [m].
+        radius: Of all [m].
+    """
+    count = len(np.asarray(starts))
+    kind = jnp.result_type(float)
+
+    def column(name: str, value: Numbers, *, unit_length: bool = False) -> Array:
+        checked = check_array(name, value, [(count, 3)], "m")
+        if unit_length:
+            checked = checked / np.linalg.norm(checked, axis=1, keepdims=True)
+        return jnp.asarray(checked.T, kind)
+
+    return Cylinders(
+        starts=column("starts", starts),
+        directions=column("directions", directions, unit_length=True),
+        normals=column("normals", normals),
+        lengths=jnp.full(count, length, kind),
+        radii=jnp.full(count, radius, kind),
+    )
+
+
+def points_along(
+    starts: Float[Array, "3 m"], cylinders: Cylinders
+) -> Float[Array, " 15m"]:
+    """Five equidistant points from each start along each cylinder's direction.
+
+    Cylinder by cylinder, point by point, x, y, z [m].
+    """
+    parts = jnp.linspace(0, 1, OBSERVED_POINTS, dtype=starts.dtype)
+    along = cylinders.lengths[None, :] * cylinders.directions
+    points = starts[:, :, None] + along[:, :, None] * parts[None, None, :]
+    return jnp.ravel(jnp.transpose(points, (1, 2, 0)))

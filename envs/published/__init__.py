@@ -1,0 +1,1 @@
+"""The arm as published: the laws of its simulator."""

@@ -1,0 +1,164 @@
+"""The arm of the `paper` variants: the published simulator, driven by its muscles.
+
+PyElastica's law and order of operations, with what its first release had besides:
+viscous drag, contact forces that depend on all loads found so far, and muscles that may
+change from one simulation step to the next. An arm that cannot leave a plane moves in
+it exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxrod import (
+    ControlSpline,
+    Effect,
+    ElementCouples,
+    FixedEnd,
+    Planar,
+    PyElastica,
+    Rod,
+    RodState,
+    Scene,
+    fixed_end,
+    planar,
+    pyelastica,
+)
+from jaxrod.envs.arm.cylinders import Cylinders
+from jaxrod.envs.published.contact import LegacyContact
+from jaxrod.envs.published.law import (
+    TORQUE_PER_ELEMENT,
+    VISCOSITY,
+    ViscousDrag,
+    legacy_arm,
+)
+from jaxrod.envs.published.muscles import MuscleParams, Muscles, contract, relaxed
+from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.methods.verlet import Verlet
+from jaxrod.structure import pytree
+
+CONTACT_STIFFNESS = 8e4
+CONTACT_DAMPING = 4.0
+
+
+@pytree
+class PublishedArm:
+    """Numbers of the published arm and of all that acts on it."""
+
+    rod: Rod
+    """The arm."""
+    rest: RodState
+    """The arm at the start of an episode."""
+    held: FixedEnd
+    """Its base."""
+    drag: ViscousDrag
+    """What it moves in."""
+    muscles: MuscleParams
+    """What moves it."""
+    contact: LegacyContact | None
+    """With the obstacles; `None` where there are none."""
+    method: PyElastica | Planar
+    """PyElastica's, in the plane of motion where there is one."""
+
+    def relaxed(self) -> Muscles:
+        """The muscles at the start of an episode."""
+        return relaxed(self.rod, self.muscles)
+
+    def advance(
+        self,
+        state: RodState,
+        muscles: Muscles,
+        controls: Float[Array, "3 n_controls"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[RodState, Muscles, Bool[Array, ""]]:
+        """Simulation steps under one action.
+
+        Args:
+            state: The arm.
+            muscles: What its muscles did in the step before.
+            controls: Commanded values [1] about d1, d2 and d3.
+            dt: Step [s].
+            n_steps: How many, at least 1.
+
+        Returns:
+            The arm, the muscles, and whether a node is no longer anywhere.
+        """
+        effects: tuple[Effect, ...] = (self.held, self.drag)
+        if self.contact is not None:
+            effects = (*effects, self.contact)
+        scene = Scene(self.rod, effects, self.method)
+        stepper = self.method.stepper(scene, state, dt)
+
+        def driven_by(couples: Array) -> Verlet:
+            acting = (*effects, ElementCouples(couples))
+            return replace(stepper, scene=replace(scene, effects=acting))
+
+        def cycle(
+            carry: tuple[Any, Muscles], given: tuple[Array, Array]
+        ) -> tuple[tuple[Any, Muscles], None]:
+            motion, muscles = carry
+            drift, renewed = given
+            muscles = contract(muscles, controls, motion.lengths, renewed, self.muscles)
+            kicked = driven_by(muscles.couples).kick(motion)
+            return (stepper.drift(kicked, drift), muscles), None
+
+        # From kick to kick it is a whole step, from the last one half a step.
+        drifts = dt * jnp.ones(n_steps, dt.dtype).at[-1].set(0.5)
+        renewed = jnp.zeros(n_steps, bool).at[0].set(True)
+        (motion, muscles), _ = lax.scan(
+            jax.checkpoint(cycle), (stepper.begin(state), muscles), (drifts, renewed)
+        )
+        state = stepper.leave(motion)
+        return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
+
+
+def published_arm(
+    n_elements: int,
+    start: tuple[float, float, float],
+    axis: str,
+    spline: ControlSpline,
+    *,
+    largest_change: float = float("inf"),
+    obstacles: Cylinders | None = None,
+    plane: PlaneName | None = None,
+) -> PublishedArm:
+    """The arm at rest, with the published numbers.
+
+    Args:
+        n_elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
+        start: Where it is clamped [m].
+        axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
+        spline: Through the control points, in rest arc length.
+        largest_change: The most a control value may change in a simulation step.
+        obstacles: What it may run into.
+        plane: The plane of motion, where there is one: obstacles are perpendicular to
+            it.
+    """
+    rod, rest = legacy_arm(n_elements, start, axis)
+
+    def number(value: float) -> Array:
+        return jnp.asarray(value, rod.radii.dtype)
+
+    contact = None
+    if obstacles is not None:
+        contact = LegacyContact(
+            obstacles, number(CONTACT_STIFFNESS), number(CONTACT_DAMPING), plane
+        )
+    return PublishedArm(
+        rod=rod,
+        rest=rest,
+        held=fixed_end(rest),
+        drag=ViscousDrag(number(VISCOSITY)),
+        muscles=MuscleParams(
+            spline, number(TORQUE_PER_ELEMENT), number(largest_change)
+        ),
+        contact=contact,
+        method=pyelastica() if plane is None else planar(plane, pyelastica()),
+    )

@@ -1,0 +1,125 @@
+"""Case 3 of the benchmark: a planar arm through a maze of eight parallel cylinders.
+
+The cylinders are 0.1 m in radius, parallel to y, and leave gaps of 0.12 m between them
+and before the target; the arm, 0.1 m thick, bends in the plane y = 0.5 m only. See
+`jaxrod.envs.tasks.obstacle_task` for what this task has in common with Case 4.
+
+Variants:
+
+- `"paper"`: the published environment to the detail, so that scores compare. Contact
+  follows the published law, broad phase included (`jaxrod.envs.published.contact`): an
+  obstacle is ignored until the arm's bounding box, padded by 7 cm, reaches its axis. A
+  number that is not finite costs 100 and ends the episode.
+- `"clean"`: the same task with the library's own physics, in the plane only, see
+  `jaxrod.envs.arm.clean`; contact is where arm and cylinders overlap. When a numerical
+  health flag rises the arm is frozen and the episode truncated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.bodies import Body, Sphere
+from jaxrod.envs.arm.cylinders import Cylinders, cylinders
+from jaxrod.envs.tasks.obstacle_task import (
+    CONTROL_STEPS,
+    PLACED,
+    ObstacleTask,
+    Variant,
+    checked_sizes,
+)
+from jaxrod.validation import Numbers, check_count
+
+AXES = (
+    (-0.6, 0.12),
+    (-0.2, 0.12),
+    (-0.4, 0.37),
+    (-0.4, 0.00),
+    (-0.4, -0.20),
+    (-0.4, -0.40),
+    (-0.4, 0.57),
+    (-0.4, 0.77),
+)
+"""x and z of the cylinders' axes [m]."""
+RADIUS = 0.1
+CYLINDER_LENGTH = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class StructuredObstacles(ObstacleTask):
+    """The task; see the module. Make one with `structured_obstacles`."""
+
+    controls: int | None = None
+    """Equidistant control points; `None` for the two that the paper placed by hand."""
+
+    n_directions = 1
+    n_obstacles = len(AXES)
+    target_position = (-0.8, 0.5, 0.15)
+    plane = "zx"
+    contact_points = 1
+    nearest_obstacles = 3
+    """No place is nearer than 10 cm to a fourth: within reach of the arm's radius only
+    if it moves 5 cm in a control step."""
+
+    @property
+    def name(self) -> str:
+        """Name of the task, as in the registry."""
+        return "structured"
+
+    @property
+    def n_controls(self) -> int:
+        """Control points."""
+        return len(PLACED) if self.controls is None else self.controls
+
+    def control_points(self) -> int | Numbers:
+        """Their number, or their arc lengths [m]."""
+        return PLACED if self.controls is None else self.controls
+
+    def obstacles(self) -> Cylinders:
+        """The maze. The published normals are parallel to the axes by mistake."""
+        x, z = np.array(AXES).T
+        along = np.tile([0.0, 1.0, 0.0], (len(AXES), 1))
+        starts = np.stack([x, np.zeros_like(x), z], 1)
+        return cylinders(starts, along, along, length=CYLINDER_LENGTH, radius=RADIUS)
+
+    def bodies(self, obstacles: Cylinders) -> Body:
+        """Spheres in the plane of motion, where the maze is a set of circles."""
+        return Sphere(obstacles.centres.T, obstacles.radii)
+
+    def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
+        """The cylinders' own."""
+        return obstacles.starts
+
+
+def structured_obstacles(
+    variant: Variant = "paper",
+    *,
+    controls: int | None = None,
+    n_elements: int | None = None,
+    substeps: int | None = None,
+    episode_length: int = CONTROL_STEPS,
+) -> StructuredObstacles:
+    """Makes the task.
+
+    Args:
+        variant: "paper" or "clean".
+        controls: Number of equidistant control points; the paper's supplement has 2,
+            4, 6 and 8. By default the two of its main text, at 0.4 and 0.9 m.
+        n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
+            and 40 in "clean".
+        substeps: Simulation steps per control step of 1.4 ms; by default 14 in
+            "paper" and 13 in "clean".
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
+    if controls is not None:
+        controls = check_count("controls", controls, 2)
+    return StructuredObstacles(
+        variant, elements, steps, episode_length, controls=controls
+    )

@@ -1,0 +1,301 @@
+r"""Case 1 of the benchmark: a soft arm's tip follows a moving target.
+
+Twelve control values shape the bending couples along the arm, six about each
+transverse axis, and are renewed every 1.4 ms. The target flies at 0.5 m/s through a
+box around the arm and takes a new heading every 500 control steps. Reward per control
+step, at distance $d$ of the tip from the target: $-d^2$, plus 0.5 within 10 cm, plus
+1.5 more within 5 cm. An episode lasts 7142 control steps (10 s).
+
+Variants:
+
+- `"paper"`: the published environment to the detail, so that scores compare.
+- `"clean"`: the same arm with the library's own physics: consistent elastic law, a
+  wall-accurate clamp, damping integrated exactly, actuation per metre instead of per
+  element, and as few elements and steps as keep the tip within 1 % of the length under
+  the actions of a trained policy (docs/clean_settings.md). When a numerical health flag
+  rises the arm is frozen at its last sound state and the episode truncated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod import (
+    ControlSpline,
+    Effect,
+    ElementAverages,
+    FixedEnd,
+    Rod,
+    RodState,
+    Scene,
+    advance,
+    clamp,
+    consistent,
+    control_spline,
+    freeze,
+    health,
+    pyelastica,
+    spline_couples,
+)
+from jaxrod.envs.arm import moving_target
+from jaxrod.envs.arm.arm_task import (
+    CONTROL_PERIOD,
+    OBSERVED_NODES,
+    check_sizes,
+    check_variant,
+    observed_points,
+    shown_distance,
+    speed_and_direction,
+    viscous_damping,
+)
+from jaxrod.envs.arm.moving_target import Target, TargetParams
+from jaxrod.envs.published.law import (
+    LENGTH,
+    REFERENCE_ELEMENTS,
+    TORQUE_PER_ELEMENT,
+    VISCOSITY,
+    ViscousDrag,
+    legacy_arm,
+    modern_arm,
+    muscle_couples,
+)
+from jaxrod.structure import pytree
+
+Variant = Literal["paper", "clean"]
+VARIANTS: tuple[Variant, ...] = ("paper", "clean")
+
+SIZES: dict[Variant, tuple[int, int]] = {
+    "paper": (REFERENCE_ELEMENTS, 7),
+    "clean": (30, 5),
+}
+"""Elements and simulation steps per control step, unless asked for otherwise."""
+N_CONTROLS = 6
+HEADING_STEPS = 500
+BASE = (0.0, 0.0, 0.0)
+
+
+@pytree
+class TrackingParams:
+    """Numbers of the task; every one a traced leaf."""
+
+    rod: Rod
+    """The arm."""
+    rest: RodState
+    """The arm at the start of an episode."""
+    spline: ControlSpline | ElementAverages
+    """Through the control points; in "clean", averaged over the arm's elements."""
+    viscosity: Float[Array, ""]
+    """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
+    torque: Float[Array, ""]
+    """Couple for a control value of one: [N m] per element in "paper", [N m/m] in
+    "clean"."""
+    dt: Float[Array, ""]
+    """Step of the simulation [s]."""
+    target: TargetParams
+    """How the target moves."""
+    near: Float[Array, ""]
+    """Distance within which the first bonus is paid [m]."""
+    touching: Float[Array, ""]
+    """Distance within which the second bonus is paid [m]."""
+    crash_reward: Float[Array, ""]
+    """Reward of a step after which the arm is not finite ("paper")."""
+
+
+@pytree
+class TrackingState:
+    """What changes during an episode."""
+
+    arm: RodState
+    """The arm."""
+    target: Target
+    """The target."""
+    steps: Int[Array, ""]
+    """Control steps since reset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tracking:
+    """The tracking task; see the module. Make one with `tracking`."""
+
+    variant: Variant
+    n_elements: int
+    substeps: int
+    episode_length: int = 7142
+    name: str = "tracking"
+
+    @property
+    def observation_size(self) -> int:
+        """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
+        return 3 * OBSERVED_NODES + 4 + 7
+
+    @property
+    def action_size(self) -> int:
+        """Six control values about d1, then six about d2."""
+        return 2 * N_CONTROLS
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+        return CONTROL_PERIOD
+
+    def default_params(self) -> TrackingParams:
+        """The task's numbers; in JAX's default precision."""
+        paper = self.variant == "paper"
+        make_arm = legacy_arm if paper else modern_arm
+        rod, rest = make_arm(self.n_elements, BASE, "y")
+        density = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
+
+        spline = control_spline(N_CONTROLS, LENGTH)
+
+        def number(value: float) -> Array:
+            return jnp.asarray(value, rod.radii.dtype)
+
+        return TrackingParams(
+            rod=rod,
+            rest=rest,
+            spline=spline if paper else spline.averaged(rod),
+            viscosity=number(VISCOSITY),
+            torque=number(TORQUE_PER_ELEMENT if paper else density),
+            dt=number(CONTROL_PERIOD / self.substeps),
+            target=TargetParams(
+                lower=jnp.asarray([-0.6, 0.3, -0.6], rod.radii.dtype),
+                upper=jnp.asarray([0.6, 0.9, 0.6], rod.radii.dtype),
+                radius=number(0.05),
+                speed=number(0.5),
+            ),
+            near=number(0.10),
+            touching=number(0.05),
+            crash_reward=number(-1000.0),
+        )
+
+    def reset(
+        self, key: Key[Array, ""], params: TrackingParams
+    ) -> tuple[Float[Array, " observation"], TrackingState]:
+        """The arm straight and at rest, the target anywhere in its box."""
+        target = moving_target.start(key, params.target)
+        state = TrackingState(params.rest, target, jnp.zeros((), jnp.int32))
+        return self.observe(state), state
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+    ) -> tuple[
+        Float[Array, " observation"],
+        TrackingState,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """One control period: the couples set by the action act for 1.4 ms."""
+        scene = self.scene(state.arm, action, params)
+        before = state.arm
+        arm = advance(scene, before, params.dt, self.substeps)
+        if self.variant == "paper":
+            crashed = ~jnp.all(jnp.isfinite(arm.positions))
+        else:
+            crashed = health(scene, arm, params.dt).flagged
+            arm = freeze(crashed, before, arm)
+        # The published walls are tested after every half step.
+        target = moving_target.fly(
+            state.target, params.target, 0.5 * params.dt, 2 * self.substeps
+        )
+        steps = state.steps + 1
+        turning = steps % HEADING_STEPS == 0
+        velocity = jnp.where(
+            turning, moving_target.heading(key, params.target.speed), target.velocity
+        )
+        state = TrackingState(arm, Target(target.position, velocity), steps)
+
+        distance_squared = jnp.sum((arm.tip - target.position) ** 2)
+        reward = -distance_squared
+        reward += 0.5 * (distance_squared <= params.near**2)
+        reward += 1.5 * (distance_squared <= params.touching**2)
+        timeout = steps >= self.episode_length
+        observation = self.observe(state)
+        if self.variant == "paper":
+            reward = jnp.where(crashed, params.crash_reward, reward)
+            observation = jnp.where(crashed, 0, observation)
+            terminated, truncated = crashed, timeout
+        else:
+            terminated, truncated = jnp.zeros((), bool), timeout | crashed
+        sound = freeze(crashed, before, arm)
+        info = {
+            "distance": shown_distance(sound, target.position),
+            "flagged": crashed,
+        }
+        return observation, state, reward, terminated, truncated, info
+
+    def scene(
+        self, arm: RodState, action: Float[Array, " action"], params: TrackingParams
+    ) -> Scene:
+        """What acts on the arm during a control step that starts at `arm`."""
+        bends = jnp.reshape(action, (2, N_CONTROLS))
+        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
+        rod, rest = params.rod, params.rest
+        if self.variant == "paper":
+            assert isinstance(params.spline, ControlSpline)
+            couples = muscle_couples(
+                rod, arm, params.spline, controls, params.torque, params.dt
+            )
+            return Scene(
+                rod,
+                (
+                    FixedEnd(rest.positions[:, 0], rest.orientations[:, 0]),
+                    ViscousDrag(params.viscosity),
+                    couples,
+                ),
+                pyelastica(),
+            )
+        effects: tuple[Effect, ...] = (
+            clamp(rest),
+            viscous_damping(rod, params.viscosity),
+            spline_couples(rod, params.spline, controls, params.torque),
+        )
+        return Scene(rod, effects, consistent())
+
+    def observe(self, state: TrackingState) -> Float[Array, " observation"]:
+        """Points of the arm, speed and direction of the tip, and of the target."""
+        return jnp.concatenate(
+            [
+                observed_points(state.arm),
+                speed_and_direction(state.arm.velocities[:, -1]),
+                state.target.position,
+                speed_and_direction(state.target.velocity),
+            ]
+        )
+
+
+def tracking(
+    variant: Variant = "paper",
+    *,
+    n_elements: int | None = None,
+    substeps: int | None = None,
+    episode_length: int = 7142,
+) -> Tracking:
+    """Makes the tracking task.
+
+    Args:
+        variant: "paper" or "clean".
+        n_elements: Elements of the arm, a multiple of 10; by default 20 in "paper"
+            and 30 in "clean".
+        substeps: Simulation steps per control step of 1.4 ms; by default 7 in
+            "paper" and 5 in "clean".
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    elements, steps = SIZES[variant]
+    elements = elements if n_elements is None else n_elements
+    steps = steps if substeps is None else substeps
+    check_sizes(elements, steps, episode_length)
+    return Tracking(variant, elements, steps, episode_length)

@@ -1,0 +1,113 @@
+"""Case 4 of the benchmark: an arm through a nest of twelve cylinders leaning any way.
+
+The cylinders are 3 cm in radius; the arm moves in space. See
+`jaxrod.envs.tasks.obstacle_task` for what this task has in common with Case 3. The
+nest is the published one, or drawn from a seed as the released generator draws it; it
+is the same in all episodes.
+
+Variants:
+
+- `"paper"`: the published environment to the detail, so that scores compare. Contact
+  follows the published law (`jaxrod.envs.published.contact`). What is observed of the
+  obstacles starts at the arm's base instead of at each obstacle, as published: where
+  they are is not observed. A number that is not finite costs 100 and ends the episode.
+- `"clean"`: the same task with the library's own physics, see `jaxrod.envs.arm.clean`,
+  and the obstacles observed where they are. When a numerical health flag rises the arm
+  is frozen and the episode truncated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.bodies import Body, Capsule
+from jaxrod.envs.arm.cylinders import Cylinders
+from jaxrod.envs.arm.nest import COUNT, TARGET_HEIGHT, published_nest, random_nest
+from jaxrod.envs.tasks.obstacle_task import (
+    BASE,
+    CONTROL_STEPS,
+    PLACED,
+    ObstacleTask,
+    Variant,
+    checked_sizes,
+)
+from jaxrod.validation import Numbers, check_count
+
+
+@dataclasses.dataclass(frozen=True)
+class UnstructuredNest(ObstacleTask):
+    """The task; see the module. Make one with `unstructured_nest`."""
+
+    nest: int | None = None
+    """Seed of the nest; `None` for the published one."""
+
+    n_directions = 2
+    n_obstacles = COUNT
+    target_position = (-0.8, 0.5, TARGET_HEIGHT)
+    plane = None
+    contact_points = 2
+    """Stretched twofold the arm's nodes are 5 cm apart, and a thin cylinder that gets
+    between two of them would push them further apart."""
+    nearest_obstacles = 4
+    """Few places have a fifth within the arm's radius. An arm that gets there, or moves
+    several centimetres in a control step, may meet one by a control step too late."""
+
+    @property
+    def name(self) -> str:
+        """Name of the task, as in the registry."""
+        return "unstructured"
+
+    @property
+    def n_controls(self) -> int:
+        """Control points per direction."""
+        return len(PLACED)
+
+    def control_points(self) -> Numbers:
+        """Their arc lengths [m]."""
+        return PLACED
+
+    def obstacles(self) -> Cylinders:
+        """The nest."""
+        return published_nest() if self.nest is None else random_nest(self.nest)
+
+    def bodies(self, obstacles: Cylinders) -> Body:
+        """With round ends, as the published contact takes them."""
+        return Capsule(obstacles.starts.T, obstacles.ends.T, obstacles.radii)
+
+    def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
+        """The cylinders' own; in "paper" the arm's base for all of them."""
+        if self.variant == "clean":
+            return obstacles.starts
+        base = jnp.asarray(BASE, obstacles.starts.dtype)
+        return jnp.broadcast_to(base[:, None], obstacles.starts.shape)
+
+
+def unstructured_nest(
+    variant: Variant = "paper",
+    *,
+    nest: int | None = None,
+    n_elements: int | None = None,
+    substeps: int | None = None,
+    episode_length: int = CONTROL_STEPS,
+) -> UnstructuredNest:
+    """Makes the task.
+
+    Args:
+        variant: "paper" or "clean".
+        nest: Seed of a random nest; by default the published nest.
+        n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
+            and 40 in "clean".
+        substeps: Simulation steps per control step of 1.4 ms; by default 14 in
+            "paper" and 13 in "clean".
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
+    if nest is not None:
+        nest = check_count("nest", nest, 0)
+    return UnstructuredNest(variant, elements, steps, episode_length, nest=nest)

@@ -1,0 +1,1 @@
+"""Questions to ask of a scene: stable step, frequencies, health."""

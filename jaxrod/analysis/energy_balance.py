@@ -1,0 +1,87 @@
+r"""Energy from nowhere: by how much a rod's total energy may grow between two states.
+
+By twice the work done; by a share of what the rod has, its kinetic energy, its elastic
+energy and that of held ends and of contact, none of which depends on the origin of
+coordinates; and by rounding. In each of $N$ steps of size $h$ coordinates are rounded
+to multiples of $\delta$, which shakes the springs between nodes, and velocities are
+rounded too; motion slower than $\delta/h$ is lost. The stiffness of the elements being
+$k$, the masses of the nodes $m$, the kinetic energy $T$ and the unit round-off
+$\epsilon$, that may come to
+
+$$N\left(\tfrac16\sum k\,\delta^2 + \epsilon T\right)
+  + \tfrac12\sum m\,(\delta/h)^2$$
+
+and, for sums of energies $H$ and of weights that cancel, $\epsilon\,(8|H| + S L)$ with
+the axial stiffness $S$ and the length $L$. The first term is twice what independent
+errors add on average. In float32 it is 20 J in 1000 steps for a rod of 1 m, 5 cm and
+10 MPa in 20 elements that is 1000 m high (4 J were measured), and 13 microjoules at the
+origin (5 were measured).
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.rods.elasticity import stored_energy
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.scene import Scene, kinetic_energy
+from jaxrod.structure import pytree
+
+
+@pytree
+class EnergyBalance:
+    """A rod's energy at one state against that at an earlier one."""
+
+    growth: Float[Array, ""]
+    """Of the total energy [J]."""
+    own: Float[Array, ""]
+    """What the rod has wherever it is [J]."""
+    rounding: Float[Array, ""]
+    """What rounding may have added [J]."""
+
+
+def energy_balance(
+    scene: Scene,
+    state: RodState,
+    relative: RodState,
+    before: Array,
+    dt: Array,
+    n_steps: Array,
+) -> EnergyBalance:
+    """Compares energies.
+
+    Args:
+        scene: The scene.
+        state: The state now.
+        relative: The same, with the velocities that count for the rod's own energy.
+        before: Total energy earlier [J].
+        dt: Step size [s].
+        n_steps: Steps since then.
+    """
+    rod = scene.rod
+    elastic, kinetic = stored_energy(rod, state), kinetic_energy(rod, state)
+    total = kinetic + elastic
+    own = kinetic_energy(rod, relative) + elastic
+    for effect in scene.effects:
+        energy = effect.energy(rod, state)
+        total = total + energy
+        if effect.violation(rod, state) is not None:
+            own = own + jnp.abs(energy)
+    unit = jnp.finfo(total.dtype).eps
+    shaken, lost = _rounding_of_positions(rod, state, dt)
+    per_step = shaken + unit * kinetic
+    # Weights on both sides of the origin cancel in the total, not in its rounding.
+    weights = jnp.sum(rod.shear_stretch_stiffness[2] * rod.rest_lengths)
+    sums = unit * (8 * (jnp.abs(total) + jnp.abs(before)) + weights)
+    return EnergyBalance(total - before, own, n_steps * per_step + lost + sums)
+
+
+def _rounding_of_positions(
+    rod: Rod, state: RodState, dt: Array
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """What it adds to elastic energy in a step, and kinetic energy too slow for it."""
+    spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
+    stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
+    shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12
+    return shaken, 0.5 * jnp.sum(rod.node_masses * spacings) / dt**2

@@ -1,0 +1,152 @@
+r"""Inertia scaling: larger steps for slender rods.
+
+In a rod much thinner than its elements are long, the fastest motion is the rocking of
+elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$: a motion nobody looks at
+sets the step. Enlarging the transverse rotary inertia, and only that (mass and polar
+inertia carry the waves one does look at), slows it down. Bending frequencies change
+by the square of the inertia's share in them, which stays within the error of the
+discretisation while the enlarged radius of gyration is below that of a sphere as long
+as the element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxrod.analysis.frequency import no_damping
+from jaxrod.analysis.modes import natural_frequencies
+from jaxrod.analysis.stability import frequency_bounds, stable_dt
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.scene import Scene, check_scene
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
+
+SHARE_OF_OTHER_LIMITS = 0.9
+"""How near to the limit of stretch and twist an automatic step goes."""
+_ROUNDS = 200
+
+
+@pytree
+class InertiaScaling:
+    """A scene with enlarged transverse inertia, and what that changed."""
+
+    scene: Scene
+    """The scene, its rod's transverse rotary inertia enlarged."""
+    factors: Float[Array, " n"]
+    """Enlarged over true transverse rotary inertia, per element [1]."""
+    dt_before: Float[Array, ""]
+    """Stability limit of the scene as it was [s]."""
+    dt: Float[Array, ""]
+    """Stability limit now [s]."""
+
+    @property
+    def gain(self) -> Float[Array, ""]:
+        """How many times larger the step may be [1]."""
+        return self.dt / self.dt_before
+
+
+def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
+    """Enlarges the transverse rotary inertia of a scene's rod for larger steps.
+
+    Automatically (without `dt`): as far as it helps, which is until stretch or twist
+    limit the step, but never beyond the radius of gyration of a sphere as long as the
+    element. A rod thicker than its elements are long is left as it is. With `dt`: as
+    far as that step asks for, whatever it does to the frequencies.
+    `frequency_changes` says what it does to them. Rates of rotational damping act on
+    the enlarged inertia: the couples they stand for grow with it.
+
+    Args:
+        scene: The scene; effects and damping are as before.
+        dt: The step size that shall be stable [s].
+
+    Returns:
+        The new scene, with the factors and both stability limits.
+
+    Raises:
+        ValueError: If `dt` is above what stretch and twist allow.
+    """
+    check_scene(scene)
+    dtype = scene.rod.rest_lengths.dtype
+    before = stable_dt(scene, 1.0).dt
+    others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
+    if dt is None:
+        factors = _factors(scene, others, _reasonable(scene.rod))
+    else:
+        step = as_array("dt", dt, "s", positive=True, dtype=dtype)
+        largest = _other_limit(scene)
+        if not is_traced(step, largest) and step >= largest:
+            raise ValueError(
+                f"dt must be below {float(largest):.3g} s, where stretch or twist "
+                "limit the step whatever the transverse inertia is, got "
+                f"{float(step):.3g} s"
+            )
+        unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)
+        factors = _factors(scene, step, unlimited)
+    scaled = _scaled(scene, factors)
+    return InertiaScaling(scaled, factors, before, stable_dt(scaled, 1.0).dt)
+
+
+def frequency_changes(
+    scaling: InertiaScaling, state: RodState, n_modes: int = 8
+) -> np.ndarray:
+    """What the enlarged inertia does to the lowest natural frequencies.
+
+    Args:
+        scaling: From `scale_inertia`.
+        state: The configuration about which the rod vibrates.
+        n_modes: How many frequencies to compare; those that are zero are left out.
+
+    Returns:
+        Relative change of each frequency [1], the lowest first.
+    """
+    check_kind("scaling", scaling, InertiaScaling)
+    n_modes = check_count("n_modes", n_modes, 1)
+    true = _scaled(scaling.scene, 1 / scaling.factors)
+    before = natural_frequencies(true, state)
+    after = natural_frequencies(scaling.scene, state)
+    # Rigid motions have frequencies of the size of rounding.
+    eps = float(jnp.finfo(state.positions.dtype).eps)
+    moving = before > 10 * np.sqrt(eps) * before[-1]
+    return (after[moving] / before[moving] - 1)[:n_modes]
+
+
+def _scaled(scene: Scene, factors: Array) -> Scene:
+    transverse, polar = scene.rod.rotary_inertia
+    inertia = jnp.stack([factors * transverse, polar])
+    return replace(scene, rod=replace(scene.rod, rotary_inertia=inertia))
+
+
+def _reasonable(rod: Rod) -> Array:
+    """Factor up to which an element's inertia stays that of a ball of its length."""
+    largest = rod.linear_density * rod.rest_lengths**2 / 4
+    return jnp.maximum(largest / rod.rotary_inertia[0], 1)
+
+
+@jax.jit
+def _other_limit(scene: Scene) -> Array:
+    """The step that stretch and twist allow [s]."""
+    bounds = frequency_bounds(scene, no_damping(scene.rod))
+    return 2 / jnp.max(bounds[1:])
+
+
+@jax.jit
+def _factors(scene: Scene, dt: Array, largest: Array) -> Array:
+    """The smallest factors, up to the largest ones, with which `dt` is stable."""
+    eps = jnp.finfo(dt.dtype).eps
+    budget = 2 / dt * (1 - 100 * eps)
+
+    def excess(factors: Array) -> Array:
+        bounds = frequency_bounds(_scaled(scene, factors), no_damping(scene.rod))
+        return jnp.maximum(bounds[0] / budget, 1)
+
+    def enlarge(_: int, factors: Array) -> Array:
+        return jnp.minimum(factors * excess(factors) ** 2, largest)
+
+    # Every round takes the excess away as far as it is the element's own.
+    return lax.fori_loop(0, _ROUNDS, enlarge, jnp.ones_like(largest))

@@ -1,0 +1,40 @@
+"""A command in a process of its own that does not outlive the one that started it.
+
+`python -m jaxrod.cli.child COMMAND ...` is `jaxrod COMMAND ...`, but when its standard
+input ends, because whoever holds the other end is gone (however it went), it saves
+and stops as after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import traceback
+
+BROKEN = 70
+"""Exit code after an error that the command did not foresee."""
+
+
+def _follow() -> None:
+    """Waits for the end of standard input."""
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def main() -> int:
+    """Runs the command."""
+    threading.Thread(target=_follow, daemon=True).start()
+    from jaxrod import cli
+
+    try:
+        return cli.main(sys.argv[1:])
+    except Exception:
+        traceback.print_exc()
+        return BROKEN
+
+
+if __name__ == "__main__":
+    sys.exit(main())

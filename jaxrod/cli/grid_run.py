@@ -1,0 +1,269 @@
+"""Running the cells of a grid, a few at a time, and recording how each ended."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from jaxrod.cli import grid_process
+from jaxrod.cli.grid import CHECKPOINT_SECONDS, Cell
+from jaxrod.cli.grid_records import Record, Records
+from jaxrod.cli.grid_report import draw_figures, write_report
+from jaxrod.cli.grid_view import GridView
+from jaxrod.cli.machine import processor
+from jaxrod.training import find_algorithm
+from jaxrod.training.runs.folder import RunFolder, differences, recorded
+from jaxrod.training.runs.interruption import Interruption
+
+DIVERGED = 1
+"""Exit code of `jaxrod train` when learning diverged."""
+
+_UNASKED = ("score_window",)
+
+
+def run_grid(
+    cells: list[Cell],
+    records: Records,
+    *,
+    overwrite: bool,
+    stream: TextIO,
+    jobs: int = 1,
+) -> int:
+    """Runs what has not ended yet.
+
+    Args:
+        cells: in the order in which to run them.
+        records: what has ended before; gets what ends now.
+        overwrite: whether to run again what was run otherwise than now asked.
+        stream: where to show progress.
+        jobs: how many cells run side by side, each on its share of the cores.
+
+    Returns:
+        Exit code: 0 all cells came to their end, 1 some failed, 130 interrupted.
+
+    Raises:
+        ValueError: a cell was run otherwise, or another grid runs here.
+    """
+    changed = {cell.name: changed_since(cell, records) for cell in cells}
+    if not overwrite:
+        for name, how in changed.items():
+            if how:
+                raise ValueError(
+                    f"{name} in {records.out} was run otherwise: {', '.join(how)}; "
+                    "run such cells again with --overwrite, or choose another folder "
+                    "with --out"
+                )
+    runs = records.out / "runs"
+    view = GridView(cells, stream)
+    with grid_process.only_one(runs, view.say) as lock:
+        (runs / ".gitignore").write_text("*\n")
+        waiting = []
+        for cell in cells:
+            record = records.get(cell)
+            if record is None or changed[cell.name]:
+                waiting.append(cell)
+            else:
+                _show(view, cell, record, quiet=True)
+        failed = [c for c in cells if (r := records.get(c)) and r["error"]]
+        broken = [cell for cell in failed if cell not in waiting]
+        with Interruption(view.say) as interruption:
+            for cell, good in _run(waiting, records, view, lock, interruption, jobs):
+                if not good:
+                    broken.append(cell)
+        if interruption.asked:
+            view.say("stopped; the same command goes on")
+            return 130
+    return 1 if broken else 0
+
+
+def changed_since(cell: Cell, records: Records) -> list[str]:
+    """How what was run of a cell, to its end or not, differs from what is asked."""
+    record = records.get(cell)
+    folder = RunFolder(records.out / "runs" / cell.name)
+    if record is not None:
+        return differences(_completed(record["config"]), cell.config, _UNASKED)
+    if folder.exists:
+        return differences(folder.config(), cell.config, _UNASKED)
+    return []
+
+
+def _completed(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A recorded configuration with the settings that learners got since then.
+
+    A new setting's default is what was done before there was a choice.
+    """
+    default = find_algorithm(config["algorithm"]).config_type()
+    return {**config, "settings": {**recorded(default), **config["settings"]}}
+
+
+@dataclasses.dataclass
+class _Running:
+    """A cell whose process runs, on its share of the cores."""
+
+    cell: Cell
+    folder: RunFolder
+    child: grid_process.Child
+    cores: tuple[int, ...]
+
+
+def _run(
+    waiting: list[Cell],
+    records: Records,
+    view: GridView,
+    lock: int,
+    interruption: Interruption,
+    jobs: int,
+) -> Iterator[tuple[Cell, bool]]:
+    """Runs cells to their ends; yields each as it ends, and whether it is sound."""
+    waiting, told = list(waiting), False
+    running: list[_Running] = []
+    idle = grid_process.shares(jobs)
+    try:
+        while running or (waiting and not interruption.asked):
+            while waiting and idle and not interruption.asked:
+                cell = waiting.pop(0)
+                folder = RunFolder(records.out / "runs" / cell.name)
+                if _ready(cell, folder):
+                    yield cell, _ended(cell, folder, 0, records, view, False)
+                    continue
+                child = _start(cell, folder, view, lock, idle[0])
+                running.append(_Running(cell, folder, child, idle.pop(0)))
+            if interruption.asked and not told:
+                told = True
+                for run in running:
+                    run.child.stop()
+            for run in list(running):
+                code = run.child.code()
+                if code is None:
+                    _look(run, view)
+                    continue
+                run.child.end()
+                running.remove(run)
+                idle.append(run.cores)
+                stopped = interruption.asked
+                yield (
+                    run.cell,
+                    _ended(run.cell, run.folder, code, records, view, stopped),
+                )
+            time.sleep(grid_process.POLL_SECONDS)
+    finally:
+        for run in running:
+            run.child.end()
+
+
+def _ready(cell: Cell, folder: RunFolder) -> bool:
+    """Whether it has run to its end before, but was not recorded."""
+    if folder.exists and differences(folder.config(), cell.config, _UNASKED):
+        # Otherwise the summary of the run before could be taken for this one's.
+        folder.clear()
+    return folder.finished
+
+
+def _start(
+    cell: Cell, folder: RunFolder, view: GridView, lock: int, cores: tuple[int, ...]
+) -> grid_process.Child:
+    """Starts a cell, or goes on with it from wherever it is."""
+    row = grid_process.last_row(folder.progress.path)
+    view.start(cell, int(row["env_steps"]) if row and folder.exists else 0)
+    words = cell.command(folder.path)
+    words += ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"]
+    if folder.exists:
+        words.append("--resume")
+    return grid_process.Child(words, _log(folder), lock=lock, cores=cores)
+
+
+def _look(run: _Running, view: GridView) -> None:
+    """Shows how far a cell is."""
+    row = grid_process.last_row(run.folder.progress.path)
+    if row:
+        score = row["episode_return_mean"]
+        view.running(run.cell, int(row["env_steps"]), float(score) if score else None)
+
+
+def _ended(
+    cell: Cell,
+    folder: RunFolder,
+    code: int,
+    records: Records,
+    view: GridView,
+    stopped: bool,
+) -> bool:
+    """Records a cell whose process has ended; whether the cell is not broken."""
+    row = grid_process.last_row(folder.progress.path)
+    if folder.finished:
+        _record(cell, folder, records, folder.summary(), None)
+    elif code == DIVERGED and not stopped:
+        said = grid_process.last_words(_log(folder))
+        _record(cell, folder, records, _so_far(row or {}), said)
+    elif stopped:
+        view.stopped(cell, int(row["env_steps"]) if row else 0)
+        return True
+    else:
+        # Not recorded: the next call tries again, from the last checkpoint.
+        how = f"killed by signal {-code}"
+        if code >= 0:
+            how = grid_process.last_words(_log(folder))
+        view.failed(cell, f"{how} (see {_log(folder)})")
+        return False
+    record = records.get(cell)
+    assert record is not None
+    _show(view, cell, record)
+    return not record["error"]
+
+
+def _log(folder: RunFolder) -> Path:
+    """What the process of a cell said."""
+    return folder.path.with_suffix(".log")
+
+
+def _record(
+    cell: Cell,
+    folder: RunFolder,
+    records: Records,
+    summary: Mapping[str, Any],
+    error: str | None,
+) -> None:
+    """Keeps how a cell ended, then frees what was needed to go on."""
+    names = ("env_steps", "final_score", "wall_s", "flagged_fraction")
+    more = ("score_window", "episodes", "evaluation_score", "jax_version", "device")
+    record: Record = {
+        "name": cell.name,
+        "case": cell.case,
+        "algorithm": cell.algorithm.upper(),
+        "variant": cell.variant,
+        "seed": cell.seed,
+        **{name: summary[name] for name in names},
+        "status": "failed" if error else "finished",
+        "error": error,
+        "command": shlex.join(cell.command(Path(cell.name))),
+        "changed": list(cell.changed),
+        "config": cell.config,
+        "processor": processor(),
+        **{name: summary.get(name) for name in more},
+    }
+    records.add(cell.name, record, folder.progress.read())
+    write_report(records, records.out)
+    draw_figures(records)
+    shutil.rmtree(folder.checkpoints, ignore_errors=True)
+
+
+def _so_far(row: Mapping[str, str]) -> dict[str, Any]:
+    """What is known of a run that diverged: the last row of its progress."""
+    return {
+        "env_steps": int(row.get("env_steps", 0)),
+        "final_score": None,
+        "wall_s": float(row.get("wall_s", 0.0)),
+        "flagged_fraction": float(row.get("flagged_fraction", 0.0)),
+    }
+
+
+def _show(view: GridView, cell: Cell, record: Record, quiet: bool = False) -> None:
+    if record["error"]:
+        view.failed(cell, record["error"], quiet)
+    else:
+        view.done(cell, record["final_score"], record["wall_s"], quiet)

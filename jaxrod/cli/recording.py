@@ -1,0 +1,136 @@
+"""One episode of a policy, recorded to be looked at."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from jaxrod.envs import Environment
+from jaxrod.envs.arm.scenery import drawable, obstacles
+from jaxrod.structure import pytree
+from jaxrod.training.policy import held_for
+from jaxrod.viz import Replay, Sphere
+
+FRAMES_PER_SECOND = 60.0
+
+
+@pytree
+class Frame:
+    """What is drawn of one moment."""
+
+    positions: Float[Array, "*frames 3 n+1"]
+    """Nodes of the arm [m]."""
+    target: Float[Array, "*frames 3"]
+    """Centre of the target [m]."""
+    reward: Float[Array, "*frames"]
+    """Mean reward of the control steps since the frame before."""
+    running: Bool[Array, "*frames"]
+    """Whether the episode still runs."""
+
+
+def record(
+    env: Environment,
+    policy: Any,
+    *,
+    seconds: float | None = None,
+    seed: int = 0,
+    title: str = "",
+) -> Replay:
+    """Plays an episode and records the arm and the target at up to 60 Hz.
+
+    Args:
+        env: the environment.
+        policy: observation -> action, a pytree; its actions are held for its
+            `action_repeat` control steps, if it has one.
+        seconds: how long to play [s]; None for a whole episode, which also ends it.
+        seed: seed of the episode.
+        title: heading of the replay.
+
+    Raises:
+        ValueError: the environment has no arm to draw, or `seconds` is not positive.
+    """
+    if not drawable(env):
+        raise ValueError(f"{env.name} has no arm to draw")
+    if seconds is not None and not 0 < seconds < float("inf"):
+        raise ValueError(f"seconds must be positive and finite, got {seconds} s")
+    period = env.control_period
+    params = env.default_params()
+    steps = env.episode_length
+    if seconds is not None:
+        steps = min(steps, max(1, round(seconds / period)))
+    stride = min(steps, math.ceil(1 / (FRAMES_PER_SECOND * period)))
+    play = _play(policy, params, jax.random.key(seed), env, steps // stride, stride)
+    first, later = jax.device_get(play)
+    frames: Frame = jax.tree.map(
+        lambda a, b: np.concatenate([np.asarray(a)[None], b]), first, later
+    )
+    # An arm that is no longer finite cannot be drawn; what led there can.
+    sound = frames.running & np.isfinite(frames.positions).all(axis=(1, 2))
+    count = len(sound) if sound.all() else int(np.argmin(sound))
+    frames = jax.tree.map(lambda leaf: leaf[:count], frames)
+    distance = np.linalg.norm(frames.positions[..., -1] - frames.target, axis=1)
+    return Replay.from_rollout(
+        frames.positions,
+        np.asarray(params.rod.radii),
+        np.arange(count) * stride * period,
+        spheres=[Sphere(frames.target, float(params.target.radius))],
+        cylinders=obstacles(env),
+        readouts={
+            "reward": frames.reward,
+            "return": np.cumsum(frames.reward, dtype=float) * stride,
+            "distance to target [m]": distance,
+        },
+        title=title,
+        up="y",
+    )
+
+
+@partial(jax.jit, static_argnames=("env", "count", "stride"))
+def _play(
+    policy: Any,
+    params: Any,
+    key: Key[Array, ""],
+    env: Any,
+    count: int,
+    stride: int,
+) -> tuple[Frame, Frame]:
+    """The first frame, and `count` more, `stride` control steps apart."""
+    start_key, step_key = jax.random.split(key)
+    observation, start = env.reset(start_key, params)
+
+    def step(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Array]:
+        observation, state, action, running = carry
+        decided = jnp.clip(policy(observation), -1, 1)
+        action = jnp.where(index % held_for(policy) == 0, decided, action)
+        seen, moved, reward, terminated, truncated, _ = env.step(
+            jax.random.fold_in(step_key, index), state, action, params
+        )
+        observation, state = jax.tree.map(
+            lambda new, old: jnp.where(running, new, old),
+            (seen, moved),
+            (observation, state),
+        )
+        reward = jnp.where(running, reward, 0)
+        running = running & ~terminated & ~truncated
+        return (observation, state, action, running), reward
+
+    def frame(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Frame]:
+        running = carry[-1]
+        indices = index * stride + jnp.arange(stride)
+        carry, rewards = jax.lax.scan(step, carry, indices)
+        state = carry[1]
+        return carry, Frame(
+            state.arm.positions, state.target.position, jnp.mean(rewards), running
+        )
+
+    running = jnp.ones((), bool)
+    carry = observation, start, policy(observation), running
+    _, frames = jax.lax.scan(frame, carry, jnp.arange(count))
+    reward = jnp.zeros_like(frames.reward[0])
+    return Frame(start.arm.positions, start.target.position, reward, running), frames

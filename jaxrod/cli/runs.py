@@ -1,0 +1,201 @@
+"""Opening what `jaxrod train` left, with a clear sentence where something is amiss."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxrod.cli.text import printable
+from jaxrod.files import read_json, reading
+
+if TYPE_CHECKING:
+    from jaxrod.envs import Environment
+    from jaxrod.training import Policy
+    from jaxrod.viz import PaperResult
+
+PAPER_CASES = {
+    "tracking": "Case1",
+    "reaching": "Case2",
+    "structured": "Case3",
+    "unstructured": "Case4",
+}
+"""What the paper calls a case."""
+
+_SCORE_WINDOWS = {"structured": 10, "unstructured": 10}
+_SCORE_WINDOW = 50
+_COMPARABLE = ("variant", "controls")
+
+
+def score_window(case: str) -> int:
+    """Last training episodes of a seed whose mean return is the final score.
+
+    As in the paper: 10 in Cases 3 and 4, 50 in the others.
+    """
+    return _SCORE_WINDOWS.get(case, _SCORE_WINDOW)
+
+
+@dataclasses.dataclass(frozen=True)
+class StoredRun:
+    """A run on disk, finished or not.
+
+    Attributes:
+        path: its folder.
+        config: what was asked for, as in `config.json`.
+        env: the environment it was trained on.
+    """
+
+    path: Path
+    config: dict[str, Any]
+    env: Environment
+
+    @property
+    def title(self) -> str:
+        """The run in a few words."""
+        return describe(self.config)
+
+    def policy(self) -> Policy:
+        """Reads the deterministic policy.
+
+        Raises:
+            ValueError: there is none yet, or it is damaged or of another task.
+        """
+        from jaxrod.training import load_policy
+
+        folder = self.path / "policy"
+        if not (folder / "policy.json").exists():
+            raise ValueError(
+                f"{self.path} holds no policy yet (no policy/policy.json): it is "
+                "saved with the first checkpoint and at the end of training"
+            )
+        policy = load_policy(folder)
+        file = folder / "policy.json"
+        others = [
+            f"{name} is {value!r}"
+            for name, value in read_json(file).get("about", {}).items()
+            if name in self.config and value != self.config[name]
+        ]
+        if others:
+            raise ValueError(
+                f"{file} is of another run than {self.path / 'config.json'}: its "
+                f"{', '.join(others)}"
+            )
+        sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]
+        wanted = self.env.observation_size, self.env.action_size
+        if sizes != wanted:
+            raise ValueError(
+                f"{folder} maps {sizes[0]} observations to {sizes[1]} actions, but "
+                f"{self.env.name} has {wanted[0]} and {wanted[1]}"
+            )
+        return policy
+
+
+def open_run(path: Path) -> StoredRun:
+    """Reads what the run in a folder was.
+
+    Raises:
+        ValueError: there is no run, or its `config.json` is damaged.
+    """
+    from jaxrod import envs
+
+    config = read_config(path)
+    case = config["case"]
+    if case not in envs.names():
+        raise ValueError(
+            f"{path / 'config.json'} is of a run of {case!r}, but the tasks are "
+            f"{', '.join(envs.names())}"
+        )
+    with reading(path / "config.json"):
+        env = make_case(case, config["env_options"])
+        if env.name != case:
+            raise ValueError(f"its 'env_options' make {env.name!r}, not {case!r}")
+        if config.get("variant") != getattr(env, "variant", None):
+            raise ValueError(
+                f"'variant' is {config.get('variant')!r}, but what its 'env_options' "
+                f"make is {getattr(env, 'variant', None)!r}"
+            )
+    return StoredRun(path, config, env)
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Reads `config.json` of a run.
+
+    Raises:
+        ValueError: there is no run, or the file is damaged.
+    """
+    from jaxrod.training import RunFolder
+
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"{path} is a file, not the folder of a run")
+    if not (path / "config.json").exists():
+        what = "holds no run (no config.json)" if path.is_dir() else "does not exist"
+        raise ValueError(
+            f"{path} {what}; a run is made by: jaxrod train CASE --out {path}"
+        )
+    return RunFolder(path).config()
+
+
+def make_case(case: str, options: Mapping[str, Any]) -> Environment:
+    """Makes the environment of a case.
+
+    Raises:
+        ValueError: there is no such case, or no such variant of it.
+    """
+    from jaxrod import envs
+
+    if case not in envs.names():
+        raise ValueError(f"case must be one of {', '.join(envs.names())}; got {case!r}")
+    env = envs.make(case)
+    unknown = [name for name in options if not hasattr(env, name)]
+    if unknown:
+        raise ValueError(f"case {case!r} has no {' or '.join(unknown)} to choose")
+    return envs.make(case, **options) if options else env
+
+
+def describe(config: Mapping[str, Any]) -> str:
+    """A run in a few words, such as "tracking (paper), ppo, seed 0"."""
+    options = config.get("env_options", {})
+    what = [config["variant"]] if config.get("variant") else []
+    if options.get("controls") is not None:
+        what.append(f"{options['controls']} control points")
+    if options.get("nest") is not None:
+        what.append(f"nest {options['nest']}")
+    case = config["case"] + (f" ({', '.join(what)})" if what else "")
+    return printable(f"{case}, {config['algorithm']}, seed {config['seed']}")
+
+
+def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
+    """What the paper reached at this; None where scores do not compare.
+
+    Args:
+        config: as in `config.json`.
+    """
+    from jaxrod import viz
+
+    options = {k: v for k, v in config["env_options"].items() if v is not None}
+    if config.get("variant") != "paper" or config["case"] not in PAPER_CASES:
+        return None
+    if not set(options) <= set(_COMPARABLE):
+        return None
+    case, configuration = PAPER_CASES[config["case"]], None
+    if "controls" in options:
+        case, configuration = (
+            f"{case}-ctrlpts",
+            f"batch=16000,n_ctrl={options['controls']}",
+        )
+    try:
+        return viz.paper_result(case, config["algorithm"], configuration)
+    except ValueError:
+        return None
+
+
+def paper_sentence(config: Mapping[str, Any]) -> str:
+    """The paper's score in words, after a separator; empty if there is none."""
+    paper = paper_result(config)
+    if paper is None:
+        return ""
+    return (
+        f"; the paper's {paper.algorithm}: {paper.final_mean:,.0f} "
+        f"after {paper.wall_hours:.1f} h"
+    )

@@ -1,0 +1,1 @@
+"""Contact of a rod with bodies that stand still."""

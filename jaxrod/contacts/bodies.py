@@ -1,0 +1,450 @@
+r"""Fixed bodies, each known by its signed distance: what a rod can touch.
+
+A body gives, at any point, the distance to its surface (negative inside) and the
+outward unit normal there, which is the distance's gradient. Its numbers are traced:
+`vmap` over a body is a random obstacle, `grad` with respect to it moves an obstacle.
+
+Values and gradients are finite everywhere. Where the nearest point of a surface is not
+unique (the centre of a sphere, the axis of a cylinder) distances are rounded off within
+a millionth of the radius, $\sqrt{x^2 + \delta^2}$ in place of $|x|$, and the normal
+passes through zero; between the faces of a box it jumps.
+
+Factories make one body. `jax.vmap` of a factory makes many of a kind at once, as
+`jaxrod.contact` takes them.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    normalise,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, as_array, check_array, is_traced
+
+_ROUNDED = 1e-6
+"""Within this share of a body's size distances are rounded off [1]."""
+
+
+class Body(ABC):
+    """Base of all bodies."""
+
+    @abstractmethod
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Signed distance [m], negative inside, and outward normal at each point."""
+
+    @property
+    def count(self) -> int | None:
+        """How many bodies this is, if its numbers have a leading axis."""
+        return None
+
+    @property
+    def inradius(self) -> Array | None:
+        """Radius of the largest ball inside [m]; `None` where that is not known."""
+        return None
+
+
+@pytree
+class Sphere(Body):
+    """A ball."""
+
+    centre: Float[Array, "3"]
+    """[m]"""
+    radius: Float[Array, ""]
+    """[m]"""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Distance from the centre, less the radius."""
+        return _round(_from_point(self.centre, points), self.radius)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """Its own."""
+        return self.radius
+
+
+@pytree
+class Capsule(Body):
+    """A cylinder with a half sphere at each end."""
+
+    start: Float[Array, "3"]
+    """Centre of the half sphere at one end [m]."""
+    end: Float[Array, "3"]
+    """Centre of the half sphere at the other end [m]."""
+    radius: Float[Array, ""]
+    """[m]"""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Distance from the line between the centres, less the radius."""
+        axis = vectors.split(self.end - self.start)
+        relative = _from_point(self.start, points)
+        share = vectors.dot(relative, axis) / vectors.dot(axis, axis)
+        nearest = vectors.scale(jnp.clip(share, 0, 1), axis)
+        return _round(vectors.subtract(relative, nearest), self.radius)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder."""
+        return self.radius
+
+
+@pytree
+class Cylinder(Body):
+    """A cylinder with flat ends."""
+
+    start: Float[Array, "3"]
+    """Centre of one end [m]."""
+    end: Float[Array, "3"]
+    """Centre of the other end [m]."""
+    radius: Float[Array, ""]
+    """[m]"""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """From the distances to the mantle and to the nearer end."""
+        axis, length = _unit(self.end - self.start)
+        relative = _from_point(0.5 * (self.start + self.end), points)
+        along = vectors.dot(relative, axis)
+        across = vectors.subtract(relative, vectors.scale(along, axis))
+        beside, outwards = _round(across, self.radius)
+        end_face = jnp.abs(along) - 0.5 * length
+        size = jnp.minimum(self.radius, 0.5 * length)
+        distance, (mantle, end) = _corner((beside, end_face), size)
+        normal = vectors.add(
+            vectors.scale(mantle, outwards), vectors.scale(end * _sign(along), axis)
+        )
+        return distance, normal
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """That of the cylinder, or half its length."""
+        axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
+        return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
+
+
+@pytree
+class Plane(Body):
+    """Everything below a plane."""
+
+    point: Float[Array, "3"]
+    """Any point of the plane [m]."""
+    normal: Float[Array, "3"]
+    """Out of the body; of any length."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Height above the plane."""
+        normal, _ = _unit(self.normal)
+        distance = vectors.dot(_from_point(self.point, points), normal)
+        x, y, z = (jnp.broadcast_to(c, distance.shape) for c in normal)
+        return distance, (x, y, z)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.normal.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Without end."""
+        return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
+
+
+@pytree
+class Box(Body):
+    """A block with right angles."""
+
+    centre: Float[Array, "3"]
+    """[m]"""
+    half_lengths: Float[Array, "3"]
+    """From the centre to the faces, along the box's own axes [m]."""
+    orientation: Float[Array, "4"]
+    """Of the box's axes (w, x, y, z)."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """From the distances to the nearest of each pair of faces."""
+        frame = directors(normalise(split_quaternion(self.orientation)))
+        x, y, z = to_material(frame, _from_point(self.centre, points))
+        a, b, c = self.half_lengths[0], self.half_lengths[1], self.half_lengths[2]
+        faces = (jnp.abs(x) - a, jnp.abs(y) - b, jnp.abs(z) - c)
+        distance, shares = _corner(faces, jnp.min(self.half_lengths))
+        own = (shares[0] * _sign(x), shares[1] * _sign(y), shares[2] * _sign(z))
+        return distance, to_world(frame, own)
+
+    @property
+    def count(self) -> int | None:
+        """By the shape of its numbers."""
+        return _count(self.centre.shape[:-1])
+
+    @property
+    def inradius(self) -> Array:
+        """Half its least thickness."""
+        return jnp.min(self.half_lengths, axis=-1)
+
+
+@pytree
+class SignedDistance(Body):
+    """Any body, by a function that gives its signed distance."""
+
+    parameters: Any
+    """Traced numbers of the body: any pytree of arrays."""
+    function: Callable[[Any, Any], Any] = static()
+    """Signed distance [m] at one point `(3,)` [m], given the parameters."""
+    ranks: tuple[int, ...] = static()
+    """Number of axes of every leaf of the parameters, of one body."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """The function and its gradient at each point."""
+        at_each = jax.vmap(jax.value_and_grad(self.function), in_axes=(0, None))
+        distances, normals = at_each(jnp.stack(points, axis=-1), self.parameters)
+        return distances, (normals[:, 0], normals[:, 1], normals[:, 2])
+
+    @property
+    def count(self) -> int | None:
+        """By the axes that its numbers have beyond those of one body."""
+        leaves = jax.tree.leaves(self.parameters)
+        leading = {
+            leaf.shape[: leaf.ndim - rank]
+            for leaf, rank in zip(leaves, self.ranks, strict=True)
+        }
+        if len(leading) > 1:
+            raise ValueError(
+                "parameters of several bodies must all have the same leading axis, "
+                f"got {sorted(leading)}"
+            )
+        return _count(leading.pop()) if leading else None
+
+
+def _count(leading: tuple[int, ...]) -> int | None:
+    """The number of bodies from the leading axes of their numbers."""
+    if len(leading) > 1:
+        raise ValueError(f"bodies must have at most one leading axis, got {leading}")
+    return leading[0] if leading else None
+
+
+def _from_point(origin: Float[Array, "3"], points: Vec3) -> Vec3:
+    return vectors.subtract(points, vectors.split(origin))
+
+
+def _unit(vector: Float[Array, "3"]) -> tuple[Vec3, Array]:
+    """A vector's direction and length."""
+    components = vectors.split(vector)
+    length = jnp.sqrt(vectors.dot(components, components))
+    return vectors.scale(1 / length, components), length
+
+
+def _round(relative: Vec3, radius: Array) -> tuple[Array, Vec3]:
+    """Distance and normal of what is round about the origin of `relative`."""
+    rounded = (_ROUNDED * radius) * (_ROUNDED * radius)
+    length = jnp.sqrt(vectors.dot(relative, relative) + rounded)
+    return length - radius, vectors.scale(1 / length, relative)
+
+
+def _sign(a: Array) -> Array:
+    """One or minus one, never zero."""
+    return jnp.where(a < 0, -1, 1).astype(a.dtype)
+
+
+def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, ...]]:
+    """Distance to faces that meet at right angles, and each one's share in the normal.
+
+    Beyond several faces the nearest point is on the edge between them; inside, the
+    nearest face is all there is.
+
+    Args:
+        faces: Distance to each, negative on its inner side [m].
+        size: Of the body [m].
+    """
+    beyond = [jnp.maximum(face, 0) for face in faces]
+    squared = sum(b * b for b in beyond)
+    is_beyond = squared > (_ROUNDED * size) * (_ROUNDED * size)
+    length = jnp.sqrt(jnp.where(is_beyond, squared, 1))
+    nearest = faces[0]
+    for face in faces[1:]:
+        nearest = jnp.maximum(nearest, face)
+    shares, taken = [], jnp.zeros_like(is_beyond)
+    for face, b in zip(faces, beyond, strict=True):
+        is_nearest = (face == nearest) & ~taken
+        taken = taken | is_nearest
+        shares.append(jnp.where(is_beyond, b / length, is_nearest.astype(b.dtype)))
+    return jnp.where(is_beyond, length, nearest), tuple(shares)
+
+
+# Factories: what users call. They check their arguments and say what is wrong.
+
+
+def sphere(centre: Numbers, radius: Numbers) -> Sphere:
+    """A fixed sphere.
+
+    Args:
+        centre: `(3,)` [m].
+        radius: [m].
+    """
+    return Sphere(
+        as_array("centre", centre, "m", [(3,)]),
+        as_array("radius", radius, "m", positive=True),
+    )
+
+
+def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
+    """A fixed cylinder with round ends.
+
+    Args:
+        start: Centre of the half sphere at one end `(3,)` [m].
+        end: Centre of the half sphere at the other end `(3,)` [m].
+        radius: [m].
+
+    Raises:
+        ValueError: If the ends are the same, or too near or far for the precision to
+            hold the square of their distance.
+    """
+    ends = _ends(start, end)
+    return Capsule(*ends, as_array("radius", radius, "m", positive=True))
+
+
+def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
+    """A fixed cylinder with flat ends.
+
+    Args:
+        start: Centre of one end `(3,)` [m].
+        end: Centre of the other end `(3,)` [m].
+        radius: [m].
+
+    Raises:
+        ValueError: If the ends are the same, or too near or far for the precision to
+            hold the square of their distance.
+    """
+    ends = _ends(start, end)
+    return Cylinder(*ends, as_array("radius", radius, "m", positive=True))
+
+
+def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -> Plane:
+    """A fixed half space, such as the ground.
+
+    Args:
+        point: Any point of its surface `(3,)` [m].
+        normal: Out of it `(3,)`; its length does not matter.
+
+    Raises:
+        ValueError: If the normal has no length, or one whose square is too small or
+            too large for the precision.
+    """
+    return Plane(
+        as_array("point", point, "m", [(3,)]), _with_length("normal", normal, [(3,)])
+    )
+
+
+def box(
+    centre: Numbers,
+    half_lengths: Numbers,
+    orientation: Numbers = (1.0, 0.0, 0.0, 0.0),
+) -> Box:
+    """A fixed block.
+
+    Args:
+        centre: `(3,)` [m].
+        half_lengths: From the centre to the faces, along the box's axes `(3,)` [m].
+        orientation: Of the box's axes, a quaternion (w, x, y, z).
+
+    Raises:
+        ValueError: If the quaternion has no length, or one whose square is too small
+            or too large for the precision.
+    """
+    return Box(
+        centre=as_array("centre", centre, "m", [(3,)]),
+        half_lengths=as_array("half_lengths", half_lengths, "m", [(3,)], positive=True),
+        orientation=_with_length("orientation", orientation, [(4,)]),
+    )
+
+
+def signed_distance(
+    function: Callable[[Any, Any], ArrayLike], parameters: Any = ()
+) -> SignedDistance:
+    """A fixed body of any shape.
+
+    Args:
+        function: Pure; from one point `(3,)` [m] and `parameters` to the signed
+            distance [m], negative inside. It is differentiated for the normal: its
+            gradient has to be finite everywhere and of length one near the surface.
+            A program is compiled for each function, so use the same one again.
+        parameters: Traced numbers of the body: any pytree of numbers.
+
+    Raises:
+        ValueError: If the function does not give one number at a point, or a parameter
+            is not a number that can be stored.
+        TypeError: If the function is none.
+    """
+    if not callable(function):
+        raise TypeError(f"function must be callable, got {type(function).__name__}")
+    dtype = jnp.result_type(float)
+    numbers = jax.tree.map(
+        lambda leaf: as_array("parameters", leaf, "", [np.shape(leaf)]), parameters
+    )
+    point = jax.ShapeDtypeStruct((3,), dtype)
+    got = jax.eval_shape(function, point, numbers)
+    if getattr(got, "shape", None) != ():
+        raise ValueError(
+            f"function must give one distance [m] at a point of shape (3,), got {got}"
+        )
+    ranks = tuple(leaf.ndim for leaf in jax.tree.leaves(numbers))
+    return SignedDistance(numbers, function, ranks)
+
+
+def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
+    dtype = jnp.result_type(float)
+    first = check_array("start", start, [(3,)], "m", dtype=dtype)
+    last = check_array("end", end, [(3,)], "m", dtype=dtype)
+    if not is_traced(first, last):
+        apart = last.astype(dtype) - first.astype(dtype)
+        if not np.any(apart):
+            raise ValueError(f"start and end must differ, got {first} m for both")
+        _check_length("end - start", apart, dtype)
+    return jnp.asarray(first, dtype), jnp.asarray(last, dtype)
+
+
+def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
+    """A vector that can be divided by its length."""
+    checked = check_array(name, value, shapes, "")
+    dtype = jnp.result_type(float)
+    if not is_traced(checked):
+        _check_length(name, checked, dtype)
+    return jnp.asarray(checked, dtype)
+
+
+def _check_length(name: str, vector: np.ndarray, dtype: Any) -> None:
+    """Raises unless the square of the vector's length is within a type's limits."""
+    limits = jnp.finfo(dtype)
+    shortest, longest = float(limits.tiny) ** 0.5, float(limits.max) ** 0.5
+    if not shortest <= math.hypot(*vector) <= longest:
+        raise ValueError(
+            f"{name} must have a length between {shortest:.0e} and {longest:.0e} in "
+            f"{np.dtype(dtype)}, got {vector}"
+        )

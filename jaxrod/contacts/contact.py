@@ -1,0 +1,412 @@
+r"""Contact of a rod with fixed bodies: penalty, damping and Coulomb friction.
+
+At points along the rod (`jaxrod.contacts.points`), each the centre of a section of
+radius $r$, a body's signed distance $\phi$ and normal $n$ give the penetration
+$p = r - \phi$. Per length of rod, with the point's velocity $v$ and
+$v_n = v\cdot n$ (positive when leaving):
+
+$$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
+  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
+
+a spring and a dashpot that meet with equal slope at $v_n = 0$ and never pull. The onset
+is smooth: $\langle p\rangle$ rises from zero at $p = -w/2$ as $(p + w/2)^2/2w$ to
+meet $p$ at $p = w/2$, and $s = d\langle p\rangle/dp$ from 0 to 1. Beyond the onset the
+spring is exactly linear; before, there is nothing at all.
+
+Friction acts where the section touches, at $-r n$ from its centre, which moves at
+$u = v - \omega\times r n$. With the part $u_t$ of it along the surface,
+
+$$F_t = -\frac{c_t u_t}{\sqrt{1 + (c_t |u_t| / \mu F_n)^2}},$$
+
+sliding friction $\mu F_n$ at speed and a drag of rate $c_t$ at rest. What sticks under
+a load $f < \mu F_n$ along the surface creeps, at the speed where friction balances it,
+
+$$u_t = \frac{f}{c_t}\,\frac{1}{\sqrt{1 - (f/\mu F_n)^2}},$$
+
+which is 2.3 times $f/c_t$ at 0.9 of the limit and 7.1 times at 0.99. The slope has a
+bound, $c_t$, whatever the load, so a stable step exists. Its couple $-r n\times F_t$ on
+the section makes rods roll.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.bodies import Body
+from jaxrod.contacts.points import Points, check_spacing, contact_points
+from jaxrod.effects.base import Effect, Reach, Resistance
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree, static
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_count,
+    is_traced,
+)
+
+MOST_POINTS = 1000
+"""Contact points per element: each is in the program; more are taken for a mistake."""
+
+
+@pytree
+class Contact(Effect):
+    """A rod against one fixed body, or against several of a kind.
+
+    See `contact`, and `near_contact` for one that looks at the nearest of them only.
+    """
+
+    body: Body
+    """The body; of several, their numbers have a leading axis."""
+    stiffness: Float[Array, ""]
+    """Force per length of rod and penetration [N/m^2]."""
+    onset: Float[Array, ""]
+    """Width of the smooth onset of contact, over the rod's radius [1]."""
+    damping: Float[Array, ""] | None = None
+    """Force per length of rod and normal speed [kg/(m s)]."""
+    friction: Float[Array, ""] | None = None
+    """Coefficient of Coulomb friction [1]."""
+    friction_drag: Float[Array, ""] | None = None
+    """The most that friction resists per length of rod and speed [kg/(m s)]."""
+    n_bodies: int | None = static(default=None)
+    """How many bodies, if their numbers have a leading axis."""
+    near: tuple[Body, ...] | None = None
+    """For each of `contact_points`, the bodies it looks at in place of all."""
+    n_near: int | None = static(default=None)
+    """How many those are."""
+    points_per_element: int = static(default=1)
+    """Contact points per element."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    @property
+    def twists(self) -> str | None:
+        """Friction, which makes rods roll."""
+        return None if self.friction is None else "friction"
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Normal forces, and what friction does."""
+        loads = Loads()
+        for points, bodies in self._in_view(rod):
+            loads = self._add_loads(loads, rod, motion, points, bodies)
+        if loads.couples is None:
+            return loads
+        frame = directors(motion.orientation)
+        return Loads(loads.forces, to_material(frame, loads.couples))
+
+    def resistance(self, rod: Rod) -> Resistance:
+        """As if every point touched every body that it looks at."""
+        count = self.n_near or self.n_bodies or 1
+        halves = 0.5 * count * rod.rest_lengths
+        lengths = vectors.pad(halves, 0, 1) + vectors.pad(halves, 1, 0)
+        stiffness = self.stiffness * lengths
+        drag = self.damping
+        if self.friction_drag is None:
+            node_drag = None if drag is None else drag * lengths
+            return Resistance(nodes=stiffness, node_drag=node_drag)
+        # Slip is of the point's speed and of the section's turning; by Young's
+        # inequality its square is at most this much of the squares of the two.
+        squares = rod.radii**2
+        inertia = jnp.min(rod.rotary_inertia, axis=0)
+        ratio = jnp.max(squares * rod.linear_density / inertia)
+        slip = self.friction_drag * (1 + ratio)
+        drag = slip if drag is None else jnp.maximum(drag, slip)
+        around = vectors.pad(squares, 0, 1), vectors.pad(squares, 1, 0)
+        largest = jnp.maximum(*around)
+        lever = jnp.maximum(largest[1:], largest[:-1])
+        turning = self.friction_drag * (1 + 1 / ratio) * lever
+        return Resistance(
+            nodes=stiffness,
+            node_drag=drag * lengths,
+            element_drag=count * turning * rod.rest_lengths,
+        )
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Energy of the springs [J]."""
+        position = motion_of(state).position
+        total = jnp.zeros((), state.positions.dtype)
+        for points, bodies in self._in_view(rod):
+            total = total + self._energy_at(rod, position, points, bodies)
+        return total
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Deepest penetration of a node over the radius.
+
+        One where the centreline reaches a surface: no force that fits the rest of the
+        rod lets it come so far.
+        """
+        position = motion_of(state).position
+        nodes, bodies = self._in_view(rod)[0]
+        radii = nodes.of_elements(rod.radii)
+        gaps = [jnp.min(body.surface(position)[0] / radii) for body in bodies]
+        return jnp.maximum(1 - functools.reduce(jnp.minimum, gaps), 0)
+
+    def check(self, rod: Rod) -> None:
+        """Warns where a body is so thin that it fits between two contact points."""
+        check_spacing(self.body.inradius, rod, self.points_per_element)
+
+    def directions(self, rod: Rod, motion: Motion) -> Vec3:
+        """The bodies' normals, whether the rod touches or not.
+
+        None from deep inside: no node gets there, and a short post has its nearest
+        face there above or below.
+        """
+        deepest = jnp.max(rod.radii)
+
+        def normals(body: Body) -> Vec3:
+            distance, normal = body.surface(motion.position)
+            return vectors.scale(jnp.where(distance > -deepest, 1, 0), normal)
+
+        if self.n_bodies is None:
+            return normals(self.body)
+        return jax.vmap(normals)(self.body)
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Contact:
+        """Looks at all bodies again: there are other points."""
+        return dataclasses.replace(self, near=None, n_near=None)
+
+    def _in_view(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
+        """The contact points, and the bodies they look at one by one."""
+        points = contact_points(rod, self.points_per_element)
+        if self.near is None:
+            everything = _one_by_one(self.body, self.n_bodies)
+            return [(some, everything) for some in points]
+        return [
+            (some, _one_by_one(bodies, self.n_near))
+            for some, bodies in zip(points, self.near, strict=True)
+        ]
+
+    def _energy_at(
+        self, rod: Rod, position: Vec3, points: Points, bodies: list[Body]
+    ) -> Array:
+        """Energy of the springs at some contact points [J]."""
+        radii = points.of_elements(rod.radii)
+        place = points.of_nodes(position)
+
+        def of_body(body: Body) -> Array:
+            distance, _ = body.surface(place)
+            density = self._energy_density(radii - distance, self.onset * radii)
+            return jnp.sum(points.lengths * density)
+
+        return _summed(of_body, bodies)
+
+    def _add_loads(
+        self,
+        loads: Loads,
+        rod: Rod,
+        motion: Motion,
+        points: Points,
+        bodies: list[Body],
+    ) -> Loads:
+        """Adds forces, and couples in the world frame, of some contact points."""
+        position = points.of_nodes(motion.position)
+        velocity = points.of_nodes(motion.velocity)
+        radii = points.of_elements(rod.radii)
+        spin = None
+        if self.friction is not None:
+            x, y, z = (points.of_elements(c) for c in motion.angular_velocities(rod))
+            spin = x, y, z
+
+        def of_body(body: Body) -> tuple[Vec3, Vec3 | None]:
+            distance, normal = body.surface(position)
+            leaving = vectors.dot(velocity, normal)
+            push = self._normal_force(radii - distance, leaving, self.onset * radii)
+            force = vectors.scale(push, normal)
+            if spin is None:
+                return force, None
+            arm = vectors.scale(-radii, normal)
+            slip = vectors.add(velocity, vectors.cross(spin, arm))
+            along = vectors.subtract(slip, vectors.scale(leaving, normal))
+            drag = self._friction_force(push, along)
+            return vectors.add(force, drag), vectors.cross(arm, drag)
+
+        force, couple = _summed(of_body, bodies)
+        forces = points.to_nodes(vectors.scale(points.lengths, force))
+        if loads.forces is not None:
+            forces = accumulate(forces, loads.forces)
+        if couple is None:
+            return Loads(forces)
+        x, y, z = (points.to_elements(points.lengths * c) for c in couple)
+        return Loads(forces, accumulate((x, y, z), loads.couples))
+
+    def _normal_force(self, depth: Array, leaving: Array, width: Array) -> Array:
+        """Force per length [N/m] at a penetration [m] and a speed of leaving [m/s]."""
+        touches, depth = _started(depth, width)
+        full = depth >= width
+        spring = jnp.where(full, depth - 0.5 * width, depth * depth / (2 * width))
+        force = self.stiffness * spring
+        if self.damping is not None:
+            share = jnp.where(full, 1, depth / width)
+            # The spring's depth over the dashpot's share: their forces' ratio is
+            # this length over the way made in the time damping / stiffness.
+            ratio = jnp.where(full, depth - 0.5 * width, 0.5 * depth)
+            way = self.damping / self.stiffness * jnp.maximum(leaving, 0)
+            resisting = self.damping * share * jnp.minimum(leaving, 0)
+            force = force * (ratio / (ratio + way)) - resisting
+        return jnp.where(touches, force, 0)
+
+    def _friction_force(self, push: Array, slip: Vec3) -> Vec3:
+        """Force per length [N/m] at a velocity of slip [m/s] under a normal force."""
+        assert self.friction is not None and self.friction_drag is not None
+        limit = self.friction * push
+        rubs = limit > 0
+        excess = vectors.scale(self.friction_drag / jnp.where(rubs, limit, 1), slip)
+        drag = self.friction_drag * jax.lax.rsqrt(1 + vectors.dot(excess, excess))
+        return vectors.scale(jnp.where(rubs, -drag, 0), slip)
+
+    def _energy_density(self, depth: Array, width: Array) -> Array:
+        """Energy per length [J/m]."""
+        touches, depth = _started(depth, width)
+        over = depth - 0.5 * width
+        full = 0.5 * over * over + width * width / 24
+        partial = depth * depth * depth / (6 * width)
+        energy = jnp.where(depth >= width, full, partial)
+        return jnp.where(touches, self.stiffness * energy, 0)
+
+
+def _one_by_one(body: Body, count: int | None) -> list[Body]:
+    """Several bodies with a leading axis as a list; a single one as a list of one."""
+    if count is None:
+        return [body]
+    return [jax.tree.map(operator.itemgetter(k), body) for k in range(count)]
+
+
+def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
+    """What a function gives for each body, added up.
+
+    Body by body in the program, not along an axis of the arrays: that takes two
+    thirds of the time on CPUs.
+    """
+    first, *others = [of_body(body) for body in bodies]
+    return functools.reduce(partial(jax.tree.map, jnp.add), others, first)
+
+
+def _started(depth: Array, width: Array) -> tuple[Array, Array]:
+    """Whether contact has begun, and how deep from there on [m]; safe where not.
+
+    What is so near to the beginning that it is rounding counts as before it: ratios of
+    vanishing numbers would have no gradient.
+    """
+    inside = depth + 0.5 * width
+    touches = inside > float(jnp.finfo(width.dtype).eps) ** 0.5 * width
+    return touches, jnp.where(touches, inside, width)
+
+
+def contact(
+    bodies: Body | Sequence[Body],
+    *,
+    stiffness: Numbers,
+    damping: Numbers = 0.0,
+    friction: Numbers = 0.0,
+    friction_drag: Numbers | None = None,
+    onset: Numbers = 0.01,
+    points_per_element: int = 1,
+) -> Contact:
+    """Contact of the rod with a fixed body, or with several of a kind.
+
+    All loads are per length of rod: a rod of weight `W` and length `L` rests on a
+    plane at a penetration of `W / (stiffness L)`, however many elements it has.
+    `stable_dt` counts stiffness, damping and friction drag as if all of the rod
+    touched: a stiffness well below `linear_density * frequency^2` of the rod's fastest
+    motion costs next to nothing. What a fast rod needs so as not to be pushed through
+    grows with the square of its speed.
+
+    Args:
+        bodies: A body from `jaxrod.sphere`, `capsule`, `cylinder`, `plane`, `box` or
+            `signed_distance`; several of the same kind as a sequence, or as one whose
+            numbers have a leading axis (from `jax.vmap` of a factory). Each adds to
+            the program, a nest of a dozen more than the rod itself; then see
+            `jaxrod.near_contact`.
+        stiffness: Force per length of rod and penetration [N/m^2].
+        damping: Force per length of rod and normal speed [kg/(m s)].
+        friction: Coefficient of Coulomb friction [1].
+        friction_drag: The most that friction resists per length of rod and speed
+            [kg/(m s)]; by default as much as `damping`. What sticks creeps at its
+            load per length over this and over the root of 1 - (load / limit)^2, the
+            limit being the friction times the normal force: the faster the nearer it
+            is to slipping.
+        onset: Width of the smooth onset of contact over the rod's radius [1]: the
+            force starts half a width before rod and body touch and is linear from
+            half a width of penetration on.
+        points_per_element: Where contact is looked for: 1 for the nodes alone, 2 for
+            nodes and middles, and so on. Neighbouring points should be nearer to each
+            other than the radii of rod and body together: from one and a half times
+            that on bodies slip through between. `make_scene` warns where they are not.
+
+    Returns:
+        An effect to list in a scene.
+
+    Raises:
+        ValueError: If a number is out of range, or if friction has no drag.
+        TypeError: If the bodies are not bodies, or not all of a kind.
+    """
+    body, n_bodies = _gathered(bodies)
+    damps = _or_none("damping", damping, "kg/(m s)")
+    rubs = _or_none("friction", friction, "")
+    drag = damping if friction_drag is None else friction_drag
+    drags = _or_none("friction_drag", drag, "kg/(m s)")
+    if rubs is not None and drags is None:
+        raise ValueError(
+            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
+            "and speed at the onset of slip (by default the damping), got 0"
+        )
+    return Contact(
+        body=body,
+        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
+        onset=as_array("onset", onset, "", positive=True),
+        damping=damps,
+        friction=rubs,
+        friction_drag=None if rubs is None else drags,
+        n_bodies=n_bodies,
+        points_per_element=check_count(
+            "points_per_element", points_per_element, 1, MOST_POINTS
+        ),
+    )
+
+
+def _or_none(name: str, value: Numbers, unit: str) -> Array | None:
+    """A number, or nothing at all where it is known to be zero."""
+    dtype = jnp.result_type(float)
+    checked = check_array(name, value, [()], unit, non_negative=True, dtype=dtype)
+    known_zero = not is_traced(checked) and checked == 0
+    return None if known_zero else jnp.asarray(checked, dtype)
+
+
+def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
+    """One body, or several as one with a leading axis and their number."""
+    if isinstance(bodies, Body):
+        return bodies, bodies.count
+    if not isinstance(bodies, Sequence):
+        raise TypeError(
+            "bodies must be a jaxrod body or a sequence of them, got "
+            f"{type(bodies).__name__}"
+        )
+    listed = list(bodies)
+    if not listed:
+        raise ValueError("bodies must be at least one, got none")
+    kinds: list[Any] = [jax.tree.structure(body) for body in listed]
+    for body, kind in zip(listed, kinds, strict=True):
+        if not isinstance(body, Body):
+            raise TypeError(f"bodies must be jaxrod bodies, got {type(body).__name__}")
+        if kind != kinds[0]:
+            raise TypeError(
+                "bodies of one contact must be of a kind, got "
+                f"{type(listed[0]).__name__} and {type(body).__name__}; list a "
+                "contact for each kind in the scene"
+            )
+        if body.count is not None:
+            raise TypeError("bodies in a sequence must be single ones")
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *listed), len(listed)

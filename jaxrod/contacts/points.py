@@ -1,0 +1,155 @@
+"""Where along a rod contact is looked for, and how loads found there reach the rod.
+
+Contact acts per length of rod. Its integral is a sum over points with the lengths they
+stand for (the trapezoidal rule), so loads do not depend on the number of elements. The
+points are the nodes: the tip is one of them, and a force there is a force on a node.
+Where elements are long, more points follow between the nodes of each element, whose
+forces both nodes share by the lever rule. Taking loads to the rod is the transpose of
+taking the rod's motion to the points, so no momentum and no power is lost on the way.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+from jaxrod.validation import is_traced
+
+
+class Points(Protocol):
+    """Contact points of a rod."""
+
+    @property
+    def lengths(self) -> Array:
+        """Rest length of rod each point stands for [m]."""
+
+    def of_nodes(self, field: Vec3) -> Vec3:
+        """What nodes have, at the points."""
+
+    def of_elements(self, field: Array) -> Array:
+        """What elements have, at the points."""
+
+    def to_nodes(self, field: Vec3) -> Vec3:
+        """Forces at the points, on the nodes."""
+
+    def to_elements(self, field: Array) -> Array:
+        """A component of couples at the points, on the elements."""
+
+
+@pytree
+class AtNodes:
+    """The nodes. What elements have is averaged there by length."""
+
+    lengths: Array
+    """Rest length of rod each point stands for [m]."""
+    share_of_first: Array
+    """Share of an element in the average at its first node [1]."""
+    share_of_last: Array
+    """Share of an element in the average at its last node [1]."""
+
+    def of_nodes(self, field: Vec3) -> Vec3:
+        """As it is."""
+        return field
+
+    def of_elements(self, field: Array) -> Array:
+        """Averages of the neighbours."""
+        first, last = self.share_of_first * field, self.share_of_last * field
+        return vectors.pad(first, 0, 1) + vectors.pad(last, 1, 0)
+
+    def to_nodes(self, field: Vec3) -> Vec3:
+        """As it is."""
+        return field
+
+    def to_elements(self, field: Array) -> Array:
+        """Each element's shares of its two nodes' couples."""
+        return self.share_of_first * field[:-1] + self.share_of_last * field[1:]
+
+
+@pytree
+class BetweenNodes:
+    """One point in each element, at the same fraction of all of them."""
+
+    lengths: Array
+    """Rest length of rod each point stands for [m]."""
+    fraction: Array
+    """Of the way from an element's first node to its last [1]."""
+
+    def of_nodes(self, field: Vec3) -> Vec3:
+        """Interpolated between the element's nodes."""
+        way = vectors.scale(self.fraction, vectors.inner_difference(field))
+        x, y, z = (component[:-1] for component in field)
+        return vectors.add((x, y, z), way)
+
+    def of_elements(self, field: Array) -> Array:
+        """As it is."""
+        return field
+
+    def to_nodes(self, field: Vec3) -> Vec3:
+        """Shared by the element's nodes, the nearer one takes more."""
+        last = vectors.scale(self.fraction, field)
+        first = vectors.subtract(field, last)
+        x, y, z = (
+            vectors.pad(a, 0, 1) + vectors.pad(b, 1, 0)
+            for a, b in zip(first, last, strict=True)
+        )
+        return x, y, z
+
+    def to_elements(self, field: Array) -> Array:
+        """As it is."""
+        return field
+
+
+def contact_points(rod: Rod, per_element: int) -> list[Points]:
+    """The nodes, and `per_element - 1` equidistant points inside every element."""
+    lengths = rod.rest_lengths
+    spacing = lengths / per_element
+    around = vectors.pad(lengths, 0, 1) + vectors.pad(lengths, 1, 0)
+    points: list[Points] = [
+        AtNodes(
+            lengths=0.5 * (vectors.pad(spacing, 0, 1) + vectors.pad(spacing, 1, 0)),
+            share_of_first=lengths / around[:-1],
+            share_of_last=lengths / around[1:],
+        )
+    ]
+    for k in range(1, per_element):
+        points.append(BetweenNodes(spacing, spacing.dtype.type(k / per_element)))
+    return points
+
+
+class ThinBodyWarning(UserWarning):
+    """A body fits between the points where a rod looks for contact."""
+
+
+def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
+    """Warns where neighbouring points are farther apart than the radii together.
+
+    Args:
+        inradius: Of the body or bodies, if it is known [m].
+        rod: The rod.
+        per_element: Contact points per element.
+    """
+    if inradius is None or is_traced(inradius, rod):
+        return
+    body, radii = float(np.min(inradius)), np.ravel(rod.radii)
+    lengths = np.ravel(rod.rest_lengths)
+    needed = lengths / (radii + body)
+    worst = int(np.argmax(needed))
+    if needed[worst] <= per_element * (1 + 1e-5):
+        return
+    warnings.warn(
+        f"contact is looked for every {lengths[worst] / per_element:.2g} m along a rod "
+        f"of radius {radii[worst]:.2g} m: a body of radius {body:.2g} m can slip "
+        f"through between. Use points_per_element={math.ceil(needed[worst] - 1e-5)}, "
+        'or more elements; warnings.simplefilter("error", jaxrod.ThinBodyWarning) '
+        "makes this an error.",
+        ThinBodyWarning,
+        stacklevel=4,
+    )

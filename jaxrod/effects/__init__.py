@@ -1,0 +1,1 @@
+"""Influences on a rod: loads, damping, held ends, actuation."""

@@ -1,0 +1,180 @@
+"""The base of every influence on a rod, and the hooks it may have.
+
+An effect is a frozen pytree whose numbers are traced leaves. It overrides the hooks
+it needs; the ones it leaves alone cost nothing in the compiled step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, get_args
+
+from jaxtyping import Array
+
+from jaxrod.effects.ends import Wall
+from jaxrod.geometry.matrices import Matrix
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree
+
+Reach = Literal["neighbours", "any"]
+"""How far along the rod the loads of an effect may see."""
+
+
+@pytree
+class Resistance:
+    """What an effect may add to the stiffness and drag of a rod: upper bounds.
+
+    Each is one number, or one per node or element, or `None` where there is none.
+    `stable_dt` adds them up.
+    """
+
+    nodes: Array | None = None
+    """Stiffness against moving a node [N/m]."""
+    elements: Array | None = None
+    """Stiffness against turning an element [N m]."""
+    node_drag: Array | None = None
+    """Force on a node per speed, where `loads` has it (explicit drag) [kg/s]."""
+    element_drag: Array | None = None
+    """Couple on an element per angular velocity, likewise [N m s]."""
+
+
+class Effect:
+    """Base of all effects: every hook does nothing.
+
+    Hooks are pure. `loads` is called at the configuration in the middle of a step;
+    `hold_rates` after the rates were changed by all loads and by damping; `hold`
+    after every change of configuration. What holds something has both.
+
+    `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
+    need to know more than their values. Without them every method is right or refuses
+    the effect; with them implicit steps and equilibria cost less, and a scene without
+    twist knows how the rod is held. A subclass that has loads of its own does not
+    inherit them.
+    """
+
+    reach: ClassVar[Reach] = "any"
+    """How far along the rod `loads` see.
+
+    "neighbours" promises that the force on node `k` and the couple on element `k`
+    depend on nodes and elements `k - 1`, `k` and `k + 1` alone. Then the linear systems
+    of implicit steps and of `equilibrium` stay block-tridiagonal, with work in
+    proportion to the number of elements; with "any" they are dense. A broken promise
+    would be a wrong derivative: both try the effect out and refuse it if they can tell.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Forgets what a base says of loads that this class replaces."""
+        super().__init_subclass__(**kwargs)
+        if cls.reach not in get_args(Reach):
+            raise ValueError(
+                f"reach must be one of {', '.join(get_args(Reach))}, got {cls.reach!r} "
+                f"in {cls.__name__}"
+            )
+        for name in ("reach", "turning_tangent", "twists", "wall"):
+            if _says_of_other_loads(cls, name):
+                setattr(cls, name, vars(Effect)[name])
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Forces and couples at this moment."""
+        return Loads()
+
+    def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
+        """`loads`, for an effect that answers what acts on the rod already.
+
+        Args:
+            rod: The rod.
+            motion: Where it is and how it moves.
+            before: Internal loads and those of the effects listed earlier. What is not
+                looked at costs nothing.
+        """
+        return self.loads(rod, motion)
+
+    def hold(self, rod: Rod, motion: Motion) -> Motion:
+        """Constrains positions and orientations."""
+        return motion
+
+    def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Constrains velocities and spins."""
+        return motion
+
+    def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
+        """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
+        return None
+
+    def resistance(self, rod: Rod) -> Resistance | None:
+        """Bounds on how steeply `loads` change, for the stability bound.
+
+        An effect whose loads depend on where the rod is or how it moves must have
+        this, or `stable_dt` does not know of it. Constant loads need nothing.
+        """
+        return None
+
+    def energy(self, rod: Rod, state: RodState) -> Array | float:
+        """Potential energy of the effect [J], zero where there is none."""
+        return 0.0
+
+    def violation(self, rod: Rod, state: RodState) -> Array | None:
+        """How far a state is from what the effect ties the rod to [1].
+
+        Zero where that is kept, above one where no sound simulation gets: then
+        `health` flags the state. `None` for an effect that is the same wherever the
+        rod is.
+        """
+        return None
+
+    def check(self, rod: Rod) -> None:
+        """Warns or raises where the effect does not fit the rod; for `make_scene`.
+
+        Numbers may be traced, and then cannot be looked at.
+        """
+
+    def directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
+        """Unit vectors along which forces may act that `loads` does not have yet.
+
+        For checking that they are in the plane of a planar scene.
+        """
+        return None
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Effect:
+        """The same influence on the rod with another number of elements.
+
+        An effect that holds numbers per node or element must have this.
+        """
+        return self
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
+        """Derivative of minus the couples by the elements' own turns, world frame.
+
+        For effects whose loads change with nothing else: forces are constant, and so
+        are couples in the world frame but for this. `None` if they are constant, too.
+        An effect without this hook is differentiated automatically.
+        """
+        raise NotImplementedError
+
+    @property
+    def twists(self) -> str | None:
+        """What of this effect twists a rod or turns with it about its axis, in words.
+
+        A scene without twist refuses such an effect whatever its numbers; what it can
+        find out by calling `loads` needs not be said.
+        """
+        return None
+
+    def wall(self, rod: Rod) -> Wall | None:
+        """What the orientation at an end is held by, if this effect holds one.
+
+        A scene without twist takes the frames of elements from there. The couple of an
+        elastic joint has to be all there is to `loads`.
+        """
+        return None
+
+
+def _says_of_other_loads(kind: type, name: str) -> bool:
+    """Whether what a class inherits by a name was said of loads that it replaced."""
+    for base in kind.__mro__:
+        if name in vars(base):
+            return False
+        if "loads" in vars(base):
+            return True
+    return False

@@ -1,0 +1,214 @@
+"""Held ends: a wall that acts through half an element; an element held fast."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect, Resistance
+from jaxrod.effects.ends import (
+    End,
+    Wall,
+    at_end,
+    check_end,
+    only_at_end,
+    place,
+    replace_end,
+    zero_at_end,
+)
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix, skew, subtract
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    conjugate,
+    join_quaternion,
+    multiply_quaternions,
+    rotation_exp,
+    rotation_log_and_coupling,
+    split_quaternion,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.elastic_tangents import turned_joint
+from jaxrod.rods.elasticity import joint_couples
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree, static
+from jaxrod.validation import check_kind
+
+_LARGEST_ANGLE = 2.5
+"""Beyond this a wall joint is folded, as other joints are to `HealthLimits` [rad]."""
+
+
+@pytree
+class Clamp(Effect):
+    """A wall: the end node held in place, the end element joined to the wall's frame.
+
+    Between wall and end element lies half an element, so the wall acts through an
+    elastic joint of that length, with the end element's own bending stiffness. The
+    static error is then second order in the number of elements: +0.5/n^2 for a
+    cantilever, against -1.5/n when the end element itself is held.
+    """
+
+    orientation: Float[Array, "4"]
+    """The wall's frame, as the end element's would be at rest (w, x, y, z)."""
+    end: End = static(default="start")
+    """Which end is clamped."""
+    position: Float[Array, "3"] | None = None
+    """Where the wall is [m]; only `health` asks. `None`: wherever the end node is."""
+
+    def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
+        """Rotation from the wall to the end element, coupling, and moment [N m]."""
+        wall = conjugate(split_quaternion(self.orientation))
+        rotation, coupling = rotation_log_and_coupling(
+            multiply_quaternions(wall, orientation)
+        )
+        stiffness = vectors.split(self._stiffness(rod))
+        return rotation, coupling, vectors.multiply(stiffness, rotation)
+
+    def _stiffness(self, rod: Rod) -> Float[Array, "3"]:
+        """Of the joint [N m]: that of half an element."""
+        index = 0 if self.end == "start" else -1
+        half = 0.5 * rod.rest_lengths[..., index, None]
+        return rod.bend_twist_stiffness[..., index] / half
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The wall joint's couple on the end element."""
+        orientation = at_end(motion.orientation, self.end)
+        rotation, coupling, moment = self._joint(rod, orientation)
+        odd, even = joint_couples(rotation, coupling, moment)
+        return Loads(
+            couples=only_at_end(vectors.subtract(even, odd), rod.n_elements, self.end)
+        )
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
+        """Of the joint, on the end element."""
+        orientation = at_end(motion.orientation, self.end)
+        rotation, coupling, moment = self._joint(rod, orientation)
+        stiffness = vectors.split(self._stiffness(rod))
+        joint = turned_joint(orientation, rotation, coupling, stiffness, moment)
+        rows = subtract(joint.stiffness, skew(joint.couple))
+        x, y, z = (only_at_end(row, rod.n_elements, self.end) for row in rows)
+        return x, y, z
+
+    def wall(self, rod: Rod) -> Wall:
+        """The wall, and the joint to it."""
+        return Wall(self.orientation, self._stiffness(rod), self.end)
+
+    def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Stops the end node."""
+        return replace(motion, velocity=zero_at_end(motion.velocity, self.end))
+
+    def resistance(self, rod: Rod) -> Resistance:
+        """The stiffness of the wall joint, on the end element."""
+        stiffness = jnp.max(self._stiffness(rod))
+        return Resistance(elements=place(stiffness, rod.n_elements, self.end))
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
+        """Held by the middle of the new end element, which a curved rod turns."""
+        frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
+        return replace(self, orientation=frame)
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Of the end node's distance from the wall and the wall joint's angle.
+
+        One at a radius, and at the angle at which joints are flagged.
+        """
+        orientation = at_end(split_quaternion(state.orientations), self.end)
+        rotation, _, _ = self._joint(rod, orientation)
+        folded = vectors.safe_norm(rotation) / _LARGEST_ANGLE
+        if self.position is None:
+            return folded
+        return jnp.maximum(_offset(self.position, self.end, rod, state), folded)
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Elastic energy of the wall joint [J]."""
+        orientation = at_end(split_quaternion(state.orientations), self.end)
+        rotation, _, moment = self._joint(rod, orientation)
+        return 0.5 * vectors.dot(rotation, moment)
+
+
+@pytree
+class FixedEnd(Effect):
+    """The end node and the whole end element held: PyElastica's `OneEndFixedBC`.
+
+    First order in the number of elements (see `Clamp`); for comparisons.
+    """
+
+    position: Float[Array, "3"]
+    """Where the end node is held [m]."""
+    orientation: Float[Array, "4"]
+    """How the end element is held (w, x, y, z)."""
+    end: End = static(default="start")
+    """Which end is held."""
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
+        """Held by the middle of the new end element, which a curved rod turns."""
+        frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
+        return replace(self, orientation=frame)
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """How far the end section's rim is from where it is held, over the radius."""
+        actual = at_end(split_quaternion(state.orientations), self.end)
+        held = split_quaternion(self.orientation)
+        _, x, y, z = multiply_quaternions(conjugate(held), actual)
+        turned = 2 * vectors.safe_norm((x, y, z))
+        return _offset(self.position, self.end, rod, state) + turned
+
+    def wall(self, rod: Rod) -> Wall:
+        """The end element itself, held fast."""
+        return Wall(self.orientation, None, self.end)
+
+    def hold(self, rod: Rod, motion: Motion) -> Motion:
+        """Puts the end node and end element back."""
+        x, y, z = (
+            replace_end(a, b, self.end)
+            for a, b in zip(motion.position, self.position, strict=True)
+        )
+        q0, q1, q2, q3 = (
+            replace_end(a, b, self.end)
+            for a, b in zip(motion.orientation, self.orientation, strict=True)
+        )
+        return replace(motion, position=(x, y, z), orientation=(q0, q1, q2, q3))
+
+    def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Stops the end node and the end element."""
+        return replace(
+            motion,
+            velocity=zero_at_end(motion.velocity, self.end),
+            spin=zero_at_end(motion.spin, self.end),
+        )
+
+
+def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
+    """Distance of an end node from a place, over the radius there [1]."""
+    index = 0 if end == "start" else -1
+    apart = vectors.split(state.positions[:, index] - place)
+    return vectors.safe_norm(apart) / rod.radii[index]
+
+
+def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
+    """An end element's frame, carried along the rest curvature to another middle."""
+    index, sign = (0, 1) if end == "start" else (-1, -1)
+    way = sign * 0.5 * (new_rod.rest_lengths[index] - rod.rest_lengths[index])
+    turn = vectors.split(way * rod.rest_curvatures[:, index])
+    carried = multiply_quaternions(split_quaternion(orientation), rotation_exp(turn))
+    return join_quaternion(carried)
+
+
+def clamp(state: RodState, end: End = "start") -> Clamp:
+    """A wall at one end of a rod, where the given state has it.
+
+    The wall's frame is the end element's orientation in `state`.
+    """
+    check_kind("state", state, RodState)
+    index = 0 if check_end(end) == "start" else -1
+    return Clamp(state.orientations[:, index], end, state.positions[:, index])
+
+
+def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
+    """Holds one end node and end element where the given state has them."""
+    check_kind("state", state, RodState)
+    index = 0 if check_end(end) == "start" else -1
+    return FixedEnd(state.positions[:, index], state.orientations[:, index], end)

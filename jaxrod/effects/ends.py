@@ -1,0 +1,71 @@
+"""The two ends of a rod: reading and writing the entries of a field there."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from jaxtyping import Array, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import Quaternion
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree, static
+
+End = Literal["start", "finish"]
+
+
+@pytree
+class Wall:
+    """What holds the orientation of the element at one end of a rod."""
+
+    orientation: Float[Array, "4"]
+    """The element's orientation at rest (w, x, y, z)."""
+    stiffness: Float[Array, "3"] | None = None
+    """Of the elastic joint between wall and element, about its axes [N m]; `None`
+    for an element held fast."""
+    end: End = static(default="start")
+    """Which end."""
+
+
+def zero_one_end(field: Array, end: End) -> Array:
+    """The field with zero at one end."""
+    if end == "start":
+        return vectors.pad(field[1:], 1, 0)
+    return vectors.pad(field[:-1], 0, 1)
+
+
+def replace_end(field: Array, value: Array, end: End) -> Array:
+    """The field with another value at one end."""
+    return zero_one_end(field, end) + place(value, field.shape[0], end)
+
+
+def zero_at_end(field: Vec3, end: End) -> Vec3:
+    """A vector field with zero at one end."""
+    a, b, c = (zero_one_end(component, end) for component in field)
+    return a, b, c
+
+
+def at_end(field: Quaternion, end: End) -> Quaternion:
+    """Orientation of the element at one end."""
+    index = 0 if end == "start" else -1
+    w, x, y, z = (component[index] for component in field)
+    return w, x, y, z
+
+
+def place(value: Array, size: int, end: End) -> Array:
+    """A field that is zero but for one end."""
+    before, after = (0, size - 1) if end == "start" else (size - 1, 0)
+    return vectors.pad(value[None], before, after)
+
+
+def only_at_end(value: Vec3, size: int, end: End) -> Vec3:
+    """A vector field that is zero but for one end."""
+    a, b, c = (place(component, size, end) for component in value)
+    return a, b, c
+
+
+def check_end(end: End) -> End:
+    """Returns the name of an end, or raises if it is none."""
+    if not isinstance(end, str) or end not in ("start", "finish"):
+        raise ValueError(f'end must be "start" or "finish", got {end!r}')
+    return end

@@ -1,0 +1,192 @@
+"""Loads that need nothing but the rod: gravity, end loads, uniform loads, damping."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.ends import End, at_end, check_end, only_at_end
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix, skew
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, as_array
+
+
+@pytree
+class Gravity(Effect):
+    """Uniform gravity: force `m g` on every node."""
+
+    acceleration: Float[Array, "3"]
+    """Gravitational acceleration, world frame [m/s^2]."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Weight of the nodes."""
+        masses = rod.node_masses
+        g = self.acceleration
+        return Loads(forces=(masses * g[0], masses * g[1], masses * g[2]))
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the weight is constant."""
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Minus the work of gravity from the origin [J]."""
+        heights = jnp.sum(self.acceleration[:, None] * state.positions, axis=0)
+        return -jnp.sum(rod.node_masses * heights)
+
+
+@pytree
+class EndLoad(Effect):
+    """A constant force and couple on one end of the rod (dead loads)."""
+
+    force: Float[Array, "3"]
+    """On the end node, world frame [N]."""
+    couple: Float[Array, "3"]
+    """On the end element, world frame, or material frame if `follower` [N m]."""
+    end: End = static(default="finish")
+    """Which end."""
+    follower: bool = static(default=False)
+    """Whether the couple turns with the end element."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The force and the couple."""
+        couple = vectors.split(self.couple)
+        if not self.follower:
+            couple = to_material(
+                directors(at_end(motion.orientation, self.end)), couple
+            )
+        return Loads(
+            forces=only_at_end(vectors.split(self.force), rod.n_elements + 1, self.end),
+            couples=only_at_end(couple, rod.n_elements, self.end),
+        )
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
+        """Of the couple, if it turns with the element."""
+        if not self.follower:
+            return None
+        frame = directors(at_end(motion.orientation, self.end))
+        rows = skew(to_world(frame, vectors.split(self.couple)))
+        x, y, z = (only_at_end(row, rod.n_elements, self.end) for row in rows)
+        return x, y, z
+
+    @property
+    def twists(self) -> str | None:
+        """The couple, if it turns with the element."""
+        return "follower=True" if self.follower else None
+
+
+@pytree
+class UniformLoad(Effect):
+    """A constant force and couple per rest length all along the rod (dead loads)."""
+
+    force_per_length: Float[Array, "3"]
+    """World frame [N/m]."""
+    couple_per_length: Float[Array, "3"]
+    """World frame [N m/m]."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Forces shared half and half by an element's nodes; couples on elements."""
+        lengths = rod.rest_lengths
+        f, c = self.force_per_length, self.couple_per_length
+        forces = (0.5 * lengths * f[0], 0.5 * lengths * f[1], 0.5 * lengths * f[2])
+        couples = (lengths * c[0], lengths * c[1], lengths * c[2])
+        return Loads(
+            forces=vectors.pair_sum(forces),
+            couples=to_material(directors(motion.orientation), couples),
+        )
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the couples are constant in the world frame."""
+
+
+@pytree
+class ExponentialDamping(Effect):
+    r"""Linear damping: rates decay exponentially when nothing else acts.
+
+    $\dot v = f/m - g_t v$ and $\dot P = c - g_r P$. In consistent mode a kick solves
+    these exactly for the loads held constant over the step: second order, stable
+    and with the right terminal velocity however large the rates are. In PyElastica
+    mode rates are multiplied by $e^{-g h}$ after the kick, as its
+    `AnalyticalLinearDamper` does.
+    """
+
+    translational_rate: Float[Array, ""]
+    """Of velocities [1/s]."""
+    rotational_rate: Float[Array, ""]
+    """Of spins [1/s]."""
+
+    def damping_rates(self, rod: Rod) -> tuple[Array, Array]:
+        """The two rates [1/s]."""
+        return self.translational_rate, self.rotational_rate
+
+
+# Factories: what users call. They check their arguments and say what is wrong.
+
+
+def gravity(acceleration: Numbers = (0.0, 0.0, -9.80665)) -> Gravity:
+    """Uniform gravity.
+
+    Args:
+        acceleration: World frame `(3,)` [m/s^2].
+    """
+    return Gravity(as_array("acceleration", acceleration, "m/s^2", [(3,)]))
+
+
+def end_load(
+    force: Numbers = (0.0, 0.0, 0.0),
+    couple: Numbers = (0.0, 0.0, 0.0),
+    *,
+    end: End = "finish",
+    follower: bool = False,
+) -> EndLoad:
+    """A constant force and couple on one end.
+
+    Args:
+        force: On the end node, world frame `(3,)` [N].
+        couple: On the end element `(3,)` [N m]; world frame, or material frame if
+            `follower`.
+        end: "start" or "finish".
+        follower: Whether the couple turns with the end element.
+    """
+    return EndLoad(
+        force=as_array("force", force, "N", [(3,)]),
+        couple=as_array("couple", couple, "N m", [(3,)]),
+        end=check_end(end),
+        follower=bool(follower),
+    )
+
+
+def uniform_load(
+    force_per_length: Numbers = (0.0, 0.0, 0.0),
+    couple_per_length: Numbers = (0.0, 0.0, 0.0),
+) -> UniformLoad:
+    """A constant force and couple per rest length.
+
+    Args:
+        force_per_length: World frame `(3,)` [N/m].
+        couple_per_length: World frame `(3,)` [N m/m].
+    """
+    return UniformLoad(
+        as_array("force_per_length", force_per_length, "N/m", [(3,)]),
+        as_array("couple_per_length", couple_per_length, "N m/m", [(3,)]),
+    )
+
+
+def exponential_damping(
+    translational_rate: Numbers, rotational_rate: Numbers | None = None
+) -> ExponentialDamping:
+    """Exponential decay of all rates.
+
+    Args:
+        translational_rate: Of velocities, at least 0 [1/s].
+        rotational_rate: Of spins, at least 0 [1/s]; the same by default.
+    """
+    if rotational_rate is None:
+        rotational_rate = translational_rate
+    return ExponentialDamping(
+        as_array("translational_rate", translational_rate, "1/s", non_negative=True),
+        as_array("rotational_rate", rotational_rate, "1/s", non_negative=True),
+    )

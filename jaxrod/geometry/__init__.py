@@ -1,0 +1,1 @@
+"""Vectors, rotations, matrices and frames as tuples of component arrays."""

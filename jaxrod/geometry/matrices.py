@@ -1,0 +1,78 @@
+"""Fields of 3 by 3 matrices, as rows of component arrays."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+
+Matrix = tuple[Vec3, Vec3, Vec3]
+"""A field of 3 by 3 matrices: its rows."""
+
+
+def skew(a: Vec3) -> Matrix:
+    """The matrix whose product with a vector is the vector product with `a`."""
+    zero = jnp.zeros_like(a[0])
+    return (zero, -a[2], a[1]), (a[2], zero, -a[0]), (-a[1], a[0], zero)
+
+
+def outer(a: Vec3, b: Vec3) -> Matrix:
+    """The matrix of the products of components."""
+    return vectors.scale(a[0], b), vectors.scale(a[1], b), vectors.scale(a[2], b)
+
+
+def scaled_identity(a: Array) -> Matrix:
+    """The identity times a scalar field."""
+    zero = jnp.zeros_like(a)
+    return (a, zero, zero), (zero, a, zero), (zero, zero, a)
+
+
+def turned_diagonal(frame: tuple[Vec3, Vec3, Vec3], entries: Vec3) -> Matrix:
+    """World components of a matrix that is diagonal in the material frame."""
+    one, two, three = (
+        outer(vectors.scale(entry, axis), axis)
+        for axis, entry in zip(frame, entries, strict=True)
+    )
+    return add(add(one, two), three)
+
+
+def cross_rows(matrix: Matrix, a: Vec3) -> Matrix:
+    """The product with `skew(a)` on the right: each row's vector product with `a`."""
+    return (
+        vectors.cross(matrix[0], a),
+        vectors.cross(matrix[1], a),
+        vectors.cross(matrix[2], a),
+    )
+
+
+def transpose(a: Matrix) -> Matrix:
+    """Rows become columns."""
+    x, y, z = zip(*a, strict=True)
+    return x, y, z
+
+
+def add(a: Matrix, b: Matrix) -> Matrix:
+    """Sum."""
+    return vectors.add(a[0], b[0]), vectors.add(a[1], b[1]), vectors.add(a[2], b[2])
+
+
+def subtract(a: Matrix, b: Matrix) -> Matrix:
+    """Difference."""
+    return add(a, scale(-1, b))
+
+
+def scale(factor: Array | float, a: Matrix) -> Matrix:
+    """Product with a scalar field."""
+    return (
+        vectors.scale(factor, a[0]),
+        vectors.scale(factor, a[1]),
+        vectors.scale(factor, a[2]),
+    )
+
+
+def stacked(matrix: Matrix) -> Float[Array, "entries 3 3"]:
+    """The matrices as one array."""
+    entries = jnp.stack([entry for row in matrix for entry in row], axis=-1)
+    return entries.reshape(-1, 3, 3)

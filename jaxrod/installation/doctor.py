@@ -1,0 +1,258 @@
+"""Checks that this machine computes what it is told to.
+
+Compilers have bugs, and a wrong number looks like any other number. Each check
+here runs a small program whose right answer is known, or reports a setting that
+changes answers. The command `jaxrod doctor` prints the result, and the test suite
+asserts that every check passes.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
+from importlib import metadata
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxrod.installation import jax_version
+
+if TYPE_CHECKING:
+    import jax
+
+
+@dataclass(frozen=True)
+class Check:
+    """What one check found.
+
+    Attributes:
+        name: what was checked.
+        ok: False when results computed here cannot be trusted.
+        detail: what was found, with numbers.
+        advice: what to do about it; empty when there is nothing to do.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    advice: str = ""
+
+
+def run_checks() -> list[Check]:
+    """Runs every check and returns what was found; prints nothing.
+
+    A check that itself fails to run counts as failed, so the list is always
+    complete: a broken installation is described, not raised.
+    """
+    checks = [_guard("versions", check_versions)]
+    found = _guard("devices", check_devices)
+    checks.append(found)
+    if found.ok:
+        for device in _one_device_per_platform():
+            checks += check_device(device)
+    checks.append(_guard("default precision", check_default_precision))
+    checks.append(check_processors())
+    return checks
+
+
+def check_device(device: jax.Device) -> Iterator[Check]:
+    """Yields the checks that run a program on one device."""
+    where = f" on {device.platform}"
+    for dtype in (np.float32, np.float64):
+        name = f"batched products, {np.dtype(dtype).name}{where}"
+        yield _guard(name, partial(check_batched_products, device, dtype))
+    yield _guard("compensated sum" + where, partial(check_compensated_sum, device))
+    yield _guard("matrix products" + where, partial(check_matrix_products, device))
+
+
+def check_versions() -> Check:
+    """Checks that jax and jaxlib are sound releases and belong together."""
+    versions = {name: metadata.version(name) for name in ("jax", "jaxlib")}
+    for plugin in ("jax-cuda12-plugin", "jax-cuda13-plugin", "jax-rocm7-plugin"):
+        try:
+            versions[plugin] = metadata.version(plugin)
+        except metadata.PackageNotFoundError:
+            continue
+    versions["numpy"] = np.__version__
+    detail = ", ".join(f"{name} {version}" for name, version in versions.items())
+    detail += f", Python {platform.python_version()}"
+    for package in ("jax", "jaxlib"):
+        sentence = jax_version.fault(package, versions[package])
+        if sentence is not None:
+            return Check("versions", False, detail, sentence)
+    series = jax_version.release(versions["jax"])[:2]
+    for package, version in versions.items():
+        if package.startswith("jax") and jax_version.release(version)[:2] != series:
+            advice = (
+                f"jax {versions['jax']} and {package} {version} are of different "
+                f"series. Install matching ones with: pip install "
+                f'"jax=={versions["jax"]}" "{package}=={versions["jax"]}"'
+            )
+            return Check("versions", False, detail, advice)
+    return Check("versions", True, detail)
+
+
+def check_devices() -> Check:
+    """Lists the devices that JAX sees."""
+    import jax
+
+    devices = jax.devices()
+    kinds = sorted({f"{device.platform} ({device.device_kind})" for device in devices})
+    return Check("devices", True, f"{len(devices)} x {', '.join(kinds)}")
+
+
+def check_batched_products(
+    device: jax.Device, dtype: type[np.float32] | type[np.float64]
+) -> Check:
+    """Squares the norm of `M @ r` for many r and compares with NumPy.
+
+    This is the program that jax 0.10.2 compiles wrongly on CPUs: in a batch of
+    40 001, the rows after 32 768 (float32) or 16 384 (float64) come out wrong.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    rows = 40_001
+    name = f"batched products, {np.dtype(dtype).name} on {device.platform}"
+    matrix = np.array([[0.9, -0.1, 0.2], [0.3, 1.1, -0.4], [-0.2, 0.5, 0.8]], dtype)
+    vectors = np.random.default_rng(0).standard_normal((rows, 3)).astype(dtype)
+    # 64-bit types have to be on both when the arrays are made and when compiling.
+    with jax.enable_x64(True) if dtype == np.float64 else nullcontext():
+        put = jax.device_put((matrix, vectors), device)
+        squares = jax.vmap(lambda m, r: jnp.sum((m @ r) ** 2), in_axes=(None, 0))
+        with jax.default_matmul_precision("highest"):
+            got = np.asarray(jax.jit(squares)(*put), np.float64)
+    exact = np.sum((vectors.astype(np.float64) @ matrix.astype(np.float64).T) ** 2, 1)
+    error = float(np.max(np.abs(got - exact)) / np.max(exact))
+    limit = 64 * float(np.finfo(dtype).eps)
+    detail = f"relative error {error:.1e} (limit {limit:.1e}, {rows} rows)"
+    if error <= limit:
+        return Check(name, True, detail)
+    wrong = int(np.sum(np.abs(got - exact) > limit * np.max(exact)))
+    return Check(
+        name,
+        False,
+        f"{detail}; {wrong} rows are wrong",
+        "The compiler gives wrong numbers. " + jax_version.remedy(),
+    )
+
+
+def check_compensated_sum(device: jax.Device) -> Check:
+    """Adds 1e-8 to 1 a million times in float32, with Kahan's compensation.
+
+    A plain float32 sum stays at exactly 1. A compiler that treats floating-point
+    addition as associative removes the compensation and gives 1 as well.
+    """
+    import jax
+
+    name = f"compensated sum on {device.platform}"
+    additions, per_turn = 1_000_000, 10
+
+    def turn(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        total, lost = carry
+        for _ in range(per_turn):
+            term = increment - lost
+            bigger = total + term
+            lost = (bigger - total) - term
+            total = bigger
+        return total, lost
+
+    def add_up(start: jax.Array, turns: int) -> jax.Array:
+        return jax.lax.fori_loop(0, turns, turn, (start, 0 * start))[0]
+
+    # Several lanes, so that vector instructions are compiled and checked too.
+    start = jax.device_put(np.ones(16, np.float32), device)
+    increment = jax.device_put(np.full(16, 1e-8, np.float32), device)
+    got = np.asarray(jax.jit(add_up)(start, additions // per_turn), np.float64)
+    exact = 1 + additions * float(np.float32(1e-8))
+    error = float(np.max(np.abs(got - exact)))
+    detail = f"error {error:.1e} after {additions} additions of 1e-8"
+    if error <= 2e-7:
+        return Check(name, True, detail)
+    return Check(
+        name,
+        False,
+        detail,
+        "The compiler reorders floating-point operations, so compensated float32 "
+        "states drift. Remove fast-math options from XLA_FLAGS.",
+    )
+
+
+def check_matrix_products(device: jax.Device) -> Check:
+    """Measures the precision of float32 matrix products at the default setting.
+
+    GPUs may round the factors to TF32, which keeps 10 bits. The rod equations
+    are written without matrix products for that reason; policy networks are not.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    a, b = np.random.default_rng(0).standard_normal((2, 64, 64)).astype(np.float32)
+    put = jax.device_put((a, b), device)
+    got = np.asarray(jax.jit(jnp.matmul)(*put), np.float64)
+    exact = a.astype(np.float64) @ b.astype(np.float64)
+    error = float(np.max(np.abs(got - exact)) / np.max(np.abs(exact)))
+    # By a variable: the type stubs of some releases lack this option.
+    option = "jax_default_matmul_precision"
+    setting = getattr(jax.config, option) or "default"
+    detail = f"float32 relative error {error:.1e} (precision setting: {setting})"
+    advice = ""
+    if error > 1e-5:
+        advice = (
+            "Matrix products use fewer than 24 bits here. Rods are not affected; for "
+            "exact networks set JAX_DEFAULT_MATMUL_PRECISION=highest."
+        )
+    return Check(f"matrix products on {device.platform}", error < 0.05, detail, advice)
+
+
+def check_default_precision() -> Check:
+    """Says which floating-point type arrays get when none is asked for."""
+    import jax.numpy as jnp
+
+    default = np.dtype(jnp.zeros(()).dtype).name
+    return Check(
+        "default precision",
+        True,
+        f"{default} (JAX_ENABLE_X64=1 makes it float64)"
+        if default == "float32"
+        else default,
+    )
+
+
+def check_processors() -> Check:
+    """Says how many processors may be used and which XLA options are set."""
+    if hasattr(os, "sched_getaffinity"):
+        usable = len(os.sched_getaffinity(0))
+    else:
+        usable = os.cpu_count() or 1
+    flags = os.environ.get("XLA_FLAGS", "").strip() or "none"
+    detail = f"{usable} of {os.cpu_count()} usable; XLA_FLAGS: {flags}"
+    fast_math = "xla_cpu_enable_fast_math" in flags and "fast_math=false" not in flags
+    advice = "Remove the fast-math option from XLA_FLAGS." if fast_math else ""
+    return Check("processors", not fast_math, detail, advice)
+
+
+def _one_device_per_platform() -> list[jax.Device]:
+    """Returns the default device and, where that is not a CPU, a CPU as well."""
+    import jax
+
+    devices = [jax.devices()[0]]
+    if devices[0].platform != "cpu":
+        try:
+            devices.append(jax.devices("cpu")[0])
+        except RuntimeError:  # JAX_PLATFORMS leaves the CPU out
+            pass
+    return devices
+
+
+def _guard(name: str, check: Callable[[], Check]) -> Check:
+    """Runs a check; whatever it raises is what it found."""
+    try:
+        return check()
+    except Exception as error:
+        sentence = f"did not run: {type(error).__name__}: {error}"
+        return Check(name, False, sentence, "Reinstall JAX for this machine.")

@@ -1,0 +1,1 @@
+"""The rod itself: parameters, state, elastic law, factories."""

@@ -1,0 +1,253 @@
+"""Making rods: host-side factories that validate and speak SI."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.geometry.material_frames import (
+    check_frames,
+    module_for,
+    quaternions,
+    straight_frame,
+    transported_frames,
+    unit_vector,
+)
+from jaxrod.geometry.rotations import split_quaternion
+from jaxrod.geometry.vectors import inner_difference, join, split
+from jaxrod.rods.elasticity import joint_rotations, shear_stretch
+from jaxrod.rods.rod import Rod, RodState, check_state
+from jaxrod.rods.sections import round_rod
+from jaxrod.validation import (
+    Numbers,
+    check_array,
+    check_count,
+    check_dtype,
+    is_traced,
+    numeric,
+)
+
+TIMOSHENKO_SHEAR_CORRECTION = 27 / 28
+"""Shear correction factor of a circular section, as in PyElastica 1.0."""
+MOST_ELEMENTS = 1_000_000
+"""More are taken for a mistake."""
+ROUNDED = 0.01
+"""Places that the type tells apart may be this share of an element apart at most."""
+
+
+def straight_rod(
+    n_elements: int,
+    *,
+    length: Numbers,
+    radius: Numbers,
+    density: Numbers,
+    youngs_modulus: Numbers,
+    shear_modulus: Numbers | None = None,
+    poisson_ratio: Numbers = 0.5,
+    shear_correction: Numbers = TIMOSHENKO_SHEAR_CORRECTION,
+    start: Numbers = (0.0, 0.0, 0.0),
+    direction: Numbers = (0.0, 0.0, 1.0),
+    normal: Numbers | None = None,
+    dtype: Any = None,
+) -> tuple[Rod, RodState]:
+    """A straight, unstressed rod of circular section, at rest.
+
+    Args:
+        n_elements: Number of elements, at least 2.
+        length: Rest length [m].
+        radius: Radius [m]: one number, one per element `(n,)`, or the pair `(2,)` of
+            base and tip radius, between which it varies linearly; for 2 elements, of
+            which a pair could be either, one number only.
+        density: Mass density [kg/m^3], one number or one per element.
+        youngs_modulus: Young's modulus [Pa], one number or one per element.
+        shear_modulus: Shear modulus [Pa]; by default
+            `youngs_modulus / (2 (1 + poisson_ratio))`.
+        poisson_ratio: Poisson's ratio [1], used when no shear modulus is given.
+        shear_correction: Timoshenko's shear correction factor [1].
+        start: Position of the first node [m].
+        direction: Direction from first to last node; any length but zero.
+        normal: Direction of d1; its part along `direction` is removed. By default
+            a world axis perpendicular or nearly so.
+        dtype: float32 or float64; by default JAX's default.
+
+    Returns:
+        The rod and its state.
+
+    Raises:
+        ValueError: If an argument is out of range or does not fit, or the type cannot
+            hold it or what follows from it (masses and stiffnesses of elements).
+    """
+    n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
+    dtype = check_dtype(dtype)
+    extent = check_array("length", length, [()], "m", positive=True, dtype=dtype)
+    origin = check_array("start", start, [(3,)], "m", dtype=dtype)
+    axis = unit_vector("direction", direction)
+    frame = straight_frame(axis, normal)
+    fractions = np.linspace(0.0, 1.0, n + 1)
+    along = extent * axis[:, None] * fractions[None, :]
+    return _build(
+        "start",
+        origin[:, None] + along,
+        module_for(frame).repeat(quaternions(frame[:, :, None]), n, axis=1),
+        rest_lengths=extent * np.full(n, 1 / n),
+        radius=radius,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=shear_modulus,
+        poisson_ratio=poisson_ratio,
+        shear_correction=shear_correction,
+        dtype=dtype,
+        straight=True,
+    )
+
+
+def rod_along(
+    positions: Numbers,
+    *,
+    radius: Numbers,
+    density: Numbers,
+    youngs_modulus: Numbers,
+    shear_modulus: Numbers | None = None,
+    poisson_ratio: Numbers = 0.5,
+    shear_correction: Numbers = TIMOSHENKO_SHEAR_CORRECTION,
+    normal: Numbers | None = None,
+    directors: Numbers | None = None,
+    dtype: Any = None,
+) -> tuple[Rod, RodState]:
+    """A rod whose unstressed shape follows a given polyline, at rest.
+
+    The material frames are carried along the curve without twist (parallel
+    transport) unless they are given. Curvature, twist and shear of this shape become
+    the rod's rest values: the rod is pre-curved, not bent.
+
+    Args:
+        positions: Nodes of the rest shape `(3, n + 1)` [m], n at least 2.
+        radius: As in `straight_rod`.
+        density: As in `straight_rod`.
+        youngs_modulus: As in `straight_rod`.
+        shear_modulus: As in `straight_rod`.
+        poisson_ratio: As in `straight_rod`.
+        shear_correction: As in `straight_rod`.
+        normal: Direction of d1 of the first element; see `straight_rod`.
+        directors: Material frames `(3, 3, n)`, `[i, j]` being world component j of
+            director i, orthonormal and right-handed, d3 along the rod to 10 degrees;
+            instead of `normal`.
+        dtype: float32 or float64; by default JAX's default.
+
+    Returns:
+        The rod and its state.
+
+    Raises:
+        ValueError: If an argument is out of range or does not fit, or the type cannot
+            hold it or what follows from it (masses and stiffnesses of elements).
+    """
+    nodes = numeric("positions", positions, "m")
+    if nodes.ndim != 2 or nodes.shape[0] != 3 or nodes.shape[1] < 3:
+        raise ValueError(
+            "positions must have shape (3, n + 1) with n >= 2, in metres, "
+            f"got {nodes.shape}"
+        )
+    dtype = check_dtype(dtype)
+    check_array("positions", nodes, [nodes.shape], "m", dtype=dtype)
+    n = check_count("n_elements", nodes.shape[1] - 1, 2, MOST_ELEMENTS)
+    xp = module_for(nodes)
+    with np.errstate(over="ignore"):
+        edges = nodes[:, 1:] - nodes[:, :-1]
+        lengths = xp.sqrt(xp.sum(edges * edges, axis=0))
+    distances = "distance between neighbouring nodes"
+    check_array(distances, lengths, [(n,)], "m", positive=True, dtype=dtype)
+    tangents = edges / lengths[None, :]
+    if directors is None:
+        frames = transported_frames(tangents, normal)
+    else:
+        frames = check_frames(directors, tangents)
+    return _build(
+        "positions",
+        nodes,
+        quaternions(frames),
+        rest_lengths=lengths,
+        radius=radius,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=shear_modulus,
+        poisson_ratio=poisson_ratio,
+        shear_correction=shear_correction,
+        dtype=dtype,
+        straight=False,
+    )
+
+
+def _build(
+    placed_by: str,
+    positions: Any,
+    orientations: Any,
+    *,
+    rest_lengths: Any,
+    radius: Numbers,
+    density: Numbers,
+    youngs_modulus: Numbers,
+    shear_modulus: Numbers | None,
+    poisson_ratio: Numbers,
+    shear_correction: Numbers,
+    dtype: Any,
+    straight: bool,
+) -> tuple[Rod, RodState]:
+    n = orientations.shape[1]
+    rod = round_rod(
+        n,
+        rest_lengths=rest_lengths,
+        radius=radius,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=shear_modulus,
+        poisson_ratio=poisson_ratio,
+        shear_correction=shear_correction,
+        dtype=dtype,
+    )
+    if not is_traced(positions, rest_lengths):
+        _check_resolved(placed_by, positions, rest_lengths, dtype)
+    state = RodState(
+        positions=jnp.asarray(positions, dtype),
+        orientations=jnp.asarray(orientations, dtype),
+        velocities=jnp.zeros((3, n + 1), dtype),
+        angular_momenta=jnp.zeros((3, n), dtype),
+    )
+    return (rod if straight else unstressed(rod, state)), state
+
+
+def _check_resolved(
+    name: str, positions: np.ndarray, rest_lengths: np.ndarray, dtype: Any
+) -> None:
+    """Raises if elements are not long beside the rounding of their nodes' positions."""
+    farthest = np.max(np.abs(positions)).astype(dtype)
+    shortest, apart = np.min(rest_lengths), np.spacing(farthest)
+    if apart > ROUNDED * shortest:
+        raise ValueError(
+            f"{name} must be nearer to the origin: {farthest:.3g} m from it places in "
+            f"{np.dtype(dtype)} are {apart:.2g} m apart, and elements are "
+            f"{shortest:.2g} m long"
+        )
+
+
+def unstressed(rod: Rod, state: RodState) -> Rod:
+    """A copy of the rod for which the given state is free of stress.
+
+    Sets rest strains and rest curvatures, not rest lengths, to those of the state.
+
+    Raises:
+        TypeError: If they are not a rod and a state.
+        ValueError: If the state is not of that rod.
+    """
+    check_state(rod, state)
+    orientation = split_quaternion(state.orientations)
+    edges = inner_difference(split(state.positions))
+    strains = shear_stretch(edges, orientation, 1 / rod.rest_lengths)
+    bends, _ = joint_rotations(orientation)
+    return dataclasses.replace(
+        rod,
+        rest_strains=join(strains),
+        rest_curvatures=join(bends) / rod.joint_lengths[None, :],
+    )

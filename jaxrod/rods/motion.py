@@ -1,0 +1,139 @@
+"""The state taken apart into component arrays, as the inside of a step sees it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    directors,
+    join_quaternion,
+    split_quaternion,
+    to_world,
+)
+from jaxrod.geometry.vectors import (
+    Vec3,
+    add,
+    dot,
+    inner_difference,
+    join,
+    join_optional,
+    safe_norm,
+    scale,
+    split,
+    split_optional,
+    subtract,
+)
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree, static
+
+
+@pytree
+class Motion:
+    """Positions, orientations and their rates as tuples of component arrays.
+
+    What the integrators carry from step to step and what effects see. Taking the
+    state apart once per call instead of once per step keeps stacking and slicing
+    out of the compiled loop.
+    """
+
+    position: Vec3
+    """Node positions, world frame [m]."""
+    orientation: Quaternion
+    """Element orientations, material to world."""
+    velocity: Vec3
+    """Node velocities, world frame [m/s]."""
+    spin: Vec3
+    """Rotation rate of the elements, in the scene's own variable.
+
+    Consistent mode: angular momentum, world frame [kg m^2/s]. PyElastica mode:
+    angular velocity, material frame [rad/s].
+    """
+    remainder: Vec3 | None = None
+    """What rounding has added to the positions [m], where that is kept count of."""
+    spin_is_velocity: bool = static(default=False)
+    """Whether `spin` is angular velocity, as in PyElastica mode, or momentum."""
+
+    @property
+    def edges(self) -> Vec3:
+        """Vectors from each node to the next, world frame [m]."""
+        edges = inner_difference(self.position)
+        if self.remainder is None:
+            return edges
+        return subtract(edges, inner_difference(self.remainder))
+
+    @property
+    def lengths(self) -> Array:
+        """Current element lengths [m]."""
+        return safe_norm(self.edges)
+
+    def angular_velocities(self, rod: Rod) -> Vec3:
+        """Of the elements, world frame [rad/s]."""
+        frame = directors(self.orientation)
+        if self.spin_is_velocity:
+            return to_world(frame, self.spin)
+        transverse, polar = rod.inertias
+        axial = (1 / polar - 1 / transverse) * dot(frame[2], self.spin)
+        return add(scale(1 / transverse, self.spin), scale(axial, frame[2]))
+
+    @property
+    def at_rest(self) -> Motion:
+        """The same configuration without its rates."""
+        still = jax.tree.map(jnp.zeros_like, (self.velocity, self.spin))
+        return replace(self, velocity=still[0], spin=still[1])
+
+    def moved(self, dt: Array) -> Motion:
+        """The nodes moved at their velocities for a time `dt` [s].
+
+        With a remainder this is Kahan's compensated sum.
+        """
+        step = scale(dt, self.velocity)
+        if self.remainder is None:
+            return replace(self, position=add(self.position, step))
+        step = subtract(step, self.remainder)
+        position = add(self.position, step)
+        remainder = subtract(subtract(position, self.position), step)
+        return replace(self, position=position, remainder=remainder)
+
+
+def motion_of(state: RodState) -> Motion:
+    """A state taken apart; its spin is the angular momentum."""
+    return Motion(
+        position=split(state.positions),
+        orientation=split_quaternion(state.orientations),
+        velocity=split(state.velocities),
+        spin=split(state.angular_momenta),
+        remainder=split_optional(state.remainders),
+    )
+
+
+def state_of(motion: Motion) -> RodState:
+    """The state put together again, of a motion whose spin is angular momentum."""
+    return RodState(
+        positions=join(motion.position),
+        orientations=join_quaternion(motion.orientation),
+        velocities=join(motion.velocity),
+        angular_momenta=join(motion.spin),
+        remainders=join_optional(motion.remainder),
+    )
+
+
+@pytree
+class Loads:
+    """Forces on nodes and couples on elements. `None` where there are none."""
+
+    forces: Vec3 | None = None
+    """On the `n + 1` nodes, world frame [N]."""
+    couples: Vec3 | None = None
+    """On the `n` elements, material frame [N m]."""
+
+
+def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:
+    """Adds an optional vector field."""
+    if part is None:
+        return total
+    return total[0] + part[0], total[1] + part[1], total[2] + part[2]

@@ -1,0 +1,1 @@
+"""Equilibria, and the linear systems behind them and behind implicit steps."""

@@ -1,0 +1,164 @@
+r"""Block-tridiagonal linear systems: what a chain of elements makes of Newton's method.
+
+Row $k$ couples the unknowns of block $k$ with those of its two neighbours,
+
+$$L_k x_{k-1} + D_k x_k + U_k x_{k+1} = b_k.$$
+
+Block elimination (Thomas' algorithm) solves it in two passes along the chain, work
+and memory in proportion to the number of blocks. Blocks are eliminated without
+exchanging rows, which is safe for what rods give: positive definite matrices up to
+small non-symmetric parts, whatever the units of the unknowns. No LAPACK: a call per
+block would cost more than the elimination, and would not batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.structure import pytree
+
+
+@pytree
+class BlockTridiagonal:
+    """A square matrix of `n` by `n` blocks, zero but near the diagonal.
+
+    Each field has a block for every row. The first block of `lower` and the last of
+    `upper` lie outside the matrix and have to be zero.
+    """
+
+    lower: Float[Array, "n m m"]
+    """Block `k` couples row `k` to the unknowns of block `k - 1`."""
+    diagonal: Float[Array, "n m m"]
+    """Couples each row to its own unknowns."""
+    upper: Float[Array, "n m m"]
+    """Block `k` couples row `k` to the unknowns of block `k + 1`."""
+
+    @property
+    def transposed(self) -> BlockTridiagonal:
+        """The transposed matrix."""
+        return BlockTridiagonal(
+            lower=_swapped(_later(self.upper)),
+            diagonal=_swapped(self.diagonal),
+            upper=_swapped(_earlier(self.lower)),
+        )
+
+    def multiply(self, vector: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        """The matrix times a vector."""
+        return (
+            _times(self.lower, _later(vector))
+            + _times(self.diagonal, vector)
+            + _times(self.upper, _earlier(vector))
+        )
+
+    def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        """The solution for a right side, not finite if the matrix is singular.
+
+        Differentiable any number of times in both modes; reverse mode solves with
+        the transposed matrix instead of going back through the elimination.
+        """
+        return lax.custom_linear_solve(
+            self.multiply,
+            right,
+            lambda _, b: eliminate(self, b),
+            lambda _, b: eliminate(self.transposed, b),
+        )
+
+    def is_positive(self) -> Bool[Array, ""]:
+        """Whether all pivots are positive: a symmetric matrix is positive definite.
+
+        False where it is not finite.
+        """
+        _, pivots = _descend(self, jnp.zeros(self.diagonal.shape[:2], self.dtype))
+        return jnp.all(pivots > 0)
+
+    def stiffened(self, index: int, block: Float[Array, "m m"]) -> BlockTridiagonal:
+        """The matrix with something added to a block of its diagonal."""
+        return replace(self, diagonal=self.diagonal.at[index].add(block))
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Type of the entries."""
+        return self.diagonal.dtype
+
+
+def eliminate(
+    matrix: BlockTridiagonal, right: Float[Array, "n m"]
+) -> Float[Array, "n m"]:
+    """Solves by block elimination, down the chain and back up."""
+    size = right.shape[-1]
+    reduced, _ = _descend(matrix, right)
+
+    def up(below: Array, row: Array) -> tuple[Array, Array]:
+        solution = row[:, size]
+        for j in range(size):
+            solution = solution - row[:, j] * below[j]
+        return solution, solution
+
+    _, solution = lax.scan(up, jnp.zeros_like(right[0]), reduced, reverse=True)
+    return solution
+
+
+def _descend(
+    matrix: BlockTridiagonal, right: Float[Array, "n m"]
+) -> tuple[Float[Array, "n m m+1"], Float[Array, "n m"]]:
+    """Reduces the diagonal blocks to identities, one after the other.
+
+    Returns:
+        The upper blocks and the right side that this leaves, side by side, and the
+        pivots.
+    """
+    size = right.shape[-1]
+    # What stands right of each diagonal block once it is reduced to the identity:
+    # its upper block and its right side.
+    beside = jnp.concatenate([matrix.upper, right[:, :, None]], axis=2)
+
+    def down(
+        above: Array, row: tuple[Array, Array, Array]
+    ) -> tuple[Array, tuple[Array, Array]]:
+        lower, diagonal, beside = row
+        left = lower[:, 0, None] * above[None, 0]
+        for j in range(1, size):
+            left = left + lower[:, j, None] * above[None, j]
+        right_side = beside - jnp.pad(left[:, size:], ((0, 0), (size, 0)))
+        reduced, pivots = _reduce(diagonal - left[:, :size], right_side)
+        return reduced, (reduced, pivots)
+
+    first = jnp.zeros_like(beside[0])
+    return lax.scan(down, first, (matrix.lower, matrix.diagonal, beside))[1]
+
+
+def _reduce(diagonal: Array, beside: Array) -> tuple[Array, Array]:
+    """The inverse of a block times what stands beside it (Gauss and Jordan); pivots."""
+    size = diagonal.shape[0]
+    rows = jnp.concatenate([diagonal, beside], axis=1)
+    pivots = []
+    for pivot in range(size):
+        pivots.append(rows[pivot, 0])
+        column, rows = rows[:, 0], rows[:, 1:]
+        row = rows[pivot] / column[pivot]
+        is_pivot = jnp.arange(size)[:, None] == pivot
+        rows = jnp.where(is_pivot, row[None], rows - column[:, None] * row[None])
+    return rows, jnp.stack(pivots)
+
+
+def _later(blocks: Array) -> Array:
+    """Row `k` holds what row `k - 1` held; the first is zero."""
+    return jnp.pad(blocks[:-1], ((1, 0),) + ((0, 0),) * (blocks.ndim - 1))
+
+
+def _earlier(blocks: Array) -> Array:
+    """Row `k` holds what row `k + 1` held; the last is zero."""
+    return jnp.pad(blocks[1:], ((0, 1),) + ((0, 0),) * (blocks.ndim - 1))
+
+
+def _swapped(blocks: Array) -> Array:
+    return jnp.swapaxes(blocks, 1, 2)
+
+
+def _times(blocks: Array, vector: Array) -> Array:
+    """Each block times its vector: a sum of columns, no matrix unit."""
+    return jnp.sum(blocks * vector[:, None, :], axis=2)

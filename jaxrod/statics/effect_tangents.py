@@ -1,0 +1,146 @@
+"""How the loads of effects change with the configuration: their part of the tangent.
+
+An effect may know it in closed form (`Effect.turning_tangent`). Any other is
+differentiated: in as many directions as tell neighbours apart where it promises to see
+no further (`Effect.reach`), in all of them otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix, add
+from jaxrod.geometry.rotations import directors, multiply_quaternions, to_world
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.scene import Scene, external_loads
+from jaxrod.statics.block_tridiagonal import BlockTridiagonal
+from jaxrod.statics.blocks import blocks, unblocked
+from jaxrod.statics.dense import Dense, columns, dense
+
+Tangent = BlockTridiagonal | Dense
+"""Of a chain, or of one with effects that couple distant parts of it."""
+
+
+def has_closed_form(effect: Effect) -> bool:
+    """Whether there is no more to know of the loads than `Effect.turning_tangent`."""
+    kind = type(effect)
+    knows = kind.turning_tangent is not Effect.turning_tangent
+    return knows or kind.loads is Effect.loads
+
+
+def with_turning_tangents(turning: Matrix, scene: Scene, motion: Motion) -> Matrix:
+    """A derivative by the elements' own turns with that of effects that know theirs."""
+    for effect in scene.effects:
+        if type(effect).turning_tangent is not Effect.turning_tangent:
+            own = effect.turning_tangent(scene.rod, motion)
+            turning = turning if own is None else add(turning, own)
+    return turning
+
+
+def with_differentiated(
+    chain: BlockTridiagonal,
+    scene: Scene,
+    motion: Motion,
+    pace: Array,
+    momentum: Matrix,
+    free: Float[Array, "n+1 6"],
+) -> Tangent:
+    """A tangent with that of the effects that do not know theirs, whatever they are.
+
+    Args:
+        chain: The tangent without them.
+        scene: The scene.
+        motion: Where the rod is.
+        pace: Velocities per displacement [1/s].
+        momentum: Derivative of the angular momenta by the turns.
+        free: One for what can move, zero for what the scene holds.
+    """
+    others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
+    near = tuple(effect for effect in others if effect.reach == "neighbours")
+    far = tuple(effect for effect in others if effect.reach == "any")
+    # Fused with what computes the motion, 18 times over, it compiles for minutes.
+    barrier = lax.optimization_barrier
+
+    def push_of(effects: tuple[Effect, ...]) -> Callable[[Array], Array]:
+        there, inertia = jax.tree.map(barrier, (motion, momentum))
+        push = change_of_loads(replace(scene, effects=effects), there, pace, inertia)
+        return lambda step: free * push(free * step)
+
+    if near:
+        part = jax.tree.map(barrier, coloured(push_of(near), free))
+        chain = jax.tree.map(jnp.subtract, chain, part)
+    if not far:
+        return chain
+    rest = jax.tree.map(barrier, columns(push_of(far), free))
+    return jax.tree.map(jnp.subtract, dense(chain), rest)
+
+
+def change_of_loads(
+    scene: Scene, motion: Motion, pace: Array, momentum: Matrix
+) -> Callable[[Float[Array, "n+1 6"]], Float[Array, "n+1 6"]]:
+    """The derivative of the loads of all effects by a step, in the world frame."""
+    none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
+    _, push = jax.linearize(lambda there: total_loads(scene, there, none), motion)
+
+    def change(step: Array) -> Array:
+        displacement, turn = unblocked(step)
+        half = vectors.scale(0.5, turn)
+        still = jnp.zeros_like(half[0])
+        turned = multiply_quaternions((still, *half), motion.orientation)
+        x, y, z = (vectors.dot(row, turn) for row in momentum)
+        return push(
+            replace(
+                jax.tree.map(jnp.zeros_like, motion),
+                position=displacement,
+                orientation=turned,
+                velocity=vectors.scale(pace, displacement),
+                spin=(x, y, z),
+            )
+        )
+
+    return change
+
+
+def total_loads(scene: Scene, motion: Motion, others: Loads) -> Float[Array, "n+1 6"]:
+    """Other loads and those of all effects, couples in the world frame."""
+    assert others.forces is not None and others.couples is not None
+    loads = external_loads(scene, motion, others.forces, others.couples)
+    # Fusing further, XLA's CPU compiler takes minutes over the derivative.
+    # One by one: those that do not depend on what is differentiated are no part
+    # of reverse mode.
+    loads = jax.tree.map(lax.optimization_barrier, loads)
+    assert loads.forces is not None and loads.couples is not None
+    return blocks(loads.forces, to_world(directors(motion.orientation), loads.couples))
+
+
+def coloured(
+    push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
+    like: Float[Array, "n m"],
+) -> BlockTridiagonal:
+    """The matrix of a linear function whose blocks see no further than neighbours.
+
+    Then every third block can be moved at once: `3 m` directions, whatever the number
+    of blocks.
+    """
+    n, m = like.shape
+    colour = jnp.arange(n) % 3
+    moved = colour[None, None, :, None] == jnp.arange(3)[:, None, None, None]
+    seeds = moved & jnp.eye(m, dtype=bool)[None, :, None, :]
+    answers = jax.vmap(jax.vmap(push))(seeds.astype(like.dtype))
+    # Axes: colour moved, block loaded, component loaded, component moved.
+    columns = jnp.moveaxis(answers, 1, 3)
+
+    def answers_to(shift: int) -> Array:
+        mover = (colour[:, None, None] + shift) % 3
+        answer = jnp.where(mover == 0, columns[0], columns[1])
+        return jnp.where(mover == 2, columns[2], answer)
+
+    return BlockTridiagonal(answers_to(-1), answers_to(0), answers_to(1))

@@ -1,0 +1,166 @@
+"""Statics: where all loads on a rod balance, and how that depends on every number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from jaxrod.effects.base import Effect
+from jaxrod.rods.elasticity import elastic_law
+from jaxrod.rods.motion import Motion, motion_of, state_of
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Scene, check_scene_and_state, hold, hold_rates
+from jaxrod.statics.blocks import unblocked
+from jaxrod.statics.effect_tangents import has_closed_form
+from jaxrod.statics.newton import default_tolerance, largest, newton
+from jaxrod.statics.promises import check_promises
+from jaxrod.statics.residual import Balance, Moves, balanced
+from jaxrod.structure import pytree
+from jaxrod.validation import as_array, check_count
+
+
+@pytree
+class Equilibrium:
+    """A rod at rest under its loads, if `converged`."""
+
+    state: RodState
+    """Where the iteration ended, at rest."""
+    converged: Bool[Array, ""]
+    """Whether all loads balance there, to the tolerance."""
+    stable: Bool[Array, ""]
+    """Whether it has converged and the stored energy is least there: the tangent is
+    positive definite, but for what is `loose`.
+
+    For loads with a potential; with loads that turn with the rod (follower couples)
+    it says nothing about instability in motion (flutter).
+    """
+    loose: Bool[Array, ""]
+    """Whether the rod could move as a whole, or all elements turn about their own
+    axes, and nothing would resist: as on two pins, or on a smooth floor.
+
+    The balance of loads does not say where it is on that way. Derivatives are those of
+    a rod that does not move on it in its middle, and say nothing about loads that would
+    drive it.
+    """
+    iterations: Int[Array, ""]
+    """Newton's corrections taken."""
+    force_residual: Float[Array, ""]
+    """The largest component of force out of balance at a node [N]."""
+    couple_residual: Float[Array, ""]
+    """The largest component of couple out of balance on an element [N m]."""
+
+
+def equilibrium(
+    scene: Scene,
+    state: RodState,
+    *,
+    tolerance: ArrayLike | None = None,
+    max_iterations: int = 100,
+) -> Equilibrium:
+    """Finds where the loads on a rod balance, starting from a state.
+
+    Works inside jit and vmap. The equilibrium is differentiable in both modes with
+    respect to every number of the scene, by the implicit function theorem: one
+    linear solve, whatever the number of iterations.
+
+    Near a limit point (buckling, snap-through) there may be nothing to find nearby:
+    look at `converged`. The method finds equilibria, stable or not: look at `stable`.
+
+    Args:
+        scene: The scene; something has to hold the rod.
+        state: Where to start from, and where what is held is held. Its velocities
+            do not matter.
+        tolerance: Iteration ends after a correction below this many element lengths
+            and radians; by default 1e-7, or 3e-4 in single precision.
+        max_iterations: How many corrections to allow.
+
+    Returns:
+        The state at rest, and how well the loads balance there.
+
+    Raises:
+        ValueError: If the mode is not "consistent", if nothing holds the rod, or if
+            an argument is out of range.
+        TypeError: If `scene` or `state` is something else.
+    """
+    check_scene_and_state(scene, state)
+    if scene.method.law != "consistent":
+        raise ValueError(f"equilibrium needs the consistent law, got {scene.method!r}")
+    dtype = scene.rod.rest_lengths.dtype
+    max_iterations = check_count("max_iterations", max_iterations, 1)
+    if tolerance is None:
+        tolerance = default_tolerance(dtype)
+    bound = as_array("tolerance", tolerance, "", positive=True, dtype=dtype)
+    if _is_loose(scene):
+        raise ValueError(
+            "scene must hold the rod for an equilibrium: a free rod has none under "
+            "loads, and any number without. Add jaxrod.clamp(state) or "
+            "jaxrod.fixed_end(state)"
+        )
+    check_promises(scene)
+    return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
+
+
+def _is_loose(scene: Scene) -> bool:
+    """Whether nothing in the scene could hold the rod."""
+    return all(
+        type(effect).hold_rates is Effect.hold_rates
+        and type(effect).hold is Effect.hold
+        and has_closed_form(effect)
+        for effect in scene.effects
+    )
+
+
+def _at_rest(scene: Scene, base: Motion) -> Balance:
+    """The balance of loads alone."""
+    still = jnp.zeros((), scene.rod.rest_lengths.dtype)
+    return Balance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
+
+
+@jax.jit
+def _equilibrium(
+    scene: Scene, state: RodState, tolerance: Array, max_iterations: Array
+) -> Equilibrium:
+    start = motion_of(state).at_rest
+    start = hold_rates(scene, hold(scene, start))
+    guess = jnp.zeros((len(start.position[0]), 6), tolerance.dtype)
+    end = newton(
+        *lax.stop_gradient((_at_rest(scene, start), guess, tolerance)),
+        max_iterations,
+    )
+    found = _at_rest(scene, end.base).motion(end.moves)
+    # What is held is where the state and the scene have it, with their derivatives.
+    balance = _at_rest(scene, _keep_held(scene, found, start))
+    moves = balanced(balance, _no_moves(found))
+    force, couple = unblocked(balance.residual(moves))
+    return Equilibrium(
+        state=state_of(balance.motion(moves)),
+        converged=end.converged,
+        stable=end.converged & end.tangent.is_positive(),
+        loose=end.loose,
+        iterations=end.iterations,
+        force_residual=largest(force),
+        couple_residual=largest(couple),
+    )
+
+
+def _no_moves(motion: Motion) -> Moves:
+    return Moves(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
+
+
+def _keep_held(scene: Scene, found: Motion, start: Motion) -> Motion:
+    """The motion found, with what the scene holds as it was at the start."""
+    nodes, elements = unblocked(_at_rest(scene, start).free)
+    turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)
+    x, y, z = (
+        jnp.where(free == 1, there, here)
+        for free, there, here in zip(nodes, found.position, start.position, strict=True)
+    )
+    q0, q1, q2, q3 = (
+        jnp.where(turning, there, here)
+        for there, here in zip(found.orientation, start.orientation, strict=True)
+    )
+    return replace(found, position=(x, y, z), orientation=(q0, q1, q2, q3))

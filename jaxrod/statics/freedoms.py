@@ -1,0 +1,86 @@
+"""What the constraints of a scene leave free, component by component.
+
+A component is held if `Effect.hold_rates` gives it the same rate whatever rate it had,
+or if `Effect.hold` gives it the same place whatever place it had.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.scene import Scene, hold, hold_rates
+
+_TURN = (0.8, 0.36, 0.48, 0.0)
+"""Of 74 degrees: what an element is turned by to see whether it is held."""
+
+
+def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
+    """One for every component that can move, zero for one that is held.
+
+    Args:
+        scene: The scene.
+        motion: Where the rod is.
+
+    Returns:
+        Of the nodes and of the elements, in the components of velocity and spin.
+    """
+    nodes, elements = free_rates(scene, motion)
+    placed = free_places(scene, motion)
+    if placed is None:
+        return nodes, elements
+    return vectors.multiply(nodes, placed[0]), vectors.multiply(elements, placed[1])
+
+
+def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
+    """As `freedoms`, but only what `Effect.hold_rates` holds is held."""
+    rates = (motion.velocity, motion.spin)
+
+    def held(rate: float) -> Motion:
+        velocity, spin = jax.tree.map(lambda a: jnp.full_like(a, rate), rates)
+        return hold_rates(scene, replace(motion, velocity=velocity, spin=spin))
+
+    moving, still = held(1.0), held(0.0)
+    return (
+        vectors.subtract(moving.velocity, still.velocity),
+        vectors.subtract(moving.spin, still.spin),
+    )
+
+
+def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
+    """As `freedoms`, but only what `Effect.hold` holds is held; `None` for nothing."""
+    here = hold(scene, motion)
+    if here is motion:
+        return None
+    there = hold(scene, _elsewhere(scene, motion))
+    x, y, z = (
+        (a != b).astype(a.dtype)
+        for a, b in zip(here.position, there.position, strict=True)
+    )
+    turns = _differ(here.orientation, there.orientation)
+    return (x, y, z), (turns, turns, turns)
+
+
+def _elsewhere(scene: Scene, motion: Motion) -> Motion:
+    """Every node displaced in every direction, every element turned."""
+    length = scene.rod.length
+    moved = vectors.add(motion.position, (length, length, length))
+    turn = tuple(jnp.full_like(motion.orientation[0], part) for part in _TURN)
+    w, x, y, z = turn
+    turned = multiply_quaternions(motion.orientation, (w, x, y, z))
+    return replace(motion, position=moved, orientation=turned)
+
+
+def _differ(one: Quaternion, other: Quaternion) -> Array:
+    """One where any component differs, zero where none does."""
+    differs = one[0] != other[0]
+    for a, b in zip(one[1:], other[1:], strict=True):
+        differs |= a != b
+    return differs.astype(one[0].dtype)

@@ -1,0 +1,126 @@
+r"""Motions of a rod as a whole that nothing resists, and how statics gets on with them.
+
+A rod on two pins can spin about its axis, one on a smooth floor can slide: the tangent
+stiffness $T$ is singular, and where the rod is on its way is not determined by the
+balance of loads. If the loads do not drive such a mode $m$, $m\cdot r = 0$, then a
+spring that resists it at one place $u$ changes nothing but that:
+
+$$(T + \sigma\,u u^T)\,s = -r \quad\Rightarrow\quad
+  \sigma\,(m\cdot u)(u\cdot s) = -m\cdot r = 0 \quad\Rightarrow\quad T s = -r,$$
+
+the solution that leaves that place where it is, exactly and whatever the stiffness. If
+they do drive it, $u\cdot s$ does not vanish: Newton's method moves the rod on and on,
+and does not converge unless it gets to where they do not.
+
+The modes looked at are the six motions of a rigid body and the turning of all elements
+about their own axes, which a rod of round section that is straight at rest does not
+resist however it is bent.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.statics.block_tridiagonal import BlockTridiagonal
+from jaxrod.statics.blocks import blocks
+from jaxrod.statics.dense import Dense
+
+_ROUNDINGS = 16
+"""Resistance of at most so many roundings is none. Of modes that nothing resists 3 are
+left; what pins resist has 3000 of float32's even where n = 100 and L/r = 1000."""
+
+
+def loose_modes(
+    tangent: BlockTridiagonal | Dense,
+    rod: Rod,
+    motion: Motion,
+    free: Float[Array, "n+1 6"],
+) -> Float[Array, "7 n+1 6"]:
+    """Independent motions of the rod as a whole that nothing resists.
+
+    Args:
+        tangent: The tangent stiffness.
+        rod: The rod.
+        motion: Where it is.
+        free: One for what can move, zero for what the scene holds.
+
+    Returns:
+        Displacements of nodes, in lengths of the rod, and turns of elements [rad];
+        zeros in place of modes that something resists.
+    """
+    modes, units = _modes_of_the_whole(rod, motion), _units(rod)
+    steps = units[None] * modes
+    resisted = jax.vmap(tangent.multiply)(free[None] * steps)
+    # What rows would be without cancellation.
+    sizes = jax.tree.map(jnp.abs, tangent)
+    whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(steps)), axis=0)
+    resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
+    broken = (1 - free)[None] * modes
+    both = jnp.concatenate([resisted, broken], axis=1).reshape(len(modes), -1)
+    _, resistance, mixtures = jnp.linalg.svd(both.T, full_matrices=False)
+    none = resistance <= _ROUNDINGS * jnp.finfo(resistance.dtype).eps
+    mixtures = jnp.where(none[:, None], mixtures, 0)
+    return jnp.sum(mixtures[:, :, None, None] * modes[None], axis=1)
+
+
+def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
+    """Whether there is a mode among some.
+
+    Turning a straight rod about its axis less turning its elements about theirs is
+    nothing but rounding, and nothing resists it.
+    """
+    return jnp.max(jnp.abs(modes)) > 0.01
+
+
+def held_in_the_middle(
+    tangent: BlockTridiagonal | Dense, rod: Rod, modes: Float[Array, "7 n+1 6"]
+) -> BlockTridiagonal | Dense:
+    """The tangent with springs against modes in the middle of the rod.
+
+    They are as stiff as the rod is in bending: a correction is then of the size that
+    loads which drive the mode would bend it by.
+    """
+    middle = _middle(rod)
+    local = modes[:, middle] / _units(rod)
+    stiffness = jnp.mean(rod.bend_twist_stiffness[0]) / jnp.sum(rod.rest_lengths)
+    springs = jnp.sum(local[:, :, None] * local[:, None, :], axis=0)
+    return tangent.stiffened(middle, stiffness * springs)
+
+
+def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
+    """Three displacements, three rotations about the middle, turning about d3."""
+    middle = _middle(rod)
+    length = jnp.sum(rod.rest_lengths)
+    x, y, z = ((c - c[middle]) / length for c in motion.position)
+    d3 = directors(motion.orientation)[2]
+    modes = []
+    for k in range(3):
+        nodes, elements = _along(k, x), _along(k, d3[0])
+        around = vectors.cross(nodes, (x, y, z))
+        modes.append(blocks(nodes, vectors.scale(0.0, elements)))
+        modes.append(blocks(around, elements))
+    return jnp.stack([*modes, blocks(vectors.scale(0.0, (x, y, z)), d3)])
+
+
+def _along(axis: int, like: Array) -> Vec3:
+    """A field of unit vectors along an axis of the world."""
+    x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
+    return x, y, z
+
+
+def _middle(rod: Rod) -> int:
+    return rod.n_elements // 2
+
+
+def _units(rod: Rod) -> Float[Array, "1 6"]:
+    """Of displacements and turns: the length of the rod [m], and one [rad]."""
+    length = jnp.sum(rod.rest_lengths)
+    one = jnp.ones_like(length)
+    return jnp.stack([length, length, length, one, one, one])[None]

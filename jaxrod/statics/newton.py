@@ -1,0 +1,148 @@
+"""Newton's method for the balance of loads on a rod, damped where it has to be.
+
+A correction is tried in full and judged by the one that would follow it: if that is
+too large, half is tried. This measure of progress depends neither on units nor on how
+much stiffer stretch is than bending, so that steps stay long for slender rods.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.statics.blocks import unblocked
+from jaxrod.statics.effect_tangents import Tangent
+from jaxrod.statics.residual import Balance, Moves
+from jaxrod.structure import pytree
+
+LARGEST_TURN = 1.0
+"""No correction turns an element by more than this at once [rad]."""
+LARGEST_GROWTH = 4.0
+"""Of the correction that follows over the one before, with inertia. Some growth is
+harmless: the first correction has to do away with the guess's stretch."""
+SMALLEST_SHARE = 1e-4
+"""Less than this of a correction is not worth taking: there is nothing to find."""
+
+
+@pytree
+class Search:
+    """Where Newton's method is: moves from a base, and what to try next."""
+
+    base: Motion
+    moves: Moves
+    tangent: Tangent
+    """At the moves."""
+    loose: Bool[Array, ""]
+    """Whether the rod could move as a whole there and nothing would resist."""
+    step: Float[Array, "n+1 6"]
+    """The whole correction of the moves."""
+    share: Float[Array, ""]
+    """How much of it to try."""
+    trials: Int[Array, ""]
+    iterations: Int[Array, ""]
+    """Corrections taken."""
+    converged: Bool[Array, ""]
+    """Whether the correction is below the tolerance."""
+
+
+def newton(
+    balance: Balance,
+    guess: Float[Array, "n+1 6"],
+    tolerance: Array,
+    max_iterations: int | Array,
+) -> Search:
+    """Searches for moves that balance.
+
+    Args:
+        balance: What to balance.
+        guess: The first step from the base, taken as it is.
+        tolerance: The search ends at a correction of less than this many element
+            lengths and radians; it is still added.
+        max_iterations: How many trials to allow.
+
+    At rest every configuration taken becomes the new base, so that elements can turn
+    any number of times; and without inertia, which makes any tangent definite, progress
+    is judged with more care: by the correction that the tangent of before would make,
+    which has to shrink.
+    """
+    none = jax.tree.map(jnp.zeros_like, (balance.base.position, balance.base.spin))
+    lengths = balance.scene.rod.rest_lengths
+    smallest, whole = jnp.min(lengths), jnp.sum(lengths)
+    units = jnp.concatenate([jnp.full(3, whole), jnp.ones(3, whole.dtype)])
+
+    def size(step: Array) -> Array:
+        """Of a step, in lengths of the rod and radians."""
+        return jnp.sqrt(jnp.sum((step / units[None, :]) ** 2))
+
+    def unfinished(search: Search) -> Array:
+        # Written so that a step that is not finite ends the search.
+        going = (search.iterations == 0) | (search.share >= SMALLEST_SHARE)
+        going &= size(search.step) < jnp.inf
+        return going & ~search.converged & (search.trials < max_iterations)
+
+    def improve(search: Search) -> Search:
+        here = replace(balance, base=search.base)
+        moves = here.followed(search.moves, search.share * search.step)
+        if balance.at_rest:
+            here, moves = replace(here, base=here.motion(moves)), Moves(*none)
+        tangent, loose = here.held_tangent(moves)
+        residual = here.residual(moves)
+        step = tangent.solve(-residual)
+        if balance.at_rest:
+            rest = size(search.tangent.solve(-residual))
+            better = rest <= (1 - 0.25 * search.share) * size(search.step)
+        else:
+            better = size(step) <= LARGEST_GROWTH * size(search.step)
+        # A guess that is further off than it is large is worse than none.
+        first = search.iterations == 0
+        unmoved = search.share * size(search.step) == 0
+        better = jnp.where(first, unmoved | (size(step) <= 2 * size(guess)), better)
+        displacement, turn = unblocked(step)
+        turned = largest(turn)
+        correction = jnp.maximum(largest(displacement) / smallest, turned)
+        accepted = Search(
+            base=here.base,
+            moves=moves,
+            tangent=tangent,
+            loose=loose,
+            step=step,
+            share=jnp.minimum(1, LARGEST_TURN / jnp.maximum(turned, LARGEST_TURN)),
+            trials=search.trials,
+            iterations=search.iterations + 1,
+            converged=correction <= tolerance,
+        )
+        rejected = replace(search, share=jnp.where(first, 0, 0.5 * search.share))
+        after = jax.tree.map(lambda a, b: jnp.where(better, a, b), accepted, rejected)
+        return replace(after, trials=search.trials + 1)
+
+    shapes = jax.eval_shape(lambda: balance.tangent(Moves(*none)))
+    begin = Search(
+        base=balance.base,
+        moves=Moves(*none),
+        tangent=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes),
+        loose=jnp.zeros((), bool),
+        step=guess,
+        share=jnp.ones((), guess.dtype),
+        trials=jnp.zeros((), jnp.int32),
+        iterations=jnp.zeros((), jnp.int32),
+        converged=jnp.zeros((), bool),
+    )
+    end = lax.while_loop(unfinished, improve, begin)
+    here = replace(balance, base=end.base)
+    return replace(end, moves=here.moved(end.moves, end.step))
+
+
+def largest(field: Vec3) -> Array:
+    """The largest absolute component."""
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(component)) for component in field]))
+
+
+def default_tolerance(dtype: jnp.dtype) -> float:
+    """A correction whose square is near round-off."""
+    return 3e-4 if jnp.finfo(dtype).bits <= 32 else 1e-7

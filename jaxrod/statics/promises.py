@@ -1,0 +1,210 @@
+"""Whether effects are what implicit steps and equilibria take them for, in words.
+
+Those methods know how an effect's loads change from what it says of itself, and what
+it holds from a few trials. What is not so would be a wrong derivative, or a rod held
+where it is free, without any sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    multiply_quaternions,
+    rotation_exp,
+    to_world,
+)
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.scene import Method, Scene
+from jaxrod.statics.blocks import blocks, unblocked
+from jaxrod.statics.effect_tangents import coloured, has_closed_form
+from jaxrod.statics.freedoms import free_places, free_rates
+from jaxrod.validation import is_traced
+
+
+def check_promises(scene: Scene) -> None:
+    """Checks what implicit steps and equilibria rely on; nothing where it is traced.
+
+    Effects are tried out on a rod of no particular shape, and on the same rod crumpled
+    up. What they do elsewhere alone is not seen.
+
+    Raises:
+        ValueError: If loads change otherwise than an effect's `turning_tangent` or
+            `reach` says, or if it holds parts of components, or ties some to others.
+    """
+    if is_traced(scene) or scene.rod.rest_lengths.ndim > 1:
+        return
+    doubtful = tuple(e for e in scene.effects if _says(e) or _holds(e))
+    if not doubtful:
+        return
+    tolerance = float(np.sqrt(np.finfo(scene.rod.radii.dtype).eps))
+    tried = _tried(scene.rod, doubtful)
+    for effect, (gap, mixing) in zip(doubtful, tried, strict=True):
+        name = type(effect).__name__
+        if not gap <= tolerance:
+            says = "turning_tangent" if has_closed_form(effect) else "reach"
+            raise ValueError(
+                "an effect's loads must change with the configuration as it says, but "
+                f"what {name}.{says} says is {float(gap):.2g} of their size off; "
+                "without it they are differentiated as they are"
+            )
+        if not mixing <= tolerance:
+            raise ValueError(
+                "implicit steps and equilibria need effects to hold whole components "
+                "of positions and velocities and whole orientations, but "
+                f"{name} holds parts of some or ties some to others"
+            )
+
+
+def _says(effect: Effect) -> bool:
+    """Whether an effect says of its loads what may not be so.
+
+    Those of the library have tests.
+    """
+    kind = type(effect)
+    if kind.loads is Effect.loads or kind.__module__.startswith("jaxrod."):
+        return False
+    return has_closed_form(effect) or effect.reach == "neighbours"
+
+
+def _holds(effect: Effect) -> bool:
+    """Whether an effect holds anything; those of the library hold whole components."""
+    kind = type(effect)
+    if kind.__module__.startswith("jaxrod."):
+        return False
+    return kind.hold is not Effect.hold or kind.hold_rates is not Effect.hold_rates
+
+
+@jax.jit
+def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
+    """How far each effect is from what it says, and from holding whole components."""
+    zero = jnp.zeros((), rod.rest_lengths.dtype)
+    return [
+        (
+            _gap_of_tangent(effect, rod) if _says(effect) else zero,
+            _mixing(effect, rod) if _holds(effect) else zero,
+        )
+        for effect in effects
+    ]
+
+
+def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
+    """Between how loads change and how they are said to, of the loads' size."""
+    step = _any_step(rod)
+    nodes, turns = unblocked(step)
+    transverse, polar = rod.inertias
+    shape = trial_motion(rod)
+
+    def gap(size: Array, moved: Array) -> Array:
+        """In a rod shrunk to a size, of changes of places (1) or of rates (0)."""
+        motion = replace(shape, position=vectors.scale(size, shape.position))
+
+        def loads(motion: Motion) -> Array:
+            found = effect.loads(rod, motion)
+            forces, couples = jax.tree.map(jnp.zeros_like, (nodes, turns))
+            if found.forces is not None:
+                forces = found.forces
+            if found.couples is not None:
+                couples = to_world(directors(motion.orientation), found.couples)
+            return blocks(forces, couples)
+
+        now, change = jax.linearize(loads, motion)
+
+        def push(step: Array) -> Array:
+            nodes, turns = unblocked(step)
+            half = vectors.scale(0.5 * moved, turns)
+            turned = (jnp.zeros_like(half[0]), *half)
+            spins = vectors.multiply((transverse, transverse, polar), turns)
+            return change(
+                replace(
+                    jax.tree.map(jnp.zeros_like, motion),
+                    position=vectors.scale(moved, nodes),
+                    orientation=multiply_quaternions(turned, motion.orientation),
+                    velocity=vectors.scale(1 - moved, nodes),
+                    spin=vectors.scale(1 - moved, spins),
+                )
+            )
+
+        true = push(step)
+        if has_closed_form(effect):
+            said = jnp.zeros_like(true)
+            tangent = effect.turning_tangent(rod, motion)
+            if tangent is not None:
+                x, y, z = (-moved * vectors.dot(row, turns) for row in tangent)
+                said = blocks(jax.tree.map(jnp.zeros_like, nodes), (x, y, z))
+        else:
+            said = coloured(push, step).multiply(step)
+        sizes = jnp.abs(jnp.stack([true - said, true, said, now]))
+        # Forces and couples have other units.
+        off, *whole = jnp.max(sizes.reshape(4, -1, 2, 3), axis=(1, 3))
+        return jnp.max(_share(off, jnp.max(jnp.stack(whole), axis=0)))
+
+    trials = jnp.asarray([[1, 1, 1e-3, 1e-3], [1, 0, 1, 0]], step.dtype)
+    return jnp.max(jax.vmap(gap)(*trials))
+
+
+def _mixing(effect: Effect, rod: Rod) -> Array:
+    """How far an effect is from holding whole components, of what it is given."""
+    alone, motion = Scene(rod, (effect,), Method()), trial_motion(rod)
+    nodes, turns = unblocked(_any_step(rod))
+
+    def with_rates(size: float) -> Motion:
+        velocity, spin = jax.tree.map(lambda a: size * a, (nodes, turns))
+        return effect.hold_rates(rod, replace(motion, velocity=velocity, spin=spin))
+
+    still, moving = with_rates(0.0), with_rates(1.0)
+    free = free_rates(alone, motion)
+    pairs = [
+        *_expected(free[0], still.velocity, nodes, moving.velocity),
+        *_expected(free[1], still.spin, turns, moving.spin),
+    ]
+    placed = free_places(alone, motion)
+    if placed is not None:
+        here = effect.hold(rod, motion)
+        moved = replace(
+            motion,
+            position=vectors.add(motion.position, nodes),
+            orientation=multiply_quaternions(motion.orientation, rotation_exp(turns)),
+        )
+        there = effect.hold(rod, moved)
+        frames = [placed[1][0]] * 4
+        pairs += _expected(placed[0], here.position, moved.position, there.position)
+        pairs += _expected(
+            frames, here.orientation, moved.orientation, there.orientation
+        )
+    gaps = [_share(jnp.max(jnp.abs(a - b)), jnp.max(jnp.abs(b))) for a, b in pairs]
+    return jnp.max(jnp.stack(gaps))
+
+
+def _expected(
+    free: Sequence[Array],
+    held: Sequence[Array],
+    given: Sequence[Array],
+    found: Sequence[Array],
+) -> list[tuple[Array, Array]]:
+    """What an effect makes of components, and what it should: all or nothing."""
+    parts = zip(free, held, given, found, strict=True)
+    return [(d, jnp.where(a == 1, c, b)) for a, b, c, d in parts]
+
+
+def _any_step(rod: Rod) -> Float[Array, "n+1 6"]:
+    """Displacements about as large as the rod, and turns."""
+    random = np.random.default_rng(0).normal(size=(rod.n_elements + 1, 6))
+    length = jnp.sum(rod.rest_lengths)
+    units = jnp.stack([length] * 3 + [jnp.ones_like(length)] * 3)
+    return jnp.asarray(random, length.dtype) * units[None]
+
+
+def _share(part: Array, whole: Array) -> Array:
+    return part / jnp.where(whole > 0, whole, 1)

@@ -1,0 +1,295 @@
+r"""The balance of loads that an implicit method solves for, and its derivative.
+
+From a base configuration nodes are displaced by $d$ and elements turned by rotation
+vectors $\theta$ in their material frames. At the pace $w$ (one over a duration; zero
+in statics) they do so with velocities $v = w d$ and angular momenta
+$P = R J\,w\theta$, and all loads $f, c$, at the displaced configuration and at these
+rates, balance damping and the change from the base rates $v_b, P_b$:
+
+$$m\,((w + g_t)\,v - w\,v_b) = f, \qquad (w + g_r)\,P - w\,P_b = c.$$
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix, scale, skew, subtract, turned_diagonal
+from jaxrod.geometry.rotations import (
+    directors,
+    multiply_quaternions,
+    normalise,
+    rotation_exp,
+    rotation_log_and_coupling,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.elastic_tangents import element_tangent, joint_tangent, times_inverse
+from jaxrod.rods.elasticity import ElasticLaw, internal_loads
+from jaxrod.rods.motion import Motion
+from jaxrod.scene import Scene
+from jaxrod.statics.assembly import assembled
+from jaxrod.statics.block_tridiagonal import BlockTridiagonal
+from jaxrod.statics.blocks import blocks, unblocked
+from jaxrod.statics.effect_tangents import (
+    Tangent,
+    total_loads,
+    with_differentiated,
+    with_turning_tangents,
+)
+from jaxrod.statics.freedoms import freedoms
+from jaxrod.statics.loose_modes import are_any, held_in_the_middle, loose_modes
+from jaxrod.structure import pytree, static
+
+
+@pytree
+class Moves:
+    """Displacements of nodes and turns of elements from a base configuration."""
+
+    displacement: Vec3
+    """World frame, `n + 1` nodes [m]."""
+    turn: Vec3
+    """Rotation vectors in the base material frames, `n` elements [rad]."""
+
+
+@pytree
+class Balance:
+    """What is to be balanced."""
+
+    scene: Scene
+    """The scene."""
+    law: ElasticLaw
+    """Constants of the elastic law."""
+    base: Motion
+    """Where moves start from, and the rates that inertia would keep."""
+    pace: Float[Array, ""]
+    """Rates per move [1/s]; zero in statics."""
+    damping: tuple[Array, Array] | None
+    """Decay rates of velocities and spins [1/s]."""
+    at_rest: bool = static(default=False)
+    """Whether there is no inertia."""
+
+    def motion(self, moves: Moves) -> Motion:
+        """Where the rod is, and its rates."""
+        orientation = normalise(
+            multiply_quaternions(self.base.orientation, rotation_exp(moves.turn))
+        )
+        rates = vectors.scale(self.pace, moves.turn)
+        momentum = vectors.multiply(self._inertia, rates)
+        return replace(
+            displaced(self.base, moves.displacement),
+            orientation=orientation,
+            velocity=vectors.scale(self.pace, moves.displacement),
+            spin=to_world(directors(orientation), momentum),
+        )
+
+    def residual(self, moves: Moves) -> Float[Array, "n+1 6"]:
+        """Inertia and damping less the loads, zero for what the scene holds.
+
+        Forces on nodes [N] and couples on elements [N m], world frame.
+        """
+        motion = self.motion(moves)
+        internal = internal_loads(self.law, motion)
+        node_rate, element_rate = self._rates
+        change = vectors.subtract(
+            vectors.scale(node_rate, motion.velocity),
+            vectors.scale(self.pace, self.base.velocity),
+        )
+        push = vectors.scale(self.scene.rod.node_masses, change)
+        twist = vectors.subtract(
+            vectors.scale(element_rate, motion.spin),
+            vectors.scale(self.pace, self.base.spin),
+        )
+        loads = total_loads(self.scene, motion, internal)
+        return self.free * (blocks(push, twist) - loads)
+
+    def tangent(self, moves: Moves) -> Tangent:
+        """Derivative of the residual by a step: see `moved`.
+
+        What the scene holds keeps the identity for its rows and columns.
+        """
+        motion = self.motion(moves)
+        node_rate, element_rate = self._rates
+        masses = self.pace * node_rate * self.scene.rod.node_masses
+        momentum = self._momentum_tangent(moves, motion)
+        turning = scale(element_rate, momentum)
+        turning = with_turning_tangents(turning, self.scene, motion)
+        chain = assembled(
+            element_tangent(self.law, motion),
+            joint_tangent(self.law, motion),
+            jnp.broadcast_to(masses, self.base.position[0].shape),
+            turning,
+        )
+        free = self.free
+        return with_differentiated(
+            _restricted(chain, free), self.scene, motion, self.pace, momentum, free
+        )
+
+    def held_tangent(self, moves: Moves) -> tuple[Tangent, Bool[Array, ""]]:
+        """The tangent to solve with: without inertia, what nothing resists is held.
+
+        Returns:
+            The tangent, and whether there is something that nothing resists.
+        """
+        tangent = self.tangent(moves)
+        if not self.at_rest:
+            return tangent, jnp.zeros((), bool)
+        rod = self.scene.rod
+        there = (tangent, rod, self.motion(moves), self.free)
+        modes = loose_modes(*lax.stop_gradient(there))
+        return held_in_the_middle(tangent, rod, modes), are_any(modes)
+
+    def moved(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
+        """Moves with a small step on top, to first order.
+
+        A step displaces the nodes and turns the elements, both in the world frame.
+        """
+        change = self.change(moves, step)
+        return Moves(
+            displacement=vectors.add(moves.displacement, change.displacement),
+            turn=vectors.add(moves.turn, change.turn),
+        )
+
+    def followed(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
+        """As `moved`, to first order, but with strains that change in proportion.
+
+        Turned elements of a slender rod would otherwise find their nodes off by the
+        square of the turn, and be stretched: far stiffer than bending, this is what
+        keeps Newton's method to small turns. So the edges turn with the elements.
+        """
+        moved = self.moved(moves, step)
+        displacement, turn = unblocked(step)
+        before = self.motion(moves)
+        edges = before.edges
+        linear = vectors.add(edges, vectors.inner_difference(displacement))
+        strained = vectors.add(linear, vectors.cross(edges, turn))
+        local = to_material(directors(before.orientation), strained)
+        edges = to_world(directors(self.motion(moved).orientation), local)
+        free = unblocked(self.free)[0]
+        gaps = zip(vectors.subtract(edges, linear), free, strict=True)
+        x, y, z = (_closed(gap, nodes) for gap, nodes in gaps)
+        return replace(moved, displacement=vectors.add(moved.displacement, (x, y, z)))
+
+    def change(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
+        """How moves change with a step."""
+        displacement, turn = unblocked(step)
+        own = to_material(directors(self.base.orientation), turn)
+        once = vectors.cross(moves.turn, own)
+        twice = vectors.cross(moves.turn, once)
+        change = vectors.add(
+            vectors.scale(-0.5, once), vectors.scale(_coupling(moves), twice)
+        )
+        return Moves(displacement, vectors.add(own, change))
+
+    def following(self, guess: Float[Array, "n+1 6"], found: Moves) -> Moves:
+        """Moves found, but of what the scene holds those of the guess."""
+        free = unblocked(self.free)
+        displacement, turn = unblocked(guess)
+        own = to_material(directors(self.base.orientation), turn)
+
+        def mixed(free: Vec3, found: Vec3, held: Vec3) -> Vec3:
+            parts = zip(free, found, held, strict=True)
+            x, y, z = (jnp.where(a == 1, b, c) for a, b, c in parts)
+            return x, y, z
+
+        return Moves(
+            displacement=mixed(free[0], found.displacement, displacement),
+            turn=mixed(free[1], found.turn, own),
+        )
+
+    @property
+    def free(self) -> Float[Array, "n+1 6"]:
+        """One for what can move, zero for what the scene holds."""
+        return blocks(*freedoms(self.scene, self.base))
+
+    @property
+    def _inertia(self) -> Vec3:
+        """Rotary inertia of the elements about their axes [kg m^2]."""
+        transverse, polar = self.scene.rod.inertias
+        return transverse, transverse, polar
+
+    @property
+    def _rates(self) -> tuple[Array, Array]:
+        """Pace and damping rate together, of velocities and of spins [1/s]."""
+        if self.damping is None:
+            return self.pace, self.pace
+        return self.pace + self.damping[0], self.pace + self.damping[1]
+
+    def _momentum_tangent(self, moves: Moves, motion: Motion) -> Matrix:
+        """Derivative of the angular momenta by the turn."""
+        frame = directors(motion.orientation)
+        inertia = turned_diagonal(frame, vectors.scale(self.pace, self._inertia))
+        turn = to_world(frame, moves.turn)
+        changed = times_inverse(inertia, turn, _coupling(moves))
+        return subtract(changed, skew(motion.spin))
+
+
+def _coupling(moves: Moves) -> Array:
+    """The coupling coefficient of the turns: see `rotation_log_and_coupling`."""
+    return rotation_log_and_coupling(rotation_exp(moves.turn))[1]
+
+
+def _restricted(
+    matrix: BlockTridiagonal, free: Float[Array, "n+1 6"]
+) -> BlockTridiagonal:
+    """The identity in place of the rows and columns of what is not free."""
+    before = jnp.pad(free[:-1], ((1, 0), (0, 0)))
+    after = jnp.pad(free[1:], ((0, 1), (0, 0)))
+    held = jnp.eye(6, dtype=free.dtype)[None] * (1 - free)[:, :, None]
+    return BlockTridiagonal(
+        lower=matrix.lower * free[:, :, None] * before[:, None, :],
+        diagonal=matrix.diagonal * free[:, :, None] * free[:, None, :] + held,
+        upper=matrix.upper * free[:, :, None] * after[:, None, :],
+    )
+
+
+def _closed(gaps: Array, free: Array) -> Array:
+    """Displacements whose differences are the gaps, zero where nodes are not free.
+
+    If both ends are held what is left over is shared out along the rod; if none is
+    the mean is zero.
+    """
+    total = vectors.pad(jnp.cumsum(gaps), 1, 0)
+    start, finish = free[0] == 0, free[-1] == 0
+    first = jnp.where(start, 0, jnp.where(finish, total[-1], jnp.mean(total)))
+    last = jnp.where(finish, total[-1], first)
+    along = jnp.linspace(0, 1, total.shape[0], dtype=total.dtype)
+    return free * (total - (first + along * (last - first)))
+
+
+def displaced(motion: Motion, displacement: Vec3) -> Motion:
+    """The nodes moved [m]; with a remainder, by Kahan's compensated sum."""
+    if motion.remainder is None:
+        return replace(motion, position=vectors.add(motion.position, displacement))
+    step = vectors.subtract(displacement, motion.remainder)
+    position = vectors.add(motion.position, step)
+    moved = vectors.subtract(position, motion.position)
+    return replace(motion, position=position, remainder=vectors.subtract(moved, step))
+
+
+@jax.custom_jvp
+def balanced(balance: Balance, moves: Moves) -> Moves:
+    """The moves that balance, found by other means, as a function of the balance.
+
+    The value is `moves` itself. Its derivative, by the implicit function theorem, is
+    that of the exact solution: one linear solve, however many iterations it took. What
+    the scene holds changes as it does in `moves`.
+    """
+    return moves
+
+
+@balanced.defjvp
+def _balanced_jvp(
+    primals: tuple[Balance, Moves], tangents: tuple[Balance, Moves]
+) -> tuple[Moves, Moves]:
+    balance, found = primals
+    found = balanced(balance, found)
+    _, change = jax.jvp(Balance.residual, (balance, found), tangents)
+    step = balance.held_tangent(found)[0].solve(-change)
+    return found, jax.tree.map(jnp.add, tangents[1], balance.change(found, step))

@@ -1,0 +1,66 @@
+"""Frozen dataclasses that are JAX pytrees: the whole of jaxrod's "framework"."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+
+from jaxrod.installation.jax_version import require_sound_jax
+
+# No rod can be made without this module.
+require_sound_jax()
+
+T = TypeVar("T")
+
+
+def static(**options: Any) -> Any:
+    """A field of structure: part of the pytree's type, never traced.
+
+    Its values must be hashable. A program is compiled for each of them.
+
+    Args:
+        **options: Those of `dataclasses.field`: `default`, say.
+    """
+    return dataclasses.field(metadata={"static": True}, **options)
+
+
+@dataclass_transform(
+    frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, static)
+)
+def pytree(cls: type[T]) -> type[T]:
+    """Makes a class a frozen dataclass registered as a JAX pytree.
+
+    Every field is a traced leaf (or subtree) unless it is declared with
+    `static()`. Use `dataclasses.replace` to make a changed copy. Nothing is
+    validated or converted on construction, because JAX also constructs pytrees
+    from placeholders while it traces; factories validate instead.
+    """
+    frozen: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    names: tuple[list[str], list[str]] = [], []
+    for field in dataclasses.fields(frozen):
+        names[bool(field.metadata.get("static"))].append(field.name)
+    traced, fixed = map(tuple, names)
+    keys = [jax.tree_util.GetAttrKey(name) for name in traced]
+
+    def flatten(tree: Any) -> tuple[list[Any], tuple[Any, ...]]:
+        return (
+            [getattr(tree, name) for name in traced],
+            tuple([getattr(tree, name) for name in fixed]),
+        )
+
+    def flatten_with_keys(tree: Any) -> tuple[Any, tuple[Any, ...]]:
+        children, structure = flatten(tree)
+        return list(zip(keys, children, strict=True)), structure
+
+    def unflatten(structure: Any, children: Any) -> Any:
+        return frozen(**dict(zip(traced + fixed, (*children, *structure), strict=True)))
+
+    # Not `jax.tree_util.register_dataclass`: to JAX, at least up to 0.12, structures
+    # of two classes with equally many fields are equal if registered by it, and a
+    # jitted function may run the program it compiled for the other class.
+    jax.tree_util.register_pytree_with_keys(
+        frozen, flatten_with_keys, unflatten, flatten
+    )
+    return frozen

@@ -1,0 +1,134 @@
+"""The same rod with another number of elements."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.interpolation import interpolated, neighbours
+from jaxrod.geometry.rotations import (
+    join_quaternion,
+    multiply_quaternions,
+    normalise,
+    rotation_exp,
+    split_quaternion,
+)
+from jaxrod.rods.elasticity import joint_rotations
+from jaxrod.rods.factories import MOST_ELEMENTS
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.scene import Scene, check_scene_and_state
+from jaxrod.validation import check_count, is_traced
+
+
+def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
+    """A scene and its state with another number of equally long elements.
+
+    What varies along the rod is interpolated in rest arc length: properties between
+    the middles of elements (their logarithms, linearly), rest curvatures between
+    joints, positions and velocities between nodes, orientations along the rotation
+    from each element to the next. Effects say themselves what they are on the new rod
+    (`Effect.resampled`).
+
+    Exact for uniform straight rods; otherwise right to second order in the element
+    length. Not for tracing: the result is made on the host.
+
+    Args:
+        scene: The scene.
+        state: Its state.
+        n_elements: Number of elements of the new rod, at least 2.
+
+    Returns:
+        The new scene and state; the given ones if the number is theirs.
+
+    Raises:
+        ValueError: If `n_elements` is out of range, or anything is traced.
+        TypeError: If `scene` or `state` is something else.
+    """
+    check_scene_and_state(scene, state)
+    n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
+    if is_traced(scene, state):
+        raise ValueError(
+            "resampled needs numbers that are known, not traced by jax.jit, grad or "
+            "vmap"
+        )
+    rod = scene.rod
+    if n == rod.n_elements:
+        return scene, state
+    new = _resampled_rod(rod, n)
+    effects = tuple(effect.resampled(rod, new) for effect in scene.effects)
+    return (
+        dataclasses.replace(scene, rod=new, effects=effects),
+        _resampled_state(rod, state, new),
+    )
+
+
+def _resampled_rod(rod: Rod, n: int) -> Rod:
+    length = float(np.sum(np.asarray(rod.rest_lengths)))
+    dtype = rod.rest_lengths.dtype
+    middles = np.asarray(rod.arc_length_midpoints, np.float64)
+    joints = np.cumsum(np.asarray(rod.rest_lengths, np.float64))[:-1]
+    new_middles = length * (np.arange(n) + 0.5) / n
+    new_joints = length * np.arange(1, n) / n
+
+    def along(values: Array, old: np.ndarray, new: np.ndarray) -> Array:
+        return jnp.asarray(interpolated(np.asarray(values), old, new), dtype)
+
+    def positive(values: Array) -> Array:
+        # Powers of a tapering radius: their logarithms stay in bounds at the ends.
+        logarithms = np.log(np.asarray(values, np.float64))
+        new = interpolated(logarithms, middles, new_middles)
+        return jnp.asarray(np.exp(new), dtype)
+
+    return Rod(
+        rest_lengths=jnp.full(n, length / n, dtype),
+        radii=positive(rod.radii),
+        linear_density=positive(rod.linear_density),
+        rotary_inertia=positive(rod.rotary_inertia),
+        shear_stretch_stiffness=positive(rod.shear_stretch_stiffness),
+        bend_twist_stiffness=positive(rod.bend_twist_stiffness),
+        rest_strains=along(rod.rest_strains, middles, new_middles),
+        rest_curvatures=along(rod.rest_curvatures, joints, new_joints),
+    )
+
+
+def _resampled_state(rod: Rod, state: RodState, new: Rod) -> RodState:
+    dtype = state.positions.dtype
+    lengths = np.asarray(rod.rest_lengths, np.float64)
+    nodes = np.concatenate([[0.0], np.cumsum(lengths)])
+    middles = np.asarray(rod.arc_length_midpoints, np.float64)
+    new_lengths = np.asarray(new.rest_lengths, np.float64)
+    new_nodes = np.concatenate([[0.0], np.cumsum(new_lengths)])
+    new_middles = np.asarray(new.arc_length_midpoints, np.float64)
+    momenta = np.asarray(state.angular_momenta, np.float64) / lengths
+    return RodState(
+        positions=jnp.asarray(
+            interpolated(np.asarray(state.positions), nodes, new_nodes), dtype
+        ),
+        orientations=_turned_along(state.orientations, middles, new_middles),
+        velocities=jnp.asarray(
+            interpolated(np.asarray(state.velocities), nodes, new_nodes), dtype
+        ),
+        # Momentum per length is what varies smoothly along the rod.
+        angular_momenta=jnp.asarray(
+            interpolated(momenta, middles, new_middles) * new_lengths, dtype
+        ),
+        remainders=None
+        if state.remainders is None
+        else jnp.zeros((3, new_nodes.size), dtype),
+    )
+
+
+def _turned_along(
+    orientations: Array, middles: np.ndarray, new_middles: np.ndarray
+) -> Array:
+    """Orientations between elements, along the rotation from one to the next."""
+    before, share = neighbours(middles, new_middles)
+    turns, _ = joint_rotations(split_quaternion(orientations))
+    start = split_quaternion(orientations[:, before])
+    turn = vectors.split(vectors.join(turns)[:, before])
+    part = vectors.scale(jnp.asarray(share, orientations.dtype), turn)
+    return join_quaternion(normalise(multiply_quaternions(start, rotation_exp(part))))

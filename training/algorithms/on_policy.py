@@ -1,0 +1,291 @@
+"""What PPO and its relatives share: everything but the policy step.
+
+A train state, its start, and the experience of one update: a rollout with the
+newest policy, its advantages, and the observations normalised by the moments
+that the rollout was acted with.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, DTypeLike, Float, Int, Key
+
+from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs.action_repeat import repeating
+from jaxrod.structure import pytree, static
+from jaxrod.training.algorithm import DEVICE_AXIS
+from jaxrod.training.algorithms.advantages import generalised_advantages
+from jaxrod.training.algorithms.preparation import prepare, strong
+from jaxrod.training.algorithms.rollout import collect
+from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron, layers
+from jaxrod.training.normalisation import (
+    RunningMoments,
+    batch_moments,
+    merge_moments,
+    no_moments,
+    normalise,
+)
+from jaxrod.training.policy import Policy
+from jaxrod.training.settings import (
+    LearnerConfig,
+    Scalar,
+    check_finite,
+    check_fractions,
+    check_learner,
+    check_not_negative,
+)
+from jaxrod.training.short_episodes import restart_phase
+
+
+@pytree
+class OnPolicyConfig(LearnerConfig):
+    """What PPO and TRPO can both be told, beside `LearnerConfig`.
+
+    Attributes:
+        trace_decay: lambda of the advantage estimate.
+        entropy_weight: weight of the entropy bonus.
+        initial_log_std: log of the standard deviation of the first actions.
+    """
+
+    trace_decay: Scalar = 0.95
+    entropy_weight: Scalar = 0.0
+    initial_log_std: Scalar = 0.0
+
+
+@pytree
+class OnPolicyState:
+    """Everything an on-policy run is: save it, and it continues bit by bit.
+
+    Attributes:
+        env: the environment.
+        config: numbers and sizes of the learner.
+        env_params: parameters of the environment.
+        weights: weights of the networks, under "policy" and "value".
+        optimiser: state of the optimiser.
+        moments: of the observations before the running update.
+        environments: the batch.
+        action_keys: one key for every environment, for the noise of its actions.
+        shuffle_key: for the order of the minibatches.
+        updates: updates done.
+        total_updates: updates after which schedules have run out.
+    """
+
+    env: Environment = static()
+    config: Any
+    env_params: Any
+    weights: dict[str, Any]
+    optimiser: Any
+    moments: RunningMoments
+    environments: VectorState
+    action_keys: Key[Array, " num_envs"]
+    shuffle_key: Key[Array, ""]
+    updates: Int[Array, ""]
+    total_updates: Int[Array, ""]
+
+
+@pytree
+class Experience:
+    """What an update learns from; shapes (rollout_steps, num_envs, ...).
+
+    Attributes:
+        observation: normalised.
+        action: as drawn, before clipping.
+        log_prob: logarithm of the density it was drawn with.
+        advantage: of the action, not normalised.
+        value_target: scaled return that the value network should predict.
+        value: what it did predict.
+    """
+
+    observation: Float[Array, "steps num_envs observation"]
+    action: Float[Array, "steps num_envs action"]
+    log_prob: Float[Array, "steps num_envs"]
+    advantage: Float[Array, "steps num_envs"]
+    value_target: Float[Array, "steps num_envs"]
+    value: Float[Array, "steps num_envs"]
+
+
+def policy_network(
+    env: Environment, config: OnPolicyConfig, dtype: DTypeLike
+) -> GaussianPolicy:
+    """The policy network; weights come from the train state."""
+    return GaussianPolicy(
+        config.hidden_sizes, env.action_size, config.initial_log_std, dtype=dtype
+    )
+
+
+def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> MultilayerPerceptron:
+    """The value network; weights come from the train state."""
+    return MultilayerPerceptron(config.hidden_sizes, 1, dtype=dtype)
+
+
+def log_density(
+    standardised: Float[Array, "*batch action"], log_std: Float[Array, " action"]
+) -> Float[Array, "*batch"]:
+    """Log of the normal density at mean + std z: -sum(z^2/2 + log std + log(2pi)/2)."""
+    log_std = jnp.expand_dims(log_std, tuple(range(standardised.ndim - 1)))
+    terms = 0.5 * standardised**2 + log_std + 0.5 * jnp.log(2 * jnp.pi)
+    return -jnp.sum(terms.astype(standardised.dtype), axis=-1)
+
+
+def start(
+    key: Key[Array, ""],
+    env: Environment,
+    config: Any,
+    env_params: Any,
+    total_updates: int | Int[Array, ""],
+    optimiser: Any,
+) -> OnPolicyState:
+    """The train state before the first update.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: an `OnPolicyConfig`.
+        env_params: parameters of the environment, None for its own.
+        total_updates: length of the schedules, in updates.
+        optimiser: optax transformation, to make its state.
+    """
+    env = repeating(env, config.action_repeat)
+    config, env_params, dtype = prepare(key, env, config, env_params)
+    keys = jax.random.split(key, 5)
+    dummy = jnp.zeros(env.observation_size, dtype)
+    weights = {
+        "policy": policy_network(env, config, dtype).init(keys[0], dummy)["params"],
+        "value": value_network(config, dtype).init(keys[1], dummy)["params"],
+    }
+    environments = VectorEnvironment(env).reset(
+        keys[2],
+        config.num_envs,
+        env_params,
+        spread_phases=config.spread_phases,
+        phase=restart_phase(env, config, 0),
+    )
+    return OnPolicyState(
+        env=env,
+        config=config,
+        env_params=env_params,
+        weights=weights,
+        optimiser=optimiser.init(weights),
+        moments=no_moments(env.observation_size, dtype),
+        environments=strong(environments, dtype),
+        action_keys=jax.random.split(keys[3], config.num_envs),
+        shuffle_key=keys[4],
+        updates=jnp.zeros((), jnp.int32),
+        total_updates=jnp.asarray(total_updates, jnp.int32),
+    )
+
+
+def gather_experience(
+    state: OnPolicyState, axis_name: str | None = None
+) -> tuple[OnPolicyState, Experience, EpisodeRecord]:
+    """Acts with the newest policy and judges what came of it.
+
+    Returns:
+        The state with environments and moments moved on (the experience is
+        normalised by the moments before), the experience, and the episodes that
+        ended in it.
+    """
+    config: OnPolicyConfig = state.config
+    dtype = state.environments.observation.dtype
+    policy = policy_network(state.env, config, dtype)
+    values = value_network(config, dtype)
+
+    def normalised(observation: Array) -> Array:
+        return normalise(state.moments, observation, config.observation_limit)
+
+    def act(observation: Array, noise: Array) -> Array:
+        mean, log_std = policy.apply(
+            {"params": state.weights["policy"]}, normalised(observation)
+        )
+        return mean + jnp.exp(log_std)[None] * noise
+
+    def value(observation: Array) -> Array:
+        # The network sees normalised observations.
+        return values.apply({"params": state.weights["value"]}, observation)[..., 0]
+
+    noise = _noise(state)
+    environments, rollout = collect(
+        VectorEnvironment(state.env),
+        state.environments,
+        state.env_params,
+        act,
+        lambda observation: value(normalised(observation)),
+        noise,
+        restart_phase(state.env, config, state.updates),
+    )
+    observation = normalised(rollout.observation)
+    predicted = value(observation)
+    advantage = generalised_advantages(
+        reward=config.reward_scale * rollout.reward,
+        value=predicted,
+        last_value=value(normalised(environments.observation)),
+        final_value=rollout.final_value,
+        terminated=rollout.terminated,
+        done=rollout.done,
+        discount=config.discount,
+        trace_decay=config.trace_decay,
+    )
+    experience = Experience(
+        observation=observation,
+        action=rollout.action,
+        log_prob=log_density(noise, state.weights["policy"]["log_std"]),
+        advantage=advantage,
+        value_target=advantage + predicted,
+        value=predicted,
+    )
+    seen = rollout.observation.reshape(-1, rollout.observation.shape[-1])
+    state = dataclasses.replace(
+        state,
+        environments=environments,
+        moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
+    )
+    return state, experience, rollout.episodes
+
+
+def partition(state: OnPolicyState) -> OnPolicyState:
+    """The environments are spread over the devices, all else is repeated."""
+    repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)
+    specs: dict[str, Any] = {
+        field.name: repeated
+        for field in dataclasses.fields(state)
+        if field.name != "env"
+    }
+    specs |= {"environments": spread, "action_keys": spread}
+    return dataclasses.replace(state, **specs)
+
+
+def deterministic_policy(state: OnPolicyState) -> Policy:
+    """The mean of the action distribution, clipped to [-1, 1]."""
+    return Policy(
+        moments=state.moments,
+        limit=state.config.observation_limit,
+        layers=layers(state.weights["policy"]["mean"]),
+        activation="tanh",
+        output="clip",
+        action_repeat=state.config.action_repeat,
+    )
+
+
+def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
+    """Raises ValueError if a size or number does not make sense."""
+    check_learner(config, num_devices)
+    check_fractions(config, "trace_decay")
+    check_not_negative(config, "entropy_weight")
+    check_finite(config, "initial_log_std")
+
+
+def _noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
+    """Noise of the actions of one update, drawn from each environment's own key."""
+    shape = (state.config.rollout_steps, state.env.action_size)
+    dtype = state.environments.observation.dtype
+    noise = jax.vmap(
+        lambda key: jax.random.normal(
+            jax.random.fold_in(key, state.updates), shape, dtype
+        )
+    )(state.action_keys)
+    return jnp.swapaxes(noise, 0, 1)

@@ -1,0 +1,229 @@
+"""Proximal policy optimisation with a clipped objective.
+
+Source: Schulman et al., "Proximal policy optimization algorithms", 2017.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod.envs import Environment
+from jaxrod.structure import pytree, static
+from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithms.advantages import standardised
+from jaxrod.training.algorithms.device_mean import mean_over_devices
+from jaxrod.training.algorithms.on_policy import (
+    Experience,
+    OnPolicyConfig,
+    OnPolicyState,
+    check_on_policy,
+    deterministic_policy,
+    gather_experience,
+    log_density,
+    partition,
+    policy_network,
+    start,
+    value_network,
+)
+from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.settings import (
+    Scalar,
+    check_counts,
+    check_not_negative,
+    check_positive,
+)
+
+
+@pytree
+class PPOConfig(OnPolicyConfig):
+    """Settings of PPO: these, those of `OnPolicyConfig` and those of `LearnerConfig`.
+
+    Attributes:
+        epochs: passes over the experience of one update.
+        minibatches: gradient steps of one pass; divides `rollout_steps`.
+        learning_rate: step size of Adam at the start.
+        final_learning_rate: step size at the end, reached linearly.
+        clip: the probability ratio is of no more use outside 1 +- this.
+        value_weight: weight of the value loss.
+        gradient_norm: the gradient is scaled down to this norm.
+    """
+
+    epochs: int = static(default=8)
+    minibatches: int = static(default=8)
+    learning_rate: Scalar = 1e-3
+    final_learning_rate: Scalar = 5e-5
+    clip: Scalar = 0.2
+    discount: Scalar = 0.98
+    value_weight: Scalar = 0.5
+    gradient_norm: Scalar = 0.5
+
+
+def validate(config: PPOConfig, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_on_policy(config, num_devices)
+    check_counts(config, "epochs", "minibatches")
+    if config.rollout_steps % config.minibatches:
+        raise ValueError(
+            f"minibatches must divide rollout_steps, {config.rollout_steps}, "
+            f"got {config.minibatches}"
+        )
+    check_positive(
+        config, "learning_rate", "final_learning_rate", "clip", "gradient_norm"
+    )
+    check_not_negative(config, "value_weight")
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: PPOConfig,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OnPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: control steps over which the learning rate falls.
+    """
+    updates = -(-total_steps // steps_per_update(config))
+    optimiser = _optimiser(config.gradient_norm)
+    return start(key, env, config, env_params, updates, optimiser)
+
+
+def update(
+    state: OnPolicyState, axis_name: str | None = None
+) -> tuple[OnPolicyState, Metrics]:
+    """One update: act, estimate advantages, climb the clipped objective.
+
+    A minibatch is a random set of time steps with all environments in it. So it
+    is the same set however the environments are spread over devices, its samples
+    come from independent environments, and it is read in long runs of memory.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    config: PPOConfig = state.config
+    state, experience, episodes = gather_experience(state, axis_name)
+    optimiser = _optimiser(config.gradient_norm)
+    learning_rate = along_the_run(
+        state,
+        config.learning_rate,
+        config.final_learning_rate,
+        experience.advantage.dtype,
+    )
+
+    def minibatch_step(
+        carry: tuple[Any, Any], chosen: tuple[Int[Array, " rows"], Array]
+    ) -> tuple[tuple[Any, Any], dict[str, Array]]:
+        weights, moments = carry
+        rows, advantage = chosen
+        batch = jax.tree.map(lambda leaf: leaf[rows], experience)
+        batch = dataclasses.replace(batch, advantage=advantage)
+        objective = functools.partial(_loss, env=state.env, config=config)
+        gradient, report = jax.grad(objective, has_aux=True)(weights, batch)
+        gradient = mean_over_devices(gradient, axis_name)
+        report["gradient_norm"] = optax.tree.norm(gradient)
+        direction, moments = optimiser.update(gradient, moments)
+        weights = jax.tree.map(lambda w, d: w - learning_rate * d, weights, direction)
+        return (weights, moments), report
+
+    def epoch(carry: Any, key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
+        rows = jax.random.permutation(key, config.rollout_steps)
+        rows = rows.reshape(config.minibatches, -1)
+        advantage = standardised(experience.advantage[rows], (1, 2), axis_name)
+        return jax.lax.scan(minibatch_step, carry, (rows, advantage))
+
+    shuffle_key, epochs_key = jax.random.split(state.shuffle_key)
+    (weights, moments), reports = jax.lax.scan(
+        epoch,
+        (state.weights, state.optimiser),
+        jax.random.split(epochs_key, config.epochs),
+    )
+    scalars = jax.tree.map(jnp.mean, reports)
+    scalars |= {
+        "value_error": jnp.mean((experience.value_target - experience.value) ** 2),
+        "return_mean": jnp.mean(experience.value_target),
+        "action_std": jnp.mean(jnp.exp(weights["policy"]["log_std"])),
+        "learning_rate": learning_rate,
+    }
+    state = dataclasses.replace(
+        state,
+        weights=weights,
+        optimiser=moments,
+        shuffle_key=shuffle_key,
+        updates=state.updates + 1,
+    )
+    return state, Metrics(mean_over_devices(scalars, axis_name), episodes)
+
+
+def _loss(
+    weights: dict[str, Any],
+    batch: Experience,
+    env: Environment,
+    config: PPOConfig,
+) -> tuple[Float[Array, ""], dict[str, Array]]:
+    """The clipped objective, turned to be minimised, and what to report of it."""
+    batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
+    dtype = batch.observation.dtype
+    mean, log_std = policy_network(env, config, dtype).apply(
+        {"params": weights["policy"]}, batch.observation
+    )
+    standardised = (batch.action - mean) * jnp.exp(-log_std)[None]
+    log_ratio = log_density(standardised, log_std) - batch.log_prob
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
+    gain = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
+
+    value = value_network(config, dtype).apply(
+        {"params": weights["value"]}, batch.observation
+    )[:, 0]
+    value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
+    entropy = jnp.sum(log_std) + 0.5 * env.action_size * math.log(2 * math.pi * math.e)
+    loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy
+    report = {
+        "policy_gain": gain,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        # Schulman's estimator: unbiased, never negative, of little variance.
+        "kl": jnp.mean(ratio - 1 - log_ratio),
+        "clipped": jnp.mean((jnp.abs(ratio - 1) > config.clip).astype(loss.dtype)),
+    }
+    return loss, report
+
+
+def _optimiser(gradient_norm: Scalar) -> optax.GradientTransformation:
+    """Adam's direction for a gradient of bounded norm; the step size comes later."""
+    return optax.chain(
+        optax.clip_by_global_norm(gradient_norm),
+        optax.scale_by_adam(eps=1e-5),
+    )
+
+
+PPO = Algorithm(
+    name="ppo",
+    config_type=PPOConfig,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=deterministic_policy,
+)
+"""PPO for the shared loop."""

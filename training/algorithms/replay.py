@@ -1,0 +1,127 @@
+"""A ring of transitions in device memory: what off-policy learners learn from.
+
+Every environment has a ring of its own, all of the same length and written in step.
+Every environment gives the same number of samples to a batch, at times drawn from its
+own random key: each transition in memory is as likely as any other, and what is drawn
+does not depend on how many devices share the environments.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
+
+from jaxrod.structure import pytree
+
+
+@pytree
+class Transition:
+    """What was seen, done and earned; leading axes as the context says.
+
+    Attributes:
+        observation: what was acted on.
+        action: in [-1, 1].
+        reward: as the environment pays it.
+        following: the observation after the step, before any restart.
+        terminated: the task ended in this step: `following` is worth nothing.
+    """
+
+    observation: Float[Array, "*batch observation"]
+    action: Float[Array, "*batch action"]
+    reward: Float[Array, "*batch"]
+    following: Float[Array, "*batch observation"]
+    terminated: Bool[Array, "*batch"]
+
+
+@pytree
+class Replay:
+    """The last transitions of every environment.
+
+    Attributes:
+        transitions: one array per field, of shape (slots, num_envs, ...).
+        written: time steps written since the beginning.
+    """
+
+    transitions: Transition
+    written: Int[Array, ""]
+
+    @property
+    def slots(self) -> int:
+        """Time steps there is room for."""
+        return self.transitions.reward.shape[0]
+
+    @property
+    def filled(self) -> Int[Array, ""]:
+        """Time steps there are."""
+        return jnp.minimum(self.written, self.slots)
+
+
+def empty_replay(
+    slots: int, num_envs: int, observation_size: int, action_size: int, dtype: DTypeLike
+) -> Replay:
+    """Room for `slots` time steps of `num_envs` environments."""
+    shape = (slots, num_envs)
+    return Replay(
+        Transition(
+            observation=jnp.zeros((*shape, observation_size), dtype),
+            action=jnp.zeros((*shape, action_size), dtype),
+            reward=jnp.zeros(shape, dtype),
+            following=jnp.zeros((*shape, observation_size), dtype),
+            terminated=jnp.zeros(shape, bool),
+        ),
+        jnp.zeros((), jnp.int32),
+    )
+
+
+def remember(replay: Replay, steps: Transition) -> Replay:
+    """Writes a block of time steps over the oldest there are.
+
+    Args:
+        replay: the ring; its length is a multiple of the block's, so that a block
+            never runs over the end.
+        steps: shape (block, num_envs, ...), the same length in every call.
+
+    Raises:
+        ValueError: the block does not divide the ring.
+    """
+    block = steps.reward.shape[0]
+    if replay.slots % block:
+        raise ValueError(
+            f"steps must be a block whose length divides the ring's {replay.slots} "
+            f"slots, got {block}"
+        )
+    slot = replay.written % replay.slots
+    transitions = jax.tree.map(
+        lambda ring, new: jax.lax.dynamic_update_slice_in_dim(ring, new, slot, axis=0),
+        replay.transitions,
+        steps,
+    )
+    return Replay(transitions, replay.written + block)
+
+
+def draw_times(
+    replay: Replay, keys: Key[Array, " num_envs"], batches: int, per_env: int
+) -> Int[Array, "batches per_env num_envs"]:
+    """Slots to sample, uniform over what is filled, with replacement.
+
+    Args:
+        replay: the ring.
+        keys: one typed random key for every environment.
+        batches: number of batches.
+        per_env: samples of a batch from each environment.
+    """
+    times = jax.vmap(
+        lambda key: jax.random.randint(
+            key, (batches, per_env), 0, replay.filled, jnp.int32
+        )
+    )(keys)
+    return jnp.moveaxis(times, 0, 2)
+
+
+def recall(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Transition:
+    """Reads one batch, of shape (per_env * num_envs, ...)."""
+    envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
+    return jax.tree.map(
+        lambda ring: ring[times.reshape(-1), envs.reshape(-1)], replay.transitions
+    )

@@ -1,0 +1,89 @@
+"""Collecting experience: a policy acts on a batch of environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrod.envs import EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.structure import pytree
+
+
+@pytree
+class Rollout:
+    """What happened in `steps` steps of `num_envs` environments.
+
+    Attributes:
+        observation: what was acted on.
+        action: what the policy drew, before clipping to [-1, 1].
+        reward: as the environment pays it.
+        terminated: the task ended in this step.
+        done: the episode ended in this step, for whatever reason.
+        final_value: value of the final observation where an episode was cut
+            short, else 0.
+        episodes: the complete episodes that ended in each step.
+    """
+
+    observation: Float[Array, "steps num_envs observation"]
+    action: Float[Array, "steps num_envs action"]
+    reward: Float[Array, "steps num_envs"]
+    terminated: Bool[Array, "steps num_envs"]
+    done: Bool[Array, "steps num_envs"]
+    final_value: Float[Array, "steps num_envs"]
+    episodes: EpisodeRecord
+
+
+def collect(
+    environment: VectorEnvironment,
+    state: VectorState,
+    env_params: Any,
+    act: Callable[[Array, Array], Array],
+    value: Callable[[Array], Array],
+    noise: Float[Array, "steps num_envs action"],
+    restart_phase: Int[Array, ""] | int = 0,
+) -> tuple[VectorState, Rollout]:
+    """Acts for `steps` steps.
+
+    Args:
+        environment: the batch.
+        state: its state.
+        env_params: parameters of the environment.
+        act: (observation, noise) -> action, on a batch.
+        value: observation -> value, on a batch. Called only in steps in which an
+            episode is cut short.
+        noise: the randomness of the actions, standard normal.
+        restart_phase: as in `jaxrod.envs.VectorEnvironment.step`.
+    """
+
+    def step(
+        state: VectorState, noise: Float[Array, "num_envs action"]
+    ) -> tuple[VectorState, Rollout]:
+        action = act(state.observation, noise)
+        following, outcome = environment.step(
+            state,
+            jnp.clip(action, -1, 1),
+            env_params,
+            restart_phase=restart_phase,
+        )
+        cut_short = outcome.truncated & ~outcome.terminated
+        final_value = jax.lax.cond(
+            jnp.any(cut_short),
+            lambda observation: jnp.where(cut_short, value(observation), 0),
+            lambda observation: jnp.zeros_like(observation[:, 0]),
+            outcome.final_observation,
+        )
+        return following, Rollout(
+            observation=state.observation,
+            action=action,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            done=outcome.terminated | outcome.truncated,
+            final_value=final_value,
+            episodes=outcome.episodes,
+        )
+
+    return jax.lax.scan(step, state, noise)

@@ -1,0 +1,203 @@
+"""Soft actor-critic: twin critics, a tanh-Gaussian policy, a learned temperature.
+
+Source: Haarnoja et al., "Soft actor-critic algorithms and applications", 2018.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int, Key
+
+from jaxrod.envs import Environment
+from jaxrod.structure import pytree
+from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithms.actor_critic import (
+    Learner,
+    critic_loss,
+    critic_values,
+    descend,
+    follow,
+    initial_critics,
+    optimiser,
+    policy_network,
+)
+from jaxrod.training.algorithms.off_policy import (
+    OffPolicyConfig,
+    OffPolicyState,
+    check_off_policy,
+    deterministic_policy,
+    partition,
+    start,
+)
+from jaxrod.training.algorithms.off_policy_update import Batch, act_and_remember, learn
+from jaxrod.training.algorithms.squashed_gaussian import (
+    LARGEST_ENTROPY,
+    split_output,
+    squash,
+)
+from jaxrod.training.settings import Scalar, check_finite, check_positive
+
+
+@pytree
+class SACConfig(OffPolicyConfig):
+    """Settings of SAC: these, those of `OffPolicyConfig` and those of `LearnerConfig`.
+
+    Attributes:
+        temperature_learning_rate: step size of Adam for the temperature.
+        initial_temperature: weight of the entropy at the start.
+        entropy_per_action: the temperature is moved until the policy's entropy is
+            this number times the number of actions. Below log 2.
+    """
+
+    temperature_learning_rate: Scalar = 3e-3
+    initial_temperature: Scalar = 0.02
+    entropy_per_action: Scalar = -1.0
+
+
+def validate(config: SACConfig, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_off_policy(config, num_devices)
+    check_positive(config, "temperature_learning_rate", "initial_temperature")
+    check_finite(config, "entropy_per_action")
+    if config.entropy_per_action >= LARGEST_ENTROPY:
+        raise ValueError(
+            "entropy_per_action must be less than log 2 = 0.693, that of actions "
+            f"spread evenly over [-1, 1], got {config.entropy_per_action}"
+        )
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: SACConfig,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OffPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: of no consequence: nothing follows a schedule.
+    """
+
+    def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:
+        keys = jax.random.split(key)
+        dummy = jnp.zeros(env.observation_size, dtype)
+        network = policy_network(config.hidden_sizes, 2 * env.action_size, dtype)
+        critics = initial_critics(keys[1], env, config.hidden_sizes, 2, dtype)
+        weights = {
+            "policy": network.init(keys[0], dummy)["params"],
+            "critics": critics,
+            "log_temperature": jnp.log(jnp.asarray(config.initial_temperature, dtype)),
+        }
+        memory = {name: optimiser().init(part) for name, part in weights.items()}
+        return Learner(weights | {"target_critics": critics}, memory)
+
+    updates = -(-total_steps // steps_per_update(config))
+    return start(key, env, config, env_params, updates, learner)
+
+
+def update(
+    state: OffPolicyState, axis_name: str | None = None
+) -> tuple[OffPolicyState, Metrics]:
+    """One update: act, remember, and make the gradient steps.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    config: SACConfig = state.config
+    sizes = config.hidden_sizes
+    dtype = state.environments.observation.dtype
+    network = policy_network(sizes, 2 * state.env.action_size, dtype)
+
+    def act(weights: Any, observation: Array, noise: Array) -> tuple[Array, Array]:
+        output = network.apply({"params": weights}, observation)
+        return squash(*split_output(output), noise)
+
+    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.following
+        action, log_prob = act(weights["policy"], observation, batch.noise[0])
+        values = critic_values(sizes, weights["target_critics"], observation, action)
+        return jnp.min(values, axis=0) - jnp.exp(weights["log_temperature"]) * log_prob
+
+    def policy_loss(
+        policy: Any, weights: dict[str, Any], batch: Batch
+    ) -> tuple[Array, dict[str, Array]]:
+        observation = batch.transition.observation
+        action, log_prob = act(policy, observation, batch.noise[1])
+        values = critic_values(sizes, weights["critics"], observation, action)
+        temperature = jnp.exp(weights["log_temperature"])
+        loss = jnp.mean(temperature * log_prob - jnp.min(values, axis=0))
+        return loss, {"entropy": -jnp.mean(log_prob)}
+
+    def gradient_step(
+        learner: Learner, batches: list[Batch]
+    ) -> tuple[Learner, dict[str, Array]]:
+        (batch,) = batches
+        gradient, report = jax.grad(critic_loss, has_aux=True)(
+            learner.weights["critics"],
+            sizes,
+            batch.transition,
+            following_value(learner.weights, batch),
+            config.discount,
+        )
+        learner = descend(
+            learner, "critics", gradient, config.critic_learning_rate, axis_name
+        )
+        gradient, about_policy = jax.grad(policy_loss, has_aux=True)(
+            learner.weights["policy"], learner.weights, batch
+        )
+        learner = descend(
+            learner, "policy", gradient, config.policy_learning_rate, axis_name
+        )
+        # The loss of the temperature is linear in its logarithm.
+        wanted = config.entropy_per_action * state.env.action_size
+        excess = about_policy["entropy"] - wanted
+        learner = descend(
+            learner,
+            "log_temperature",
+            excess,
+            config.temperature_learning_rate,
+            axis_name,
+        )
+        learner = follow(learner, "target_critics", "critics", config.target_rate)
+        report |= about_policy
+        report["temperature"] = jnp.exp(learner.weights["log_temperature"])
+        return learner, report
+
+    policy = state.learner.weights["policy"]
+    state, acted = act_and_remember(
+        state, lambda observation, noise: act(policy, observation, noise)[0], axis_name
+    )
+    return learn(
+        state,
+        gradient_step,
+        acted,
+        batches_per_step=1,
+        noises=2,
+        axis_name=axis_name,
+    )
+
+
+SAC = Algorithm(
+    name="sac",
+    config_type=SACConfig,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=deterministic_policy,
+)
+"""SAC for the shared loop."""

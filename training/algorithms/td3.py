@@ -1,0 +1,231 @@
+"""Twin delayed deep deterministic policy gradients.
+
+A deterministic policy climbs the first of its critics. Three things keep it from
+climbing their errors: the smaller of two critics is believed, the actions that judge
+what follows are blurred, and the policy waits until the critics have moved.
+
+Source: Fujimoto et al., "Addressing function approximation error in actor-critic
+methods", 2018.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod.envs import Environment
+from jaxrod.structure import pytree, static
+from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithms.actor_critic import (
+    Learner,
+    critic_loss,
+    critic_values,
+    descend,
+    follow,
+    initial_critics,
+    optimiser,
+    policy_network,
+)
+from jaxrod.training.algorithms.off_policy import (
+    OffPolicyConfig,
+    OffPolicyState,
+    check_off_policy,
+    deterministic_policy,
+    partition,
+    start,
+)
+from jaxrod.training.algorithms.off_policy_update import Batch, act_and_remember, learn
+from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.settings import (
+    Scalar,
+    check_counts,
+    check_fractions,
+    check_not_negative,
+)
+
+
+@pytree
+class TD3Config(OffPolicyConfig):
+    """Settings of TD3: these, those of `OffPolicyConfig` and those of `LearnerConfig`.
+
+    Attributes:
+        policy_delay: critic steps for one of the policy and the targets; divides
+            `gradient_steps`.
+        critics: number of critics; the smallest value is believed.
+        exploration_noise: standard deviation of what is added to actions.
+        exploration_decay: share of it that is gone at the end of the run, linearly.
+        target_noise: standard deviation of the blur of the actions that follow.
+        target_noise_limit: that blur is clipped to +- this.
+    """
+
+    policy_delay: int = static(default=2)
+    critics: int = static(default=2)
+    exploration_noise: Scalar = 0.1
+    exploration_decay: Scalar = 0.0
+    target_noise: Scalar = 0.2
+    target_noise_limit: Scalar = 0.5
+
+
+def validate(config: TD3Config, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_off_policy(config, num_devices)
+    check_counts(config, "policy_delay", "critics")
+    if config.gradient_steps % config.policy_delay:
+        raise ValueError(
+            f"policy_delay must divide gradient_steps, {config.gradient_steps}, "
+            f"got {config.policy_delay}"
+        )
+    check_not_negative(
+        config, "exploration_noise", "target_noise", "target_noise_limit"
+    )
+    check_fractions(config, "exploration_decay")
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: TD3Config,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OffPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: control steps over which the exploration noise falls.
+    """
+
+    def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
+        keys = jax.random.split(key)
+        dummy = jnp.zeros(env.observation_size, dtype)
+        sizes = config.hidden_sizes
+        network = policy_network(sizes, env.action_size, dtype)
+        weights: dict[str, Any] = {
+            "policy": network.init(keys[0], dummy)["params"],
+            "critics": initial_critics(keys[1], env, sizes, config.critics, dtype),
+        }
+        memory = {name: optimiser().init(part) for name, part in weights.items()}
+        targets = {f"target_{name}": part for name, part in weights.items()}
+        return Learner(weights | targets, memory)
+
+    updates = -(-total_steps // steps_per_update(config))
+    return start(key, env, config, env_params, updates, learner)
+
+
+def blurred(
+    action: Float[Array, "*batch action"],
+    noise: Float[Array, "*batch action"],
+    spread: Scalar,
+    limit: Scalar,
+) -> Float[Array, "*batch action"]:
+    """Actions in [-1, 1] with clipped noise on them: similar ones are worth the same.
+
+    Args:
+        action: in [-1, 1].
+        noise: standard normal.
+        spread: standard deviation of the noise before clipping.
+        limit: the noise is clipped to +- this.
+    """
+    return jnp.clip(action + jnp.clip(spread * noise, -limit, limit), -1, 1)
+
+
+def update(
+    state: OffPolicyState, axis_name: str | None = None
+) -> tuple[OffPolicyState, Metrics]:
+    """One update: act, remember, and make the gradient steps.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    config: TD3Config = state.config
+    sizes = config.hidden_sizes
+    dtype = state.environments.observation.dtype
+    network = policy_network(sizes, state.env.action_size, dtype)
+
+    spread = along_the_run(
+        state,
+        config.exploration_noise,
+        config.exploration_noise * (1 - config.exploration_decay),
+        dtype,
+    )
+
+    def act(weights: Any, observation: Array) -> Array:
+        return jnp.tanh(network.apply({"params": weights}, observation))
+
+    def explore(observation: Array, noise: Array) -> Array:
+        action = act(state.learner.weights["policy"], observation)
+        return action + spread * noise
+
+    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.following
+        action = blurred(
+            act(weights["target_policy"], observation),
+            batch.noise[0],
+            config.target_noise,
+            config.target_noise_limit,
+        )
+        values = critic_values(sizes, weights["target_critics"], observation, action)
+        return jnp.min(values, axis=0)
+
+    def policy_loss(policy: Any, critics: tuple[Any, ...], batch: Batch) -> Array:
+        observation = batch.transition.observation
+        action = act(policy, observation)
+        return -jnp.mean(critic_values(sizes, critics[:1], observation, action))
+
+    def gradient_step(
+        learner: Learner, batches: list[Batch]
+    ) -> tuple[Learner, dict[str, Array]]:
+        for batch in batches:
+            gradient, report = jax.grad(critic_loss, has_aux=True)(
+                learner.weights["critics"],
+                sizes,
+                batch.transition,
+                following_value(learner.weights, batch),
+                config.discount,
+            )
+            learner = descend(
+                learner, "critics", gradient, config.critic_learning_rate, axis_name
+            )
+        gradient = jax.grad(policy_loss)(
+            learner.weights["policy"], learner.weights["critics"], batches[-1]
+        )
+        learner = descend(
+            learner, "policy", gradient, config.policy_learning_rate, axis_name
+        )
+        for name in ("policy", "critics"):
+            learner = follow(learner, f"target_{name}", name, config.target_rate)
+        return learner, report
+
+    state, acted = act_and_remember(state, explore, axis_name)
+    return learn(
+        state,
+        gradient_step,
+        acted,
+        batches_per_step=config.policy_delay,
+        noises=1,
+        axis_name=axis_name,
+    )
+
+
+TD3 = Algorithm(
+    name="td3",
+    config_type=TD3Config,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=deterministic_policy,
+)
+"""TD3 for the shared loop."""

@@ -1,0 +1,298 @@
+"""Trust region policy optimisation: natural gradients within a bound on the change.
+
+Source: Schulman et al., "Trust region policy optimization", 2015.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod.envs import Environment
+from jaxrod.structure import pytree, static
+from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithms.advantages import standardised
+from jaxrod.training.algorithms.device_mean import mean_over_devices
+from jaxrod.training.algorithms.on_policy import (
+    Experience,
+    OnPolicyConfig,
+    OnPolicyState,
+    check_on_policy,
+    deterministic_policy,
+    gather_experience,
+    log_density,
+    partition,
+    policy_network,
+    start,
+    value_network,
+)
+from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.trust_region import (
+    backtrack,
+    conjugate_gradient,
+    fisher_product,
+    longest_step,
+)
+from jaxrod.training.settings import (
+    Scalar,
+    check_counts,
+    check_fractions,
+    check_not_negative,
+    check_positive,
+)
+
+
+@pytree
+class TRPOConfig(OnPolicyConfig):
+    """Settings of TRPO: these, those of `OnPolicyConfig` and those of `LearnerConfig`.
+
+    Attributes:
+        conjugate_iterations: products with the Fisher matrix in one update.
+        fisher_stride: the Fisher matrix is that of every so many-th time step.
+        line_search_tries: lengths of the step tried before it is given up.
+        value_epochs: passes of the value network over the experience of one update.
+        value_minibatches: gradient steps of one pass; divides `rollout_steps`.
+        max_kl: the policy changes at most this much in the first update, as mean KL
+            divergence of the old from the new one.
+        final_max_kl: and this much in the last one; in between the bound goes linearly.
+        damping: added to the Fisher matrix times the identity.
+        line_search_shrink: factor between one length of the step and the next.
+        value_learning_rate: step size of Adam for the value network.
+    """
+
+    rollout_steps: int = static(default=64)
+    conjugate_iterations: int = static(default=10)
+    fisher_stride: int = static(default=5)
+    line_search_tries: int = static(default=10)
+    value_epochs: int = static(default=8)
+    value_minibatches: int = static(default=8)
+    max_kl: Scalar = 0.01
+    final_max_kl: Scalar = 0.01
+    damping: Scalar = 0.01
+    line_search_shrink: Scalar = 0.5
+    trace_decay: Scalar = 0.98
+    value_learning_rate: Scalar = 1e-3
+
+
+def validate(config: TRPOConfig, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_on_policy(config, num_devices)
+    check_counts(
+        config,
+        "conjugate_iterations",
+        "fisher_stride",
+        "line_search_tries",
+        "value_epochs",
+        "value_minibatches",
+    )
+    if config.rollout_steps % config.value_minibatches:
+        raise ValueError(
+            f"value_minibatches must divide rollout_steps, {config.rollout_steps}, "
+            f"got {config.value_minibatches}"
+        )
+    check_fractions(config, "line_search_shrink")
+    check_positive(config, "max_kl", "final_max_kl")
+    check_positive(config, "value_learning_rate", "line_search_shrink")
+    check_not_negative(config, "damping")
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: TRPOConfig,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OnPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: control steps over which the bound on the change goes from its
+            first to its last value.
+    """
+    updates = -(-total_steps // steps_per_update(config))
+    return start(key, env, config, env_params, updates, _value_optimiser())
+
+
+def update(
+    state: OnPolicyState, axis_name: str | None = None
+) -> tuple[OnPolicyState, Metrics]:
+    """One update: act, estimate advantages, step to the edge of the trust region.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    state, experience, episodes = gather_experience(state, axis_name)
+    policy, scalars = _improve_policy(state, experience, axis_name)
+    state = dataclasses.replace(state, weights=state.weights | {"policy": policy})
+    state, value_loss = _fit_value(state, experience, axis_name)
+    scalars |= {
+        "value_loss": value_loss,
+        "value_error": jnp.mean((experience.value_target - experience.value) ** 2),
+        "return_mean": jnp.mean(experience.value_target),
+        "action_std": jnp.mean(jnp.exp(policy["log_std"])),
+    }
+    state = dataclasses.replace(state, updates=state.updates + 1)
+    return state, Metrics(mean_over_devices(scalars, axis_name), episodes)
+
+
+def _improve_policy(
+    state: OnPolicyState, experience: Experience, axis_name: str | None
+) -> tuple[Any, dict[str, Array]]:
+    """The policy's new weights, and what to report of them."""
+    config: TRPOConfig = state.config
+    advantage = standardised(experience.advantage, (0, 1), axis_name)
+    experience = dataclasses.replace(experience, advantage=advantage)
+    rows = experience.observation[:: config.fisher_stride]
+    every_so_many = rows.reshape(-1, rows.shape[-1])
+    batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), experience)
+    network = policy_network(state.env, config, batch.observation.dtype)
+    start, as_weights = ravel_pytree(state.weights["policy"])
+
+    def outputs(parameters: Array, observation: Array) -> tuple[Array, Array]:
+        return network.apply({"params": as_weights(parameters)}, observation)
+
+    old_mean, old_log_std = outputs(start, batch.observation)
+
+    def objective(parameters: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """What is to grow, and the mean KL divergence of the old from the new."""
+        mean, log_std = outputs(parameters, batch.observation)
+        noise = (batch.action - mean) * jnp.exp(-log_std)[None]
+        ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)
+        gain = jnp.mean(ratio * batch.advantage)
+        entropy = _entropy(log_std)
+        kl = mean_divergence(old_mean, old_log_std, mean, log_std)
+        return gain + config.entropy_weight * entropy, kl
+
+    gradient, _ = jax.grad(objective, has_aux=True)(start)
+    gradient = mean_over_devices(gradient, axis_name)
+    fisher = fisher_product(lambda p: outputs(p, every_so_many), start)
+
+    def product(vector: Array) -> Array:
+        return mean_over_devices(fisher(vector), axis_name) + config.damping * vector
+
+    direction = conjugate_gradient(product, gradient, config.conjugate_iterations)
+    max_kl = along_the_run(state, config.max_kl, config.final_max_kl, gradient.dtype)
+    step = longest_step(product, direction, max_kl)
+    before, _ = mean_over_devices(objective(start), axis_name)
+
+    def acceptable(parameters: Array) -> Array:
+        after, kl = mean_over_devices(objective(parameters), axis_name)
+        # False also where something is not a number.
+        return (after > before) & (kl <= max_kl)
+
+    search = backtrack(
+        acceptable, start, step, config.line_search_shrink, config.line_search_tries
+    )
+    after, kl = objective(search.point)
+    weights = as_weights(search.point)
+    return weights, {
+        "policy_gain": after - before,
+        "kl": kl,
+        "entropy": _entropy(weights["log_std"]),
+        "gradient_norm": jnp.sqrt(jnp.vdot(gradient, gradient)),
+        "accepted": search.accepted.astype(after.dtype),
+        "backtracks": search.backtracks.astype(after.dtype),
+        "max_kl": max_kl,
+    }
+
+
+def mean_divergence(
+    old_mean: Float[Array, "samples action"],
+    old_log_std: Float[Array, " action"],
+    mean: Float[Array, "samples action"],
+    log_std: Float[Array, " action"],
+) -> Float[Array, ""]:
+    """Mean KL divergence KL(old, new) of normal distributions.
+
+    KL = sum(log s'/s + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), written with expm1 so
+    that float32 resolves it where both are nearly the same.
+    """
+    change = log_std - old_log_std
+    spread = change + 0.5 * jnp.expm1(-2 * change)
+    shift = 0.5 * ((mean - old_mean) * jnp.exp(-log_std)[None]) ** 2
+    return jnp.sum(spread) + jnp.mean(jnp.sum(shift, axis=-1))
+
+
+def _fit_value(
+    state: OnPolicyState, experience: Experience, axis_name: str | None
+) -> tuple[OnPolicyState, Float[Array, ""]]:
+    """Moves the value network towards the returns; a minibatch is as in PPO."""
+    config: TRPOConfig = state.config
+    network = value_network(config, experience.observation.dtype)
+    optimiser = _value_optimiser()
+
+    def loss(weights: Any, observation: Array, target: Array) -> Array:
+        value = network.apply({"params": weights}, observation)[..., 0]
+        return 0.5 * jnp.mean((value - target) ** 2)
+
+    def minibatch_step(
+        carry: tuple[Any, Any], rows: Int[Array, " rows"]
+    ) -> tuple[tuple[Any, Any], Array]:
+        weights, memory = carry
+        error, gradient = jax.value_and_grad(loss)(
+            weights, experience.observation[rows], experience.value_target[rows]
+        )
+        gradient = mean_over_devices(gradient, axis_name)
+        direction, memory = optimiser.update(gradient, memory)
+        weights = jax.tree.map(
+            lambda w, d: w - config.value_learning_rate * d, weights, direction
+        )
+        return (weights, memory), error
+
+    shuffle_key, epochs_key = jax.random.split(state.shuffle_key)
+    orders = jax.vmap(lambda key: jax.random.permutation(key, config.rollout_steps))(
+        jax.random.split(epochs_key, config.value_epochs)
+    )
+    rows = orders.reshape(config.value_epochs * config.value_minibatches, -1)
+    (weights, memory), errors = jax.lax.scan(
+        minibatch_step, (state.weights["value"], state.optimiser), rows
+    )
+    state = dataclasses.replace(
+        state,
+        weights=state.weights | {"value": weights},
+        optimiser=memory,
+        shuffle_key=shuffle_key,
+    )
+    return state, jnp.mean(errors)
+
+
+def _entropy(log_std: Float[Array, " action"]) -> Float[Array, ""]:
+    constant = 0.5 * log_std.shape[0] * math.log(2 * math.pi * math.e)
+    return jnp.sum(log_std) + constant
+
+
+def _value_optimiser() -> optax.GradientTransformation:
+    """Adam's direction for the value network alone; the step size comes later."""
+    adam = optax.scale_by_adam()
+    return optax.GradientTransformation(
+        lambda weights: adam.init(weights["value"]), adam.update
+    )
+
+
+TRPO = Algorithm(
+    name="trpo",
+    config_type=TRPOConfig,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=deterministic_policy,
+)
+"""TRPO for the shared loop."""

@@ -1,0 +1,145 @@
+"""The largest step that a quadratic bound allows, found without any matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrod.structure import pytree
+from jaxrod.training.settings import Scalar
+
+Vector = Float[Array, " parameters"]
+
+
+def fisher_product(
+    outputs: Callable[[Vector], tuple[Array, Array]],
+    parameters: Vector,
+) -> Callable[[Vector], Vector]:
+    """Products with the Fisher matrix of a normal distribution over actions.
+
+    The Fisher matrix is the Hessian of the mean KL divergence from the distribution
+    at `parameters`, there. With J the Jacobian of (mean, log std) it is J^T M J, where
+    M is 1 / std^2 for a mean, averaged over the samples, and 2 for a log std. J is
+    linearised once: every product is one sweep forwards and one backwards.
+
+    Args:
+        outputs: parameters -> (mean, shape (samples, actions); log std, (actions,)).
+        parameters: where the matrix is taken.
+
+    Source: Schulman et al., "Trust region policy optimization", 2015, appendix C.
+    """
+    (mean, log_std), forwards = jax.linearize(outputs, parameters)
+    backwards = jax.linear_transpose(forwards, parameters)
+    precision = jnp.exp(-2 * log_std)[None] / mean.shape[0]
+
+    def product(vector: Vector) -> Vector:
+        of_mean, of_log_std = forwards(vector)
+        return backwards((precision * of_mean, 2 * of_log_std))[0]
+
+    return product
+
+
+def conjugate_gradient(
+    product: Callable[[Vector], Vector],
+    right_side: Vector,
+    iterations: int,
+    tolerance: float = 1e-10,
+) -> Vector:
+    """Solves A x = b for a positive definite A that is only known by its products.
+
+    Stops early when the squared residual is `tolerance` of its beginning: what
+    follows would be rounding.
+
+    Args:
+        product: x -> A x.
+        right_side: b.
+        iterations: the most products.
+        tolerance: of the squared residual, relative.
+    """
+    enough = tolerance * jnp.vdot(right_side, right_side)
+
+    def improve(_: Int[Array, ""], carry: tuple[Vector, ...]) -> tuple[Vector, ...]:
+        solution, residual, direction, square = carry
+        image = product(direction)
+        curvature = jnp.vdot(direction, image)
+        go_on = (square > enough) & (curvature > 0)
+        length = jnp.where(go_on, square / jnp.where(go_on, curvature, 1), 0)
+        solution = solution + length * direction
+        residual = residual - length * image
+        following = jnp.where(go_on, jnp.vdot(residual, residual), square)
+        ratio = jnp.where(go_on, following / jnp.where(go_on, square, 1), 0)
+        direction = jnp.where(go_on, residual + ratio * direction, direction)
+        return solution, residual, direction, following
+
+    start = (
+        jnp.zeros_like(right_side),
+        right_side,
+        right_side,
+        jnp.vdot(right_side, right_side),
+    )
+    return jax.lax.fori_loop(0, iterations, improve, start)[0]
+
+
+def longest_step(
+    product: Callable[[Vector], Vector], direction: Vector, bound: Scalar
+) -> Vector:
+    """Scales a direction s so that s^T A s / 2 = bound; zero stays zero."""
+    quadratic = 0.5 * jnp.vdot(direction, product(direction))
+    sound = quadratic > 0
+    scale = jnp.sqrt(bound / jnp.where(sound, quadratic, 1))
+    return jnp.where(sound, scale, 0) * direction
+
+
+@pytree
+class LineSearch:
+    """Where a backtracking line search ended.
+
+    Attributes:
+        point: the accepted point; the start if none was.
+        accepted: whether one was.
+        backtracks: how often the step was shortened.
+    """
+
+    point: Vector
+    accepted: Bool[Array, ""]
+    backtracks: Int[Array, ""]
+
+
+def backtrack(
+    acceptable: Callable[[Vector], Bool[Array, ""]],
+    start: Vector,
+    step: Vector,
+    shrink: Scalar,
+    tries: int,
+) -> LineSearch:
+    """Shortens a step until where it leads is acceptable.
+
+    Args:
+        acceptable: whether a point will do.
+        start: where the step starts.
+        step: the longest step.
+        shrink: factor between one try and the next.
+        tries: the most tries; if none will do, the search stays at the start.
+    """
+
+    def unfinished(carry: tuple[Array, Array]) -> Bool[Array, ""]:
+        tried, accepted = carry
+        return ~accepted & (tried < tries)
+
+    def attempt(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        tried, _ = carry
+        return tried + 1, acceptable(start + _shortened(step, shrink, tried))
+
+    tried, accepted = jax.lax.while_loop(
+        unfinished, attempt, (jnp.int32(0), jnp.array(False))
+    )
+    backtracks = tried - 1
+    found = start + _shortened(step, shrink, backtracks)
+    return LineSearch(jnp.where(accepted, found, start), accepted, backtracks)
+
+
+def _shortened(step: Vector, shrink: Scalar, times: Int[Array, ""]) -> Vector:
+    return jnp.asarray(shrink, step.dtype) ** times * step

@@ -1,0 +1,218 @@
+"""Checkpoints: a train state and a few facts, whole or not at all.
+
+Each is one `.npz` file, without pickle: an array for every leaf, under its path in the
+state, and as JSON text the facts and what the leaves were. A file has its name only
+once it is on the disk, and every array carries a checksum: a process may be killed,
+and a disk may fail, at any moment.
+
+Arrays are fetched from whatever devices hold them and put back the same way, so
+a run may continue on another number of devices (then equal up to rounding).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.files import OBJECT, check_entries, reading, whole, write_atomically
+
+NAMES = r"[0-9]{10}\.npz"
+"""Names of the files, as a regular expression."""
+
+FORMAT = 1
+"""Version of the files; raised when their meaning changes."""
+
+_ABOUT, _STATE = "about", "state"
+
+
+class Checkpoints:
+    """The newest checkpoints of a run, in a folder of their own."""
+
+    def __init__(self, folder: Path, keep: int = 2) -> None:
+        """Names the folder.
+
+        Args:
+            folder: made with the first checkpoint if missing.
+            keep: how many checkpoints to keep.
+        """
+        self.folder, self._keep = folder, keep
+        self._latest: int | None = None
+
+    def path(self, step: int) -> Path:
+        """The file of a checkpoint."""
+        return self.folder / f"{step:010d}.npz"
+
+    def steps(self) -> list[int]:
+        """Numbers of the checkpoints there are, the newest first."""
+        if not self.folder.is_dir():
+            return []
+        names = (file.name for file in self.folder.iterdir() if file.is_file())
+        found = (int(name[:10]) for name in names if re.fullmatch(NAMES, name))
+        return sorted(found, reverse=True)
+
+    def save(self, step: int, state: Any, facts: dict[str, Any]) -> None:
+        """Writes a checkpoint and removes the oldest ones.
+
+        Args:
+            step: number of the checkpoint, growing along the run. Nothing is
+                written if it is the one that was saved or restored last.
+            state: the train state.
+            facts: what else to remember; anything JSON can hold.
+
+        Raises:
+            OSError: it cannot be written; with the name of the file.
+        """
+        if step == self._latest:
+            return
+        leaves = _leaves(state)
+        about = {
+            "format": FORMAT,
+            "step": step,
+            "facts": facts,
+            "leaves": {name: _described(leaf) for name, leaf in leaves.items()},
+        }
+        arrays = {name: _to_array(leaf) for name, leaf in leaves.items()}
+        arrays[_ABOUT] = np.array(json.dumps(about, allow_nan=False))
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(
+            self.path(step),
+            lambda file: np.savez(file, allow_pickle=False, **arrays),
+        )
+        self._latest = step
+        # Later ones are what a run left that went on from before them.
+        for old in [one for one in self.steps() if one <= step][self._keep :]:
+            self.path(old).unlink()
+
+    def restore(
+        self,
+        template: Any,
+        step: int | None = None,
+        check: Callable[[dict[str, Any]], None] = lambda facts: None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reads a checkpoint.
+
+        Args:
+            template: a train state of the same structure and shapes.
+            step: number of the checkpoint, None for the newest.
+            check: raises if these are not the facts that are looked for; asked
+                before the state is looked at.
+
+        Returns:
+            The state, in host memory, and the facts.
+
+        Raises:
+            ValueError: there is no checkpoint, or it is of another structure.
+            jaxrod.files.DamagedFileError: the file is damaged.
+        """
+        step = next(iter(self.steps()), None) if step is None else step
+        if step is None:
+            raise ValueError(f"no checkpoint in {str(self.folder)!r}")
+        file = self.path(step)
+        about, arrays = _read(file)
+        if about["step"] != step:
+            raise ValueError(f"{file} is checkpoint {about['step']}, renamed")
+        check(about["facts"])
+        leaves = _leaves(template)
+        _check_structure(file, leaves, about["leaves"])
+        with reading(file):
+            restored = {
+                name: _from_array(arrays[name], leaf) for name, leaf in leaves.items()
+            }
+        self._latest = step
+        state = jax.tree_util.tree_map_with_path(
+            lambda path, leaf: restored.get(_name(path), leaf), template
+        )
+        return state, about["facts"]
+
+
+def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """All that a file holds, its checksums compared."""
+    with reading(file):
+        if not zipfile.is_zipfile(file):
+            raise ValueError("it is torn")
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        about = json.loads(str(arrays.pop(_ABOUT)[()]))
+        if not isinstance(about, dict) or about.get("format") != FORMAT:
+            raise ValueError(f"it is not of format {FORMAT}")
+        check_entries(about, {"step": whole(0), "facts": OBJECT, "leaves": OBJECT})
+        if set(about["leaves"]) != set(arrays):
+            raise ValueError("it does not hold the arrays that it names")
+    return about, arrays
+
+
+def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) -> None:
+    """Raises ValueError unless what was stored fits the train state."""
+    wanted = {name: _described(leaf) for name, leaf in leaves.items()}
+    apart = [f"lacks {name}" for name in sorted(wanted.keys() - found.keys())]
+    apart += [f"has {name} besides" for name in sorted(found.keys() - wanted.keys())]
+    apart += [
+        f"holds {found[name]} at {name}, this run needs {wanted[name]}"
+        for name in sorted(wanted.keys() & found.keys())
+        if wanted[name] != found[name]
+    ]
+    if apart:
+        more = f", and {len(apart) - 3} more" if len(apart) > 3 else ""
+        raise ValueError(
+            f"checkpoint {file} {', '.join(apart[:3])}{more}{_hint(apart)}"
+        )
+
+
+def _hint(apart: list[str]) -> str:
+    """What mostly makes every number another one."""
+    double = all("float32" in one and "float64" in one for one in apart[:3])
+    return " (is JAX_ENABLE_X64 as it was?)" if double else ""
+
+
+def _leaves(tree: Any) -> dict[str, Any]:
+    """The leaves under their paths; empty ones hold nothing to remember."""
+    leaves = jax.tree.leaves_with_path(tree)
+    return {_name(path): leaf for path, leaf in leaves if leaf.size}
+
+
+def _name(path: Any) -> str:
+    return _STATE + jax.tree_util.keystr(path)
+
+
+def _described(leaf: Any) -> str:
+    """Kind and shape of a leaf."""
+    return f"{leaf.dtype}{list(_plain(leaf).shape)}"
+
+
+def _plain(leaf: Any) -> Any:
+    """A leaf, or the words of one that is a key."""
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
+
+
+def _to_array(leaf: Any) -> np.ndarray:
+    """A leaf as an array that NumPy can write: bfloat16 and its kin as integers."""
+    array = np.asarray(_plain(leaf))
+    return array.view(f"u{array.itemsize}") if array.dtype.kind == "V" else array
+
+
+def _from_array(array: np.ndarray, leaf: Any) -> Any:
+    """An array as a leaf of the kind of another one.
+
+    Raises:
+        ValueError: it is of another kind or shape.
+    """
+    plain = _plain(leaf)
+    dtype = np.dtype(plain.dtype)
+    array = array.view(dtype) if dtype.kind == "V" else array
+    if (array.dtype, array.shape) != (dtype, plain.shape):
+        raise ValueError(f"an array is {array.dtype}{list(array.shape)} in truth")
+    if not _is_key(leaf):
+        return array
+    return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -1,0 +1,165 @@
+"""The folder of a run: what lies where, written so that it is never half there.
+
+config.json     what was asked for: enough to run it again; marks the folder
+progress.csv    one row per chunk: env_steps, wall_s, episode_return_mean, ...
+episodes.csv    one row per complete training episode, in order of completion
+summary.json    the result
+checkpoints/    to continue from, see `jaxrod.training.runs.checkpoint`
+policy/         the trained policy, see `jaxrod.training.load_policy`
+
+The command line draws learning_curve.png and replay.html beside them. While a process
+trains here there is a lock, see `jaxrod.training.runs.lock`. What else lies in the
+folder is left alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrod.files import (
+    NUMBER,
+    OBJECT,
+    TEXT,
+    check_entries,
+    one_of,
+    optional,
+    read_json,
+    reading,
+    whole,
+    write_atomically,
+)
+from jaxrod.validation import LARGEST_SEED
+from jaxrod.training.runs import checkpoint
+from jaxrod.training.runs.owned_folder import CONFIG, OwnedFolder, as_json
+from jaxrod.training.runs.table import Table
+
+SUMMARY = "summary.json"
+LEARNING_CURVE = "learning_curve.png"
+REPLAY = "replay.html"
+"""What the command line draws of a run."""
+
+_CONFIG_KINDS = {
+    "case": TEXT,
+    "env_options": OBJECT,
+    "algorithm": TEXT,
+    "steps": whole(1),
+    "seed": whole(0, LARGEST_SEED),
+    "settings": OBJECT,
+}
+_CONFIG_MAY_LACK = {"variant": optional(TEXT), "score_window": whole(1)}
+_SUMMARY_KINDS = {
+    "status": one_of("finished", "interrupted"),
+    "final_score": optional(NUMBER),
+    "env_steps": whole(0),
+    "wall_s": NUMBER,
+    "steps_per_s": NUMBER,
+    "episodes": whole(0),
+    "flagged_fraction": NUMBER,
+    "score_window": whole(1),
+}
+_SUMMARY_MAY_LACK = {
+    "evaluation_score": NUMBER,
+    "evaluation_std": NUMBER,
+    "evaluation_episodes": whole(1),
+}
+
+
+class RunFolder(OwnedFolder):
+    """The files of one run."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Names the folder; it need not exist.
+
+        Raises:
+            ValueError: `path` is empty.
+        """
+        super().__init__(
+            path,
+            "training run",
+            (SUMMARY, "progress.csv", "episodes.csv", LEARNING_CURVE, REPLAY),
+            {
+                "checkpoints": checkpoint.NAMES,
+                "policy": r"policy\.(json|npz)",
+            },
+        )
+        self.progress = Table(self.path / "progress.csv")
+        self.episodes = Table(self.path / "episodes.csv")
+        self.summary_file = self.path / SUMMARY
+        self.checkpoints = self.path / "checkpoints"
+        self.policy = self.path / "policy"
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run here came to its end."""
+        if not self.summary_file.exists():
+            return False
+        return self.summary()["status"] == "finished"
+
+    def config(self) -> dict[str, Any]:
+        """Reads `config.json`.
+
+        Raises:
+            ValueError: there is no run in this folder, or the file is damaged.
+        """
+        content = self.stored()
+        with reading(self.path / CONFIG):
+            check_entries(content, _CONFIG_KINDS, _CONFIG_MAY_LACK)
+        return content
+
+    def summary(self) -> dict[str, Any]:
+        """Reads `summary.json`.
+
+        Raises:
+            ValueError: there is no finished run in this folder, or the file is
+                damaged.
+        """
+        file = self.summary_file
+        try:
+            content = read_json(file)
+        except FileNotFoundError:
+            raise ValueError(f"no {SUMMARY} in {str(self.path)!r}") from None
+        with reading(file):
+            check_entries(content, _SUMMARY_KINDS, _SUMMARY_MAY_LACK)
+        return content
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Writes `summary.json`."""
+        write_atomically(self.summary_file, as_json(SUMMARY, summary))
+
+
+def recorded(settings: Any) -> dict[str, Any]:
+    """The settings of a learner, a dataclass, as `config.json` keeps them."""
+    return {
+        field.name: plain(getattr(settings, field.name))
+        for field in dataclasses.fields(settings)
+    }
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON holds it; what JSON cannot hold stays what it is."""
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
+    if isinstance(value, dict):
+        return {name: plain(one) for name, one in value.items()}
+    arrays = (jax.Array, np.ndarray, np.generic)
+    return value.tolist() if isinstance(value, arrays) else value
+
+
+def differences(
+    stored: Mapping[str, Any], wanted: Mapping[str, Any], ignore: Sequence[str] = ()
+) -> list[str]:
+    """Says how two configurations differ, one phrase per entry."""
+    found = []
+    for name in sorted({*stored, *wanted} - set(ignore)):
+        a, b = stored.get(name), wanted.get(name)
+        if isinstance(a, dict) and isinstance(b, dict):
+            found += [f"{name}.{inner}" for inner in differences(a, b)]
+        elif a != b:
+            found.append(f"{name} was {a!r}, now {b!r}")
+    return found

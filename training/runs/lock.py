@@ -1,0 +1,121 @@
+"""A folder that one process at a time may write to.
+
+The operating system holds the lock and gives it back when the process ends, however
+it ends: a killed run leaves nothing behind that would have to be cleared away. On
+network file systems that pass locks on (NFS does, Lustre where it is mounted so) it
+holds between machines, too. Where a file system knows no locks there is a warning,
+and `jaxrod.training.runs.table.Table` notices when somebody else has written.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+NAME = ".jaxrod.lock"
+"""The file that is locked; says which process holds it."""
+
+_TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+
+
+class FolderInUseError(ValueError):
+    """Another process writes to the folder."""
+
+
+class UnlockedFolderWarning(UserWarning):
+    """The file system cannot keep two processes out of one folder."""
+
+
+@contextmanager
+def only_process(folder: Path) -> Iterator[None]:
+    """Keeps other processes out of a folder for as long as the context lasts.
+
+    The folder is made if it is missing, and removed again if nothing came into it.
+
+    Raises:
+        FolderInUseError: another process holds it, which is named.
+        OSError: the folder cannot be made or written to.
+    """
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = _take(folder / NAME)
+        try:
+            with suppress(OSError):  # A full disk does not make the lock less good.
+                os.ftruncate(lock, 0)
+                os.write(lock, f"{os.getpid()} {platform.node()}\n".encode())
+            yield
+        finally:
+            # Before it is given back; see `_is_still`. Windows keeps open files.
+            with suppress(OSError):
+                os.unlink(folder / NAME)
+            os.close(lock)
+    finally:
+        if made:
+            with suppress(OSError):  # There is something in it.
+                folder.rmdir()
+
+
+def _take(file: Path) -> int:
+    """Opens and locks the file."""
+    while True:
+        lock = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            _lock(lock)
+        except OSError as error:
+            if error.errno in _TAKEN:
+                holder = _holder(lock)
+                os.close(lock)
+                raise FolderInUseError(
+                    f"{file.parent} is in use by {holder}: wait for its end, stop it, "
+                    "or choose another folder"
+                ) from None
+            warnings.warn(
+                f"the file system of {file.parent} has no locks "
+                f"({error.strerror}): see to it that no two processes train there",
+                UnlockedFolderWarning,
+                stacklevel=2,
+            )
+            return lock
+        if _is_still(lock, file):
+            return lock
+        # Whoever had it took it away between our opening and our locking.
+        os.close(lock)
+
+
+def _is_still(lock: int, file: Path) -> bool:
+    """Whether an open file is the one that has the name."""
+    try:
+        return os.path.samestat(os.fstat(lock), os.stat(file))
+    except FileNotFoundError:
+        return False
+
+
+def _holder(lock: int) -> str:
+    """Who holds the lock, in words."""
+    words = os.pread(lock, 200, 0) if hasattr(os, "pread") else os.read(lock, 200)
+    pid, _, host = words.decode(errors="replace").strip().partition(" ")
+    return f"process {pid} on {host}" if pid and host else "another process"
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(handle: int) -> None:
+        """Locks a byte that nobody reads: locks of Windows keep readers out."""
+        os.lseek(handle, 2**30, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        os.lseek(handle, 0, os.SEEK_SET)
+
+else:
+    import fcntl
+
+    def _lock(handle: int) -> None:
+        """Locks the file for this process; not `lockf`, which any close undoes."""
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

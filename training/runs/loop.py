@@ -1,0 +1,229 @@
+"""The entry point of training: checks what is asked for and starts the run."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxrod.validation import check_count, check_seed
+from jaxrod.envs import Environment, make, names
+from jaxrod.training.algorithm import Algorithm, find_algorithm
+from jaxrod.training.runs.checkpoint import Checkpoints
+from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.run import Result, Run
+from jaxrod.training.runs.folder import RunFolder, differences, plain, recorded
+from jaxrod.training.settings import check_steps
+
+
+def train(
+    env: Environment,
+    algorithm: str | Algorithm = "ppo",
+    *,
+    steps: int,
+    seed: int = 0,
+    out: str | Path | None = None,
+    config: Any = None,
+    env_params: Any = None,
+    env_options: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    score_window: int = 50,
+    evaluation_episodes: int = 16,
+    checkpoint_seconds: float = 60.0,
+    chunk_steps: int = 16_384,
+    devices: Sequence[jax.Device] | None = None,
+    progress: bool = True,
+    log: Callable[[dict[str, Any]], None] | None = None,
+) -> Result:
+    """Trains a policy.
+
+    Ctrl-C (or a SIGTERM) lets the running chunk finish, saves and returns what
+    there is; a second one stops at once. A run in a folder that was stopped or
+    killed, whenever that was, continues with `resume=True` from its last
+    checkpoint and ends bit by bit as if nothing had happened.
+
+    Args:
+        env: the environment.
+        algorithm: a name, or an `Algorithm`.
+        steps: control steps, rounded up to whole updates.
+        seed: the seed of all randomness.
+        out: folder of the run, see `jaxrod.training.runs.folder`; None writes
+            nothing.
+        config: settings of the algorithm, None for its defaults.
+        env_params: parameters of the environment, None for its own.
+        env_options: how the environment was made, `make(env.name,
+            **env_options)`; recorded. "variant" among them is repeated in the
+            summary. None for what distinguishes `env` from `make(env.name)`.
+        resume: continue the run in `out`.
+        overwrite: replace the run in `out`; what else lies there stays.
+        score_window: `final_score` is the mean return of this many last
+            complete training episodes.
+        evaluation_episodes: episodes of the evaluation at the end, 0 for none.
+        checkpoint_seconds: time between checkpoints [s]; there is one at the end
+            in any case.
+        chunk_steps: a chunk is at least this many control steps, in whole
+            updates.
+        devices: devices to spread the environments over, None for all.
+        progress: show a progress bar on stderr.
+        log: called with every row of the progress table.
+
+    Raises:
+        ValueError: an argument or a setting makes no sense; `out` holds a run
+            that was not asked to be resumed or overwritten, or files that are not
+            of a run; another process trains there; or what is to be resumed is
+            damaged.
+        OSError: something cannot be written; with its name.
+        FloatingPointError: learning diverged; the checkpoints are from before.
+    """
+    steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
+    learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
+    config = learner.checked(config)
+    devices = jax.devices() if devices is None else devices
+    if not devices:
+        raise ValueError("devices must hold at least one device, got none")
+    learner.validate(config, len(devices))
+    check_steps(steps, learner.steps_per_update(config))
+    _check_sizes(
+        score_window=score_window,
+        evaluation_episodes=evaluation_episodes,
+        checkpoint_seconds=checkpoint_seconds,
+        chunk_steps=chunk_steps,
+    )
+    asked = _describe(env, learner, config, steps, seed, env_options, score_window)
+    if out is None and resume:
+        raise ValueError("resume needs the folder of a run, got out=None")
+    folder = None if out is None else RunFolder(out)
+    with ExitStack() as stack:
+        if folder:
+            # Once so that what is refused leaves no trace, once more when nobody
+            # else can change it.
+            _check_folder(folder, asked, resume, overwrite)
+            stack.enter_context(folder.only_process())
+            _check_folder(folder, asked, resume, overwrite)
+        return Run(
+            env=env,
+            learner=learner,
+            config=config,
+            env_params=env_params,
+            asked=asked,
+            folder=folder,
+            resume=resume,
+            checkpoint_seconds=checkpoint_seconds,
+            chunk_steps=chunk_steps,
+            devices=devices,
+            show=progress,
+            log=log,
+        ).go(evaluation_episodes)
+
+
+def _check_sizes(
+    *,
+    score_window: int,
+    evaluation_episodes: int,
+    checkpoint_seconds: float,
+    chunk_steps: int,
+) -> None:
+    if score_window < 1:
+        raise ValueError(f"score_window must be at least 1, got {score_window}")
+    if evaluation_episodes < 0:
+        raise ValueError(
+            f"evaluation_episodes must not be negative, got {evaluation_episodes}"
+        )
+    if not checkpoint_seconds >= 0:
+        raise ValueError(
+            f"checkpoint_seconds must not be negative, got {checkpoint_seconds} s"
+        )
+    if chunk_steps < 1:
+        raise ValueError(f"chunk_steps must be at least 1, got {chunk_steps}")
+
+
+def _describe(
+    env: Environment,
+    learner: Algorithm,
+    config: Any,
+    steps: int,
+    seed: int,
+    env_options: Mapping[str, Any] | None,
+    score_window: int,
+) -> dict[str, Any]:
+    """What was asked for, as `config.json` keeps it."""
+    options = _options(env) if env_options is None else dict(env_options)
+    return {
+        "case": env.name,
+        "variant": options.get("variant", getattr(env, "variant", None)),
+        "env_options": {name: plain(value) for name, value in options.items()},
+        "algorithm": learner.name,
+        "steps": steps,
+        "seed": seed,
+        "score_window": score_window,
+        "settings": recorded(config),
+    }
+
+
+def _options(env: Any) -> dict[str, Any]:
+    """What `make` needs to be told beside the name to make this environment.
+
+    The fields of the library's tasks are called like the options they are made with.
+    """
+    if env.name not in names():
+        return {}
+    variant = {"variant": env.variant} if hasattr(env, "variant") else {}
+    usual: Any = make(env.name, **variant)
+    if type(env) is not type(usual):
+        # `make` refuses this in words, and no other environment has it.
+        return {**variant, "type": type(env).__qualname__}
+    chosen = {
+        field.name: getattr(env, field.name)
+        for field in dataclasses.fields(usual)
+        if getattr(env, field.name) != getattr(usual, field.name)
+    }
+    return {**variant, **chosen}
+
+
+def _check_folder(
+    folder: RunFolder, asked: dict[str, Any], resume: bool, overwrite: bool
+) -> None:
+    """Says why the folder cannot be used, if it cannot."""
+    name = str(folder.path)
+    if not resume:
+        folder.check_replaceable()
+        if folder.exists and not overwrite:
+            raise ValueError(
+                f"out must not hold a run already, got {name!r}; "
+                "pass resume=True to continue it or overwrite=True to replace it"
+            )
+        return
+    changed = differences(folder.config(), asked)
+    if changed:
+        raise ValueError(
+            f"resume needs what {CONFIG} in {name!r} says that the run was started "
+            f"with; {', '.join(changed)}"
+        )
+    # In replacing what it does not know it could lose it.
+    folder.check_replaceable()
+    result = folder.summary_file.exists()
+    if result:
+        others = [
+            name
+            for name, was in folder.summary().items()
+            if name in asked and was != asked[name]
+        ]
+        if others:
+            raise ValueError(
+                f"{folder.summary_file} is of another run than {CONFIG}: its "
+                f"{', '.join(others)}"
+            )
+    begun = result or (folder.policy / "policy.json").exists()
+    if begun and not Checkpoints(folder.checkpoints).steps():
+        # Starting over in its place would lose what was reached.
+        raise ValueError(
+            f"out must hold a checkpoint to resume from, but the run in "
+            f"{name!r} is {'finished' if folder.finished else 'under way'} and its "
+            "checkpoints are gone; pass overwrite=True to train anew"
+        )

@@ -1,0 +1,209 @@
+"""A folder of results that knows which of its files jaxrod has written.
+
+Its `config.json` carries a mark. Where the mark is missing, nothing that lies in the
+folder is replaced or removed, whatever was asked for; where it is there, only the
+files that such a folder is known to hold are, one by one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
+from pathlib import Path
+from typing import Any
+
+from jaxrod.files import (
+    TEMPORARY,
+    DamagedFileError,
+    naming,
+    read_json,
+    reading,
+    write_atomically,
+)
+from jaxrod.training.runs.lock import only_process
+
+CONFIG = "config.json"
+"""What was asked for, and the mark."""
+
+
+class OwnedFolder:
+    """A folder that one command writes, and its files."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        kind: str,
+        files: Sequence[str],
+        folders: Mapping[str, str] | None = None,
+    ) -> None:
+        """Names the folder; it need not exist.
+
+        Args:
+            path: the folder.
+            kind: what it holds, such as "training run".
+            files: names of the files in it, beside `config.json`.
+            folders: names of the folders in it, and as a regular expression the
+                names of the files in each.
+
+        Raises:
+            ValueError: `path` is empty.
+        """
+        if not os.fspath(path).strip():
+            raise ValueError(f"out must name a folder, got {os.fspath(path)!r}")
+        self.path = Path(path)
+        self.kind = kind
+        self._files = (CONFIG, *files)
+        self._folders = dict(folders or {})
+
+    @property
+    def exists(self) -> bool:
+        """Whether a run was started here, by jaxrod or something else."""
+        return os.path.lexists(self.path / CONFIG)
+
+    def only_process(self) -> AbstractContextManager[None]:
+        """Keeps other processes from writing here, see `folder_lock`."""
+        return only_process(self.path)
+
+    def stored(self) -> dict[str, Any]:
+        """Reads `config.json` without its mark.
+
+        Raises:
+            ValueError: it is not there, is damaged, or marks something else.
+        """
+        file = self.path / CONFIG
+        try:
+            content = read_json(file)
+        except FileNotFoundError:
+            raise ValueError(f"no {CONFIG} in {str(self.path)!r}") from None
+        with reading(file):
+            mark = content.pop("format", self._mark)
+            if mark != self._mark:
+                raise ValueError(f"it is of the format {mark!r}, not {self._mark!r}")
+        return content
+
+    @property
+    def _mark(self) -> str:
+        return f"jaxrod {self.kind} 1"
+
+    def check_replaceable(self) -> None:
+        """Raises ValueError where writing here could cost what jaxrod did not write."""
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"{self.path} is a file, not a folder")
+        there = self._there()
+        if not there:
+            return
+        strange = self._strange()
+        if strange:
+            raise ValueError(
+                f"{self.path} holds {', '.join(there)}, and {strange}: nothing is "
+                "replaced there. Choose another folder, or move them away"
+            )
+        for name in there:
+            if (self.path / name).is_dir() != (name in self._folders):
+                raise ValueError(f"{self.path / name} was not written by jaxrod")
+
+    def _there(self) -> list[str]:
+        """Which of the names that are written here something has already."""
+        return [name for name in self._files if os.path.lexists(self.path / name)] + [
+            name
+            for name in self._folders
+            if os.path.lexists(self.path / name)
+            and not ((self.path / name).is_dir() and _is_empty(self.path / name))
+        ]
+
+    def _strange(self) -> str | None:
+        """Why the folder is not known as jaxrod's; None where it is."""
+        file = self.path / CONFIG
+        if not os.path.lexists(file):
+            return f"no {CONFIG} that says that they are of a {self.kind} of jaxrod"
+        try:
+            mark = read_json(file).get("format")
+        except (DamagedFileError, OSError) as error:
+            return str(error)
+        if mark != self._mark:
+            return f"its {CONFIG} does not say that it is a {self.kind} of jaxrod"
+        return None
+
+    def begin(self, config: Mapping[str, Any]) -> None:
+        """Removes what was written here before and writes `config.json`.
+
+        Raises:
+            ValueError: see `check_replaceable`; or the configuration has no form
+                in JSON. Then nothing is removed.
+        """
+        text = as_json(CONFIG, {"format": self._mark, **config})
+        self.check_replaceable()
+        self._remove_results()
+        self.path.mkdir(parents=True, exist_ok=True)
+        write_atomically(self.path / CONFIG, text)
+
+    def clear(self) -> None:
+        """Removes what jaxrod has written here, and nothing else.
+
+        Raises:
+            ValueError: see `check_replaceable`; then nothing is removed.
+        """
+        self.check_replaceable()
+        self._remove_results()
+        _remove(self.path / CONFIG)
+
+    def _remove_results(self) -> None:
+        """Removes all but the mark, by which the folder is known for what it is."""
+        for folder, names in self._folders.items():
+            for file in _matching(self.path / folder, names):
+                _remove(file)
+            with suppress(OSError):  # There is more in it, or it is a link.
+                (self.path / folder).rmdir()
+        for name in self._files:
+            if name != CONFIG:
+                _remove(self.path / name)
+        self.remove_temporary()
+
+    def remove_temporary(self, but: Sequence[str] = ()) -> None:
+        """Removes files that a killed process was about to write.
+
+        Args:
+            but: files that others may be writing just now.
+        """
+        names = "|".join(re.escape(name) for name in self._files if name not in but)
+        for folder, pattern in {".": names, **self._folders}.items():
+            partial = rf"\.({pattern})\.[^.]+{re.escape(TEMPORARY)}"
+            for file in _matching(self.path / folder, partial):
+                _remove(file)
+
+
+def _matching(folder: Path, names: str) -> list[Path]:
+    """The files of a folder whose whole names match."""
+    if not folder.is_dir():
+        return []
+    return [
+        file
+        for file in folder.iterdir()
+        if re.fullmatch(names, file.name) and not file.is_dir()
+    ]
+
+
+def _is_empty(folder: Path) -> bool:
+    return not any(folder.iterdir())
+
+
+def _remove(file: Path) -> None:
+    with naming(file):
+        file.unlink(missing_ok=True)
+
+
+def as_json(name: str, content: Mapping[str, Any]) -> bytes:
+    """The text of a JSON file.
+
+    Raises:
+        ValueError: a number is not finite.
+        TypeError: something has no form in JSON.
+    """
+    try:
+        text = json.dumps(dict(content), indent=2, allow_nan=False)
+    except ValueError as error:
+        raise ValueError(f"{name} cannot hold what is not a number: {error}") from error
+    return (text + "\n").encode()

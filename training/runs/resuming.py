@@ -1,0 +1,139 @@
+"""Going back to the last sound checkpoint of a run, and the tables with it."""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrod.files import (
+    OBJECT,
+    POSITIVE,
+    DamagedFileError,
+    check_entries,
+    reading,
+    whole,
+)
+from jaxrod.training.runs.checkpoint import Checkpoints
+from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.folder import (
+    LEARNING_CURVE,
+    REPLAY,
+    RunFolder,
+    differences,
+    plain,
+)
+from jaxrod.training.runs.table import check_mark
+
+_FACTS = {
+    "config": OBJECT,
+    "updates": whole(1),
+    "wall_s": POSITIVE,
+    "progress": OBJECT,
+    "episodes": OBJECT,
+}
+"""What a checkpoint remembers beside the train state."""
+
+
+class DamagedCheckpointWarning(UserWarning):
+    """The newest checkpoint cannot be read; a run goes on from the one before."""
+
+
+def facts_of(
+    folder: RunFolder, asked: dict[str, Any], updates: int, wall_s: float
+) -> dict[str, Any]:
+    """What a checkpoint has to remember; what it counts on is on the disk."""
+    return {
+        "config": asked,
+        "updates": updates,
+        "wall_s": wall_s,
+        "progress": folder.progress.mark(),
+        "episodes": folder.episodes.mark(),
+    }
+
+
+def restore(
+    folder: RunFolder, checkpoints: Checkpoints, asked: dict[str, Any], template: Any
+) -> tuple[Any, dict[str, Any]] | None:
+    """Reads the newest checkpoint that can be read and cuts the tables back to it.
+
+    Args:
+        folder: of the run.
+        checkpoints: of the run.
+        asked: its configuration.
+        template: a train state of the same structure and shapes.
+
+    Returns:
+        The train state and the facts; None where there is no checkpoint, for a run
+        that was killed before the first one starts over.
+
+    Raises:
+        ValueError: no checkpoint can be read, the newest is of another run, or a
+            table has lost what it counts on. Then nothing is changed.
+
+    Warns:
+        DamagedCheckpointWarning: the newest cannot be read, an older one can.
+    """
+    found, damaged = None, []
+    for step in checkpoints.steps():
+        file = checkpoints.path(step)
+        check = partial(_check_facts, file, step, asked)
+        try:
+            found = checkpoints.restore(template, step, check)
+            break
+        except DamagedFileError as error:
+            damaged.append(str(error))
+    if damaged and not found:
+        raise ValueError(f"no checkpoint can be used: {'; '.join(damaged)}")
+    if found:
+        _check_same_task(found[0].env_params, template.env_params)
+    # All that can be wrong is looked for before anything is changed.
+    marks = found[1] if found else {"progress": None, "episodes": None}
+    tables = {"progress": folder.progress, "episodes": folder.episodes}
+    for name, table in tables.items():
+        table.check(marks[name])
+    for name, table in tables.items():
+        table.cut(marks[name])
+    # What was being written when the run was killed.
+    folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
+    if damaged:
+        warnings.warn(
+            f"{'; '.join(damaged)}. Going on from {file.name}, the one before",
+            DamagedCheckpointWarning,
+            stacklevel=5,
+        )
+    return found
+
+
+def _check_facts(
+    file: Path, step: int, asked: dict[str, Any], facts: dict[str, Any]
+) -> None:
+    """Raises ValueError unless a checkpoint is of this run."""
+    with reading(file):
+        check_entries(facts, _FACTS)
+        if facts["updates"] != step:
+            raise ValueError(f"it is of update {facts['updates']}")
+        for name in ("progress", "episodes"):
+            check_mark(facts[name])
+    changed = differences(facts["config"], plain(asked))
+    if changed:
+        raise ValueError(
+            f"{file} is of a run of another {CONFIG}: {', '.join(changed)}"
+        )
+
+
+def _check_same_task(stored: Any, given: Any) -> None:
+    """Raises ValueError unless all numbers of an environment are what they were."""
+    for (path, was), now in zip(
+        jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
+    ):
+        # Another machine may have computed the last digit otherwise.
+        if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
+            raise ValueError(
+                "resume needs the env_params that the run was started with; "
+                f"{jax.tree_util.keystr(path)} is another"
+            )

@@ -1,0 +1,268 @@
+"""One run on the host: chunks of compiled updates, and between them the world.
+
+After every chunk the run logs, shows progress, and now and then saves; it never
+looks inside an algorithm, see `jaxrod.training.algorithm`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrod.envs import Environment
+from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.runs.checkpoint import Checkpoints
+from jaxrod.training.runs.devices import compile_updates, device_mesh, place
+from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.runs.interruption import Interruption
+from jaxrod.training.policy import Policy, save_policy
+from jaxrod.training.runs.progress import ProgressBar
+from jaxrod.training.runs.resuming import facts_of, restore
+from jaxrod.training.runs.folder import RunFolder
+from jaxrod.training.score import EpisodeLog
+from jaxrod.training.settings import check_steps
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a run leaves.
+
+    Attributes:
+        summary: as in `summary.json`.
+        policy: the deterministic policy.
+        progress: one row per chunk of this call, as in `progress.csv`.
+        episodes: every complete training episode of the run.
+        evaluation: of `policy`; None if interrupted or not asked for.
+        state: the final train state.
+        folder: the run's folder, None if nothing was written.
+    """
+
+    summary: dict[str, Any]
+    policy: Policy
+    progress: list[dict[str, Any]]
+    episodes: EpisodeLog
+    evaluation: Evaluation | None
+    state: Any
+    folder: RunFolder | None
+
+
+class Run:
+    """One call of `jaxrod.training.train`: the state of the host while it lasts."""
+
+    def __init__(
+        self,
+        *,
+        env: Environment,
+        learner: Algorithm,
+        config: Any,
+        env_params: Any,
+        asked: dict[str, Any],
+        folder: RunFolder | None,
+        resume: bool,
+        checkpoint_seconds: float,
+        chunk_steps: int,
+        devices: Sequence[jax.Device],
+        show: bool,
+        log: Callable[[dict[str, Any]], None] | None,
+    ) -> None:
+        """Makes the first train state, or restores the last; see `train`."""
+        self.began = time.monotonic()
+        env_params = env.default_params() if env_params is None else env_params
+        self.env, self.learner, self.env_params = env, learner, env_params
+        self.asked, self.folder, self.devices = asked, folder, devices
+        self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log
+        self.per_update = learner.steps_per_update(config)
+        self.total = check_steps(asked["steps"], self.per_update)
+        self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
+        self.done = 0
+        self.wall_s = self.wall_before = 0.0
+        self.rows: list[dict[str, Any]] = []
+        self.episodes = EpisodeLog()
+        self.checkpoints = Checkpoints(folder.checkpoints) if folder else None
+
+        # The mesh first: it fails at once where the devices do not fit.
+        self.mesh = device_mesh(devices)
+        # Static, for 32 bits do not hold the control steps of a very long run.
+        start = jax.jit(learner.init, static_argnums=(1, 4))
+        key = jax.random.key(asked["seed"])
+        state = start(key, env, config, env_params, self.total * self.per_update)
+        if folder and resume:
+            state = self._restore(state)
+        elif folder:
+            # Not before the state could be made: what fails here costs nothing.
+            folder.begin(asked)
+        self.state = place(state, learner.partition(state), self.mesh)
+
+    @property
+    def env_steps(self) -> int:
+        """Control steps done."""
+        return self.done * self.per_update
+
+    def _clock(self) -> float:
+        """Seconds this run has taken, with what it took before it was resumed."""
+        self.wall_s = self.wall_before + time.monotonic() - self.began
+        return self.wall_s
+
+    def go(self, evaluation_episodes: int) -> Result:
+        """Runs to the end, or to an interruption, and writes the result."""
+        # A finished run has nothing to add to: its summary stands as it is.
+        ended = self.done == self.total
+        summary = {} if ended else self._advance()
+        finished = self.done == self.total
+        policy = self._policy()
+        self._export(policy)
+        evaluation = None
+        if finished and evaluation_episodes:
+            evaluation, report = self._evaluate(policy, evaluation_episodes)
+            summary |= report
+        if ended and self.folder and self.folder.finished:
+            summary = self.folder.summary()
+        else:
+            status = "finished" if finished else "interrupted"
+            summary = self._summary() | {"status": status} | summary
+        if self.folder:
+            self.folder.write_summary(summary)
+        return Result(
+            summary=summary,
+            policy=policy,
+            progress=self.rows,
+            episodes=self.episodes,
+            evaluation=evaluation,
+            state=self.state,
+            folder=self.folder,
+        )
+
+    def _advance(self) -> dict[str, Any]:
+        """Compiles and runs the chunks; returns how long what took."""
+        began, steps_before = time.monotonic(), self.env_steps
+        if self.show:
+            print(f"compiling {self.learner.name} for {self.env.name}", file=sys.stderr)
+        update = compile_updates(self.learner, self.state, self.capacity, self.mesh)
+        compiled = saved = time.monotonic()
+        bar = ProgressBar(self.total * self.per_update, self.env_steps, self.show)
+        with Interruption(bar.message) as interruption:
+            while self.done < self.total and not interruption.asked:
+                count = min(self.capacity, self.total - self.done)
+                self.state, metrics = update(self.state, count)
+                self._record(jax.device_get(metrics), count, bar)
+                if time.monotonic() - saved > self.checkpoint_seconds:
+                    self._save()
+                    saved = time.monotonic()
+            self._save()
+        self._clock()
+        bar.close()
+        if self.done < self.total:
+            bar.message(f"stopped after {self.env_steps:,} steps")
+            if self.folder:
+                bar.message(f"resume=True continues the run in {self.folder.path}")
+        return {
+            "compile_s": compiled - began,
+            "loop_steps_per_s": (self.env_steps - steps_before)
+            / (time.monotonic() - compiled),
+        }
+
+    def _record(self, metrics: Metrics, count: int, bar: ProgressBar) -> None:
+        """Takes in a chunk: one row of progress, the episodes that ended."""
+        wall = self._clock()
+        self.done += count
+        new = self.episodes.take(metrics.episodes, count, self.env_steps)
+        recent = self.episodes.recent(self.asked["score_window"])
+        row = {
+            "env_steps": self.env_steps,
+            "wall_s": round(wall, 3),
+            "steps_per_s": round(self.env_steps / wall, 1),
+            "episodes": len(self.episodes),
+            "episode_return_mean": recent,
+            "flagged_fraction": self.episodes.flagged_fraction,
+        }
+        row |= {
+            name: float(np.mean(values[:count]))
+            for name, values in sorted(metrics.scalars.items())
+        }
+        self.rows.append(row)
+        if self.folder:
+            self.folder.progress.append([row])
+            self.folder.episodes.append(new)
+        if self.log:
+            self.log(row)
+        bar.update(self.env_steps, recent)
+        self._stop_if(name for name, value in row.items() if value != value)
+
+    def _stop_if(self, broken: Iterable[str]) -> None:
+        """Raises FloatingPointError if there is anything that is not a number."""
+        names = ", ".join(broken)
+        if names:
+            raise FloatingPointError(
+                f"{names} is not a number after {self.env_steps:,} steps: "
+                "learning diverged"
+            )
+
+    def _save(self) -> None:
+        # The last step of a chunk may break what no reported number has seen yet.
+        policy = self._policy()
+        lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
+        self._stop_if(["the policy"] if lost else [])
+        if self.folder and self.checkpoints:
+            facts = facts_of(self.folder, self.asked, self.done, self._clock())
+            self.checkpoints.save(self.done, self.state, facts)
+            # So that a run can be evaluated and drawn while it goes on.
+            self._export(policy)
+
+    def _policy(self) -> Policy:
+        """The deterministic policy, on the host."""
+        return jax.device_get(self.learner.policy(self.state))
+
+    def _export(self, policy: Policy) -> None:
+        """Writes the policy into the folder, if there is one."""
+        if self.folder:
+            names = ("case", "variant", "algorithm", "seed")
+            about = {name: self.asked[name] for name in names}
+            save_policy(policy, self.folder.policy, about)
+
+    def _restore(self, template: Any) -> Any:
+        """The train state to go on from, with all that is known of the run so far."""
+        assert self.checkpoints and self.folder
+        found = restore(self.folder, self.checkpoints, self.asked, template)
+        if found is None:
+            return template
+        state, facts = found
+        self.episodes.restore(self.folder.episodes.read())
+        self.done = facts["updates"]
+        self.wall_s = self.wall_before = facts["wall_s"]
+        return state
+
+    def _evaluate(
+        self, policy: Policy, episodes: int
+    ) -> tuple[Evaluation, dict[str, Any]]:
+        began = time.monotonic()
+        seed = self.asked["seed"]
+        evaluation = evaluate(
+            self.env, policy, episodes=episodes, seed=seed, env_params=self.env_params
+        )
+        return evaluation, {
+            "evaluation_score": evaluation.mean,
+            "evaluation_std": evaluation.standard_deviation,
+            "evaluation_episodes": episodes,
+            "evaluation_flagged_fraction": evaluation.flagged_fraction,
+            "evaluation_s": time.monotonic() - began,
+        }
+
+    def _summary(self) -> dict[str, Any]:
+        names = ("case", "variant", "algorithm", "seed", "score_window")
+        return {name: self.asked[name] for name in names} | {
+            "final_score": self.episodes.recent(self.asked["score_window"]),
+            "env_steps": self.env_steps,
+            "wall_s": self.wall_s,
+            "steps_per_s": self.env_steps / self.wall_s,
+            "episodes": len(self.episodes),
+            "flagged_fraction": self.episodes.flagged_fraction,
+            "jax_version": jax.__version__,
+            "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
+        }

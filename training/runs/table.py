@@ -1,0 +1,148 @@
+"""A CSV file that grows by rows and can be cut back to what a checkpoint counted."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from jaxrod.files import (
+    TEXT,
+    check_entries,
+    naming,
+    read_csv,
+    whole,
+    write_atomically,
+)
+
+Mark = dict[str, Any]
+"""How far a table was written: its rows, bytes, and the SHA-256 of these bytes."""
+
+
+class Table:
+    """The table and, once it was cut, how far this process has written it."""
+
+    def __init__(self, path: Path) -> None:
+        """Names the file; it need not exist."""
+        self.path = path
+        self._begin(b"")
+
+    def _begin(self, content: bytes) -> None:
+        head, newline, body = content.partition(b"\n")
+        self._columns = head + newline
+        self._rows, self._bytes = body.count(b"\n"), len(content)
+        self._digest = hashlib.sha256(content)
+
+    def append(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Adds rows; the first row of the file decides the columns.
+
+        Raises:
+            ValueError: another process has written to the file, or a row is of
+                other columns.
+            OSError: it cannot be written; with its name.
+        """
+        rows = list(rows)
+        if not rows:
+            return
+        columns = _lines([rows[0]])
+        if self._columns and columns != self._columns:
+            raise ValueError(
+                f"{self.path} has the columns {self._columns.decode().strip()}; "
+                f"a row of {columns.decode().strip()} does not fit"
+            )
+        added = _lines(row.values() for row in rows)
+        if not self._columns:
+            added = columns + added
+        with naming(self.path), self.path.open("ab") as stream:
+            found = os.fstat(stream.fileno()).st_size
+            if found != self._bytes:
+                raise ValueError(
+                    f"{self.path} was written to by somebody else: it has {found} "
+                    f"bytes, this run has left {self._bytes}"
+                )
+            try:
+                stream.write(added)
+                stream.flush()
+            except OSError:
+                with suppress(OSError):  # A row is there whole or not at all.
+                    os.ftruncate(stream.fileno(), found)
+                raise
+        self._columns = columns
+        self._rows, self._bytes = self._rows + len(rows), self._bytes + len(added)
+        self._digest.update(added)
+
+    def mark(self) -> Mark:
+        """Waits until all rows are on the disk; returns what is there."""
+        if self._bytes:
+            with naming(self.path), self.path.open("rb+") as stream:
+                os.fsync(stream.fileno())
+        return {
+            "rows": self._rows,
+            "bytes": self._bytes,
+            "sha256": self._digest.hexdigest(),
+        }
+
+    def check(self, mark: Mark | None) -> None:
+        """Raises ValueError unless the file begins with what was marked."""
+        if mark is None:
+            return
+        content = self._content()
+        rows = max(content.count(b"\n") - 1, 0)
+        if len(content) < mark["bytes"]:
+            raise ValueError(
+                f"{self.path} has {rows} complete rows, but the checkpoint counts "
+                f"{mark['rows']}: rows are lost"
+            )
+        if hashlib.sha256(content[: mark["bytes"]]).hexdigest() != mark["sha256"]:
+            raise ValueError(
+                f"{self.path} is not what the checkpoint has counted: its first "
+                f"{mark['rows']} rows ({mark['bytes']} bytes) have changed"
+            )
+
+    def cut(self, mark: Mark | None = None) -> None:
+        """Keeps what was marked: what came later was not checkpointed.
+
+        Raises:
+            ValueError: see `check`.
+        """
+        if mark is None or not mark["bytes"]:
+            self.path.unlink(missing_ok=True)
+            self._begin(b"")
+            return
+        self.check(mark)
+        content = self._content()
+        kept = content[: mark["bytes"]]
+        if len(kept) < len(content):
+            write_atomically(self.path, kept)
+        self._begin(kept)
+
+    def read(self) -> list[dict[str, str]]:
+        """Returns all complete rows, none if the file does not exist.
+
+        Raises:
+            ValueError: the file is damaged.
+        """
+        if not self.path.exists():
+            return []
+        columns, rows = read_csv(self.path)
+        return [dict(zip(columns, row, strict=True)) for row in rows]
+
+    def _content(self) -> bytes:
+        return self.path.read_bytes() if self.path.exists() else b""
+
+
+def check_mark(mark: Mapping[str, Any]) -> None:
+    """Raises ValueError unless it can be the mark of a table."""
+    check_entries(mark, {"rows": whole(0), "bytes": whole(0), "sha256": TEXT})
+
+
+def _lines(rows: Iterable[Iterable[Any]]) -> bytes:
+    """Rows as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()

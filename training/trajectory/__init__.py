@@ -1,0 +1,1 @@
+"""Optimisation of trajectories by gradients through the simulation."""

@@ -1,0 +1,102 @@
+"""An arm with muscles: what a trajectory optimiser moves."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod import (
+    ControlSpline,
+    ElementAverages,
+    RodState,
+    Scene,
+    clamp,
+    control_spline,
+    exponential_damping,
+    make_scene,
+    spline_couples,
+    straight_rod,
+)
+from jaxrod.structure import pytree
+
+
+@pytree
+class ActuatedArm:
+    """A scene, where it starts, and the muscles that are added to it.
+
+    Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
+    couple_density)`, or take the benchmark's with `actuated_arm`.
+    """
+
+    scene: Scene
+    """The rod and everything that acts on it but its muscles."""
+    state: RodState
+    """Where it starts."""
+    spline: ControlSpline | ElementAverages
+    """Shape of the muscle couples along the rod, from `control_spline`."""
+    couple_density: Float[Array, ""]
+    """Couple per rest length for a control value of one [N m/m]."""
+
+    def with_controls(self, controls: Float[Array, "directions n_controls"]) -> Scene:
+        """The scene with its muscles at work.
+
+        Args:
+            controls: Control values [1] about d1 and d2 and, if there is a third
+                row, d3 (twist).
+        """
+        missing = 3 - controls.shape[0]
+        padded = jnp.pad(controls, ((0, missing), (0, 0)))
+        muscles = spline_couples(
+            self.scene.rod, self.spline, padded, self.couple_density
+        )
+        return dataclasses.replace(self.scene, effects=(*self.scene.effects, muscles))
+
+
+def actuated_arm(
+    n_elements: int = 20,
+    *,
+    n_controls: int = 6,
+    couple_density: float = 1500.0,
+    viscosity: float = 30.0,
+    dtype: Any = None,
+) -> ActuatedArm:
+    """The benchmark's soft arm under the consistent law, straight and at rest.
+
+    1 m long, 5 cm in radius, 1000 kg/m^3, 10 MPa and incompressible, clamped at the
+    origin and pointing along +y, in a viscous medium.
+
+    Args:
+        n_elements: Number of elements, at least 2.
+        n_controls: Control points along the arm, per direction.
+        couple_density: Couple per rest length for a control value of one [N m/m].
+        viscosity: Force per length and speed [kg/(m s)], and couple per length and
+            spin [kg m/s].
+        dtype: Floating-point type; by default JAX's default.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    rod, state = straight_rod(
+        n_elements,
+        length=1.0,
+        radius=0.05,
+        density=1000.0,
+        youngs_modulus=1e7,
+        direction=(0.0, 1.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+        dtype=dtype,
+    )
+    damping = exponential_damping(
+        viscosity / float(rod.linear_density[0]),
+        viscosity / float(rod.rotary_inertia[0, 0]),
+    )
+    kind = rod.radii.dtype
+    return ActuatedArm(
+        scene=make_scene(rod, clamp(state), damping),
+        state=state,
+        spline=control_spline(n_controls, 1.0, dtype=kind),
+        couple_density=jnp.asarray(couple_density, kind),
+    )

@@ -1,0 +1,85 @@
+"""What a trajectory optimisation found, and how it got there."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod import RodState
+from jaxrod.training.trajectory.cost import TrajectoryProblem
+
+Reason = Literal["converged", "max iterations", "not finite", "interrupted"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrajectoryHistory:
+    """One entry per gradient step, each an array of shape (n_steps,)."""
+
+    loss: np.ndarray
+    """What is minimised [m^2]."""
+    tip_distance: np.ndarray
+    """Of the tip from the target at the end [m]."""
+    tip_speed: np.ndarray
+    """At the end [m/s]."""
+    gradient_norm: np.ndarray
+    """Of the loss with respect to the knots, before clipping [m^2]."""
+    wall_s: np.ndarray
+    """Time since the start, compiling included [s]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrajectoryResult:
+    """What an optimisation found, and how."""
+
+    knots: Float[Array, "n_knots directions n_controls"]
+    """Control values in [-1, 1], linear in time between knots."""
+    knot_times: Float[np.ndarray, " n_knots"]
+    """[s]"""
+    controls: Float[Array, "n_intervals directions n_controls"]
+    """Control values held over each control interval."""
+    times: Float[np.ndarray, "n_intervals+1"]
+    """Ends of the control intervals, from 0 [s]."""
+    states: RodState
+    """The motion: a state for each of `times`, stacked in front."""
+    tip_distance: float
+    """Of the tip from the target at the end of the recorded motion [m]."""
+    tip_speed: float
+    """At the end of the recorded motion [m/s]."""
+    success: bool
+    """Whether the recorded motion ends within the tolerances."""
+    reason: Reason
+    """Why the optimisation stopped."""
+    iterations: int
+    """Gradient steps made."""
+    history: TrajectoryHistory
+    """How it got there."""
+    problem: TrajectoryProblem
+    """What was optimised."""
+    compile_s: float
+    """Time to the first loss [s]: compiling, unless the program is in memory."""
+    wall_s: float
+    """Time from start to end, compiling included [s]."""
+
+    @property
+    def tip_positions(self) -> Float[Array, "n_intervals+1 3"]:
+        """The path of the tip [m]."""
+        return self.states.positions[:, :, -1]
+
+    def replay(self, title: str = "Optimised trajectory") -> Any:
+        """The motion with the target, as a `jaxrod.viz.Replay`."""
+        from jaxrod.viz import Replay, Sphere
+
+        target = np.asarray(self.problem.target, float)
+        apart = np.linalg.norm(np.asarray(self.tip_positions, float) - target, axis=1)
+        return Replay.from_rollout(
+            self.states.positions,
+            self.problem.arm.scene.rod.radii,
+            self.times,
+            spheres=[Sphere(target, 0.02)],
+            readouts={"distance [m]": apart},
+            title=title,
+            up="y",
+        )
