@@ -62,7 +62,7 @@ _NAMES = {
         "limit_rate",
         "spline_couples",
     ),
-    "effects.base": ("Effect", "Resistance"),
+    "effects.base": ("Effect", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
     "effects.loads": (
         "EndLoad",

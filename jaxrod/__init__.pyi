@@ -42,7 +42,7 @@ from jaxrod.effects.actuation import control_spline as control_spline
 from jaxrod.effects.actuation import limit_rate as limit_rate
 from jaxrod.effects.actuation import spline_couples as spline_couples
 from jaxrod.effects.base import Effect as Effect
-from jaxrod.effects.base import Resistance as Resistance
+from jaxrod.effects.base import StabilityBound as StabilityBound
 from jaxrod.effects.clamps import Clamp as Clamp
 from jaxrod.effects.clamps import FixedEnd as FixedEnd
 from jaxrod.effects.clamps import clamp as clamp

@@ -115,17 +115,17 @@ def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) ->
     return Loads(forces, couples)
 
 
-def hold(scene: Scene, motion: Motion) -> Motion:
+def constrain(scene: Scene, motion: Motion) -> Motion:
     """Applies all constraints on configuration."""
     for effect in scene.effects:
-        motion = effect.hold(scene.rod, motion)
+        motion = effect.constrain(scene.rod, motion)
     return motion
 
 
-def hold_rates(scene: Scene, motion: Motion) -> Motion:
+def constrain_rates(scene: Scene, motion: Motion) -> Motion:
     """Applies all constraints on rates."""
     for effect in scene.effects:
-        motion = effect.hold_rates(scene.rod, motion)
+        motion = effect.constrain_rates(scene.rod, motion)
     return motion
 
 

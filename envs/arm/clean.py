@@ -37,12 +37,7 @@ from jaxrod import (
     spline_couples,
 )
 from jaxrod.envs.arm.arm_task import CONTROL_PERIOD, viscous_damping
-from jaxrod.envs.published.law import (
-    LENGTH,
-    TORQUE_PER_ELEMENT,
-    VISCOSITY,
-    modern_arm,
-)
+from jaxrod.envs.arm.soft_arm import LENGTH, TORQUE_PER_ELEMENT, VISCOSITY, clean_rod
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree, static
 
@@ -164,7 +159,7 @@ def clean_arm(
         largest_stretch: Beyond this an arm is flagged [1].
         plane: The plane of motion, where there is one.
     """
-    rod, rest = modern_arm(n_elements, start, axis)
+    rod, rest = clean_rod(n_elements, start, axis)
 
     def number(value: float) -> Array:
         return jnp.asarray(value, rod.radii.dtype)

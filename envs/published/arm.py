@@ -31,13 +31,9 @@ from jaxrod import (
     pyelastica,
 )
 from jaxrod.envs.arm.cylinders import Cylinders
+from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, published_rod
 from jaxrod.envs.published.contact import LegacyContact
-from jaxrod.envs.published.law import (
-    TORQUE_PER_ELEMENT,
-    VISCOSITY,
-    ViscousDrag,
-    legacy_arm,
-)
+from jaxrod.envs.published.law import ViscousDrag
 from jaxrod.envs.published.muscles import MuscleParams, Muscles, contract, relaxed
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.methods.verlet import Verlet
@@ -141,7 +137,7 @@ def published_arm(
         plane: The plane of motion, where there is one: obstacles are perpendicular to
             it.
     """
-    rod, rest = legacy_arm(n_elements, start, axis)
+    rod, rest = published_rod(n_elements, start, axis)
 
     def number(value: float) -> Array:
         return jnp.asarray(value, rod.radii.dtype)

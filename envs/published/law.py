@@ -18,21 +18,12 @@ from jaxrod import (
     ElementCouples,
     Loads,
     Motion,
-    Resistance,
     Rod,
     RodState,
-    straight_rod,
+    StabilityBound,
 )
 from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
-
-LENGTH = 1.0
-RADIUS = 0.05
-DENSITY = 1000.0
-YOUNGS_MODULUS = 1e7
-VISCOSITY = 30.0
-TORQUE_PER_ELEMENT = 75.0
-REFERENCE_ELEMENTS = 20
 
 
 @pytree
@@ -53,49 +44,11 @@ class ViscousDrag(Effect):
             couples=vectors.scale(drag, motion.spin),
         )
 
-    def resistance(self, rod: Rod) -> Resistance:
+    def stability_bound(self, rod: Rod) -> StabilityBound:
         """Explicit drag, of the rod at its rest length."""
         drag = self.viscosity * rod.rest_lengths
         nodes = 0.5 * (vectors.pad(drag, 0, 1) + vectors.pad(drag, 1, 0))
-        return Resistance(node_drag=nodes, element_drag=drag)
-
-
-def legacy_arm(
-    n_elements: int, start: tuple[float, float, float], axis: str
-) -> tuple[Rod, RodState]:
-    """The arm with the published moduli, straight and at rest.
-
-    Args:
-        n_elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
-        start: Where it is clamped [m].
-        axis: "y" (Cases 1, 2; d1 is +z) or "z" (Cases 3, 4; d1 is +y).
-    """
-    return straight_rod(
-        n_elements,
-        length=LENGTH,
-        radius=RADIUS,
-        density=DENSITY,
-        youngs_modulus=YOUNGS_MODULUS,
-        shear_modulus=YOUNGS_MODULUS / 1.5,
-        shear_correction=4 / 3,
-        start=start,
-        **_frame(axis),
-    )
-
-
-def modern_arm(
-    n_elements: int, start: tuple[float, float, float], axis: str
-) -> tuple[Rod, RodState]:
-    """The same arm of incompressible material: G = E/3, shear correction 27/28."""
-    return straight_rod(
-        n_elements,
-        length=LENGTH,
-        radius=RADIUS,
-        density=DENSITY,
-        youngs_modulus=YOUNGS_MODULUS,
-        start=start,
-        **_frame(axis),
-    )
+        return StabilityBound(node_drag=nodes, element_drag=drag)
 
 
 def muscle_couples(
@@ -123,9 +76,3 @@ def muscle_couples(
     edges = positions[:, 1:] - positions[:, :-1]
     lengths = jnp.sqrt(jnp.sum(edges**2, axis=0))
     return ElementCouples(torque_per_element * spline(controls, jnp.cumsum(lengths)))
-
-
-def _frame(axis: str) -> dict[str, tuple[float, float, float]]:
-    if axis == "y":
-        return {"direction": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
-    return {"direction": (0.0, 0.0, 1.0), "normal": (0.0, 1.0, 0.0)}

@@ -26,7 +26,7 @@ from jaxrod import (
 )
 from jaxrod.effects.actuation import ElementCouples
 from jaxrod.envs.arm.clean import CleanArm
-from jaxrod.envs.published.law import LENGTH
+from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.tasks.obstacle_task import ObstacleTask
 from jaxrod.envs.tasks.reaching import Reaching
 from jaxrod.envs.tasks.tracking import Tracking

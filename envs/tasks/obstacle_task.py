@@ -33,8 +33,8 @@ from jaxrod.envs.arm.arm_task import (
 )
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
+from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.published.arm import published_arm
-from jaxrod.envs.published.law import LENGTH
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers

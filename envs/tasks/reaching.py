@@ -49,8 +49,8 @@ from jaxrod.envs.arm.arm_task import (
     speed_and_direction,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.published.arm import published_arm
-from jaxrod.envs.published.law import LENGTH, REFERENCE_ELEMENTS
 from jaxrod.structure import pytree
 
 Variant = Literal["paper", "clean"]

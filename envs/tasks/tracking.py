@@ -53,16 +53,15 @@ from jaxrod.envs.arm.arm_task import (
     viscous_damping,
 )
 from jaxrod.envs.arm.moving_target import Target, TargetParams
-from jaxrod.envs.published.law import (
+from jaxrod.envs.arm.soft_arm import (
     LENGTH,
     REFERENCE_ELEMENTS,
     TORQUE_PER_ELEMENT,
     VISCOSITY,
-    ViscousDrag,
-    legacy_arm,
-    modern_arm,
-    muscle_couples,
+    clean_rod,
+    published_rod,
 )
+from jaxrod.envs.published.law import ViscousDrag, muscle_couples
 from jaxrod.structure import pytree
 
 Variant = Literal["paper", "clean"]
@@ -145,7 +144,7 @@ class Tracking:
     def default_params(self) -> TrackingParams:
         """The task's numbers; in JAX's default precision."""
         paper = self.variant == "paper"
-        make_arm = legacy_arm if paper else modern_arm
+        make_arm = published_rod if paper else clean_rod
         rod, rest = make_arm(self.n_elements, BASE, "y")
         density = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
 

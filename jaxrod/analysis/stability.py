@@ -12,7 +12,7 @@ $$(\lambda - a)(\lambda - c - \beta) = a c,\qquad
 
 or the squared frequency of stretch, if that is larger. For a long uniform rod this is
 the exact limit; it holds for any taper, curvature and stiffness, and
-`Effect.resistance` adds what effects do.
+`Effect.stability_bound` adds what effects do.
 
 Frequencies change when the rod is deformed. Under PyElastica's law they grow as one
 over the stretch of a compressed rod. Under the consistent law compression by a share
@@ -216,10 +216,10 @@ def _largest_step(
 
 
 def _total(scene: Scene, name: str) -> Array | None:
-    """A field of `Resistance` added up over all effects; `None` if none has it."""
+    """A field of `StabilityBound` added up over all effects; `None` if none has it."""
     total = None
     for effect in scene.effects:
-        part = getattr(effect.resistance(scene.rod), name, None)
+        part = getattr(effect.stability_bound(scene.rod), name, None)
         if part is not None:
             total = part if total is None else total + part
     return total

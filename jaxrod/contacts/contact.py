@@ -43,7 +43,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body
 from jaxrod.contacts.points import Points, check_spacing, contact_points
-from jaxrod.effects.base import Effect, Reach, Resistance
+from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
@@ -107,7 +107,7 @@ class Contact(Effect):
         frame = directors(motion.orientation)
         return Loads(loads.forces, to_material(frame, loads.couples))
 
-    def resistance(self, rod: Rod) -> Resistance:
+    def stability_bound(self, rod: Rod) -> StabilityBound:
         """As if every point touched every body that it looks at."""
         count = self.n_near or self.n_bodies or 1
         halves = 0.5 * count * rod.rest_lengths
@@ -116,7 +116,7 @@ class Contact(Effect):
         drag = self.damping
         if self.friction_drag is None:
             node_drag = None if drag is None else drag * lengths
-            return Resistance(nodes=stiffness, node_drag=node_drag)
+            return StabilityBound(nodes=stiffness, node_drag=node_drag)
         # Slip is of the point's speed and of the section's turning; by Young's
         # inequality its square is at most this much of the squares of the two.
         squares = rod.radii**2
@@ -128,7 +128,7 @@ class Contact(Effect):
         largest = jnp.maximum(*around)
         lever = jnp.maximum(largest[1:], largest[:-1])
         turning = self.friction_drag * (1 + 1 / ratio) * lever
-        return Resistance(
+        return StabilityBound(
             nodes=stiffness,
             node_drag=drag * lengths,
             element_drag=count * turning * rod.rest_lengths,

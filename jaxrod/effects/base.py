@@ -22,7 +22,7 @@ Reach = Literal["neighbours", "any"]
 
 
 @pytree
-class Resistance:
+class StabilityBound:
     """What an effect may add to the stiffness and drag of a rod: upper bounds.
 
     Each is one number, or one per node or element, or `None` where there is none.
@@ -43,8 +43,8 @@ class Effect:
     """Base of all effects: every hook does nothing.
 
     Hooks are pure. `loads` is called at the configuration in the middle of a step;
-    `hold_rates` after the rates were changed by all loads and by damping; `hold`
-    after every change of configuration. What holds something has both.
+    `constrain_rates` after the rates were changed by all loads and by damping;
+    `constrain` after every change of configuration. What holds something has both.
 
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
     need to know more than their values. Without them every method is right or refuses
@@ -90,11 +90,11 @@ class Effect:
         """
         return self.loads(rod, motion)
 
-    def hold(self, rod: Rod, motion: Motion) -> Motion:
+    def constrain(self, rod: Rod, motion: Motion) -> Motion:
         """Constrains positions and orientations."""
         return motion
 
-    def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Constrains velocities and spins."""
         return motion
 
@@ -102,7 +102,7 @@ class Effect:
         """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
         return None
 
-    def resistance(self, rod: Rod) -> Resistance | None:
+    def stability_bound(self, rod: Rod) -> StabilityBound | None:
         """Bounds on how steeply `loads` change, for the stability bound.
 
         An effect whose loads depend on where the rod is or how it moves must have

@@ -7,7 +7,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import Effect, Resistance
+from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.effects.ends import (
     End,
     Wall,
@@ -96,14 +96,14 @@ class Clamp(Effect):
         """The wall, and the joint to it."""
         return Wall(self.orientation, self._stiffness(rod), self.end)
 
-    def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Stops the end node."""
         return replace(motion, velocity=zero_at_end(motion.velocity, self.end))
 
-    def resistance(self, rod: Rod) -> Resistance:
+    def stability_bound(self, rod: Rod) -> StabilityBound:
         """The stiffness of the wall joint, on the end element."""
         stiffness = jnp.max(self._stiffness(rod))
-        return Resistance(elements=place(stiffness, rod.n_elements, self.end))
+        return StabilityBound(elements=place(stiffness, rod.n_elements, self.end))
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
         """Held by the middle of the new end element, which a curved rod turns."""
@@ -160,7 +160,7 @@ class FixedEnd(Effect):
         """The end element itself, held fast."""
         return Wall(self.orientation, None, self.end)
 
-    def hold(self, rod: Rod, motion: Motion) -> Motion:
+    def constrain(self, rod: Rod, motion: Motion) -> Motion:
         """Puts the end node and end element back."""
         x, y, z = (
             replace_end(a, b, self.end)
@@ -172,7 +172,7 @@ class FixedEnd(Effect):
         )
         return replace(motion, position=(x, y, z), orientation=(q0, q1, q2, q3))
 
-    def hold_rates(self, rod: Rod, motion: Motion) -> Motion:
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Stops the end node and the end element."""
         return replace(
             motion,

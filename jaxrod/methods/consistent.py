@@ -32,7 +32,14 @@ from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law, internal_loads
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Method, Scene, damping_rates, external_loads, hold, hold_rates
+from jaxrod.scene import (
+    Method,
+    Scene,
+    constrain,
+    constrain_rates,
+    damping_rates,
+    external_loads,
+)
 from jaxrod.structure import pytree
 
 
@@ -75,7 +82,7 @@ class ConsistentStepper(Verlet):
 
     def enter(self, state: RodState) -> Motion:
         """Takes a state apart and makes it respect the scene's constraints."""
-        return hold_rates(self.scene, hold(self.scene, motion_of(state)))
+        return constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
 
     def leave(self, motion: Motion) -> RodState:
         """Puts the state together again."""
@@ -98,7 +105,7 @@ class ConsistentStepper(Verlet):
             z * cosine + w * sine,
         )
         turned = replace(motion, orientation=normalise(twisted))
-        return hold(self.scene, turned.moved(dt))
+        return constrain(self.scene, turned.moved(dt))
 
     def kick(self, motion: Motion) -> Motion:
         """Changes velocities and angular momenta by all loads over one step."""
@@ -112,7 +119,7 @@ class ConsistentStepper(Verlet):
             velocity=vectors.apply(self.velocity_kick, motion.velocity, loads.forces),
             spin=vectors.apply(self.spin_kick, motion.spin, couples),
         )
-        return hold_rates(self.scene, kicked)
+        return constrain_rates(self.scene, kicked)
 
 
 @pytree

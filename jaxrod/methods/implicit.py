@@ -40,7 +40,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Method, Scene, damping_rates, hold, hold_rates
+from jaxrod.scene import Method, Scene, constrain, constrain_rates, damping_rates
 from jaxrod.statics.blocks import blocks
 from jaxrod.statics.freedoms import free_places
 from jaxrod.statics.newton import default_tolerance, newton
@@ -161,7 +161,7 @@ class ImplicitStepper:
 
     def begin(self, state: RodState) -> Motion:
         """Takes a state apart and makes it respect the scene's constraints."""
-        return hold_rates(self.scene, hold(self.scene, motion_of(state)))
+        return constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
 
     def end(self, motion: Motion) -> RodState:
         """Puts the state together again."""
@@ -181,7 +181,7 @@ class ImplicitStepper:
         share = 0.5 / self.coefficient
         one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
         after = _add(_add(motion, one), two)
-        return hold_rates(self.scene, hold(self.scene, after))
+        return constrain_rates(self.scene, constrain(self.scene, after))
 
     def _rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
         """Velocities and angular velocities, world frame."""

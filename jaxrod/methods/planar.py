@@ -17,7 +17,7 @@ from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Law, Method, Scene, hold, hold_rates
+from jaxrod.scene import Law, Method, Scene, constrain, constrain_rates
 from jaxrod.structure import pytree, static
 
 _PARTS = (
@@ -129,7 +129,7 @@ def _shares_outside(
     rest = rod.rest_curvatures
     bent = jnp.stack([n2[1:] * rest[0] - n1[1:] * rest[1], rest[2]]) * length
     given = motion_of(state)
-    held = hold_rates(scene, hold(scene, given))
+    held = constrain_rates(scene, constrain(scene, given))
     motion = _shares_of_state(scene.rod, method, state)
     if held is not given:
         others = _shares_of_state(scene.rod, method, state_of(held))
@@ -182,7 +182,7 @@ def _shares_of_effects(
     rod = scene.rod
     out = PLANES[method.plane][2]
     stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
-    motion = stepper.in_space(stepper.enter(state))
+    motion = stepper.view(stepper.enter(state))
     zero = jnp.zeros_like(rod.rest_lengths[0])
     # An element that is held feels couples from the rounding of its own angle.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)

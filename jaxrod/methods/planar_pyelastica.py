@@ -117,7 +117,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
             velocity=(u + gain * forces[0], v + gain * forces[1]),
             spin=motion.spin + self.dt * stretch * self.inverse_inertia * couple,
         )
-        held = self.hold_rates(kicked)
+        held = self.constrain_rates(kicked)
         if self.decay is None:
             return held
         translation, rotation = self.decay

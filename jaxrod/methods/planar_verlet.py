@@ -37,7 +37,7 @@ from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import hold, hold_rates
+from jaxrod.scene import constrain, constrain_rates
 from jaxrod.structure import pytree, static
 
 Vec2 = tuple[Array, Array]
@@ -189,7 +189,7 @@ class PlanarVerlet(Verlet):
             spin=self.spin_from_momentum(state.angular_momenta[out]),
             remainder=None if remainders is None else (remainders[a], remainders[b]),
         )
-        return self.hold_rates(self.hold(motion))
+        return self.constrain_rates(self.constrain(motion))
 
     def leave(self, motion: PlanarMotion) -> RodState:
         """Puts the state together again."""
@@ -221,11 +221,11 @@ class PlanarVerlet(Verlet):
         )
         step = dt * motion.velocity[0], dt * motion.velocity[1]
         if motion.remainder is None:
-            return self.hold(replace(moved, position=_add(motion.position, step)))
+            return self.constrain(replace(moved, position=_add(motion.position, step)))
         step = _subtract(step, motion.remainder)
         position = _add(motion.position, step)
         remainder = _subtract(_subtract(position, motion.position), step)
-        return self.hold(replace(moved, position=position, remainder=remainder))
+        return self.constrain(replace(moved, position=position, remainder=remainder))
 
     def add_loads(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
@@ -233,7 +233,7 @@ class PlanarVerlet(Verlet):
         """Adds the in-plane part of the loads of all effects."""
         a, b, _ = PLANES[self.plane]
         n1, n2 = self.constants.normal
-        in_space = self.in_space(motion)
+        in_space = self.view(motion)
         none = jnp.zeros_like(motion.position[0])
         for effect in self.scene.effects:
             before = Loads(
@@ -247,11 +247,11 @@ class PlanarVerlet(Verlet):
                 couple = couple + n1 * loads.couples[0] + n2 * loads.couples[1]
         return forces, couple
 
-    def hold(self, motion: PlanarMotion) -> PlanarMotion:
+    def constrain(self, motion: PlanarMotion) -> PlanarMotion:
         """Applies all constraints on configuration."""
         a, b, out = PLANES[self.plane]
-        free = self.in_space(motion)
-        held = hold(self.scene, free)
+        free = self.view(motion)
+        held = constrain(self.scene, free)
         if held is free:
             return motion
         rest = held.remainder
@@ -276,14 +276,14 @@ class PlanarVerlet(Verlet):
             direction=(jnp.where(is_held, d3[a], x), jnp.where(is_held, d3[b], y)),
         )
 
-    def hold_rates(self, motion: PlanarMotion) -> PlanarMotion:
+    def constrain_rates(self, motion: PlanarMotion) -> PlanarMotion:
         """Applies all constraints on rates."""
         a, b, _ = PLANES[self.plane]
-        held = hold_rates(self.scene, self.in_space(motion))
+        held = constrain_rates(self.scene, self.view(motion))
         velocity = held.velocity[a], held.velocity[b]
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
 
-    def in_space(self, motion: PlanarMotion) -> Motion:
+    def view(self, motion: PlanarMotion) -> Motion:
         """The motion as effects see it. What they do not look at costs nothing."""
         start = self.start
         spin, is_velocity = self.spin_in_space(motion.spin)

@@ -40,10 +40,10 @@ from jaxrod.scene import (
     Law,
     Method,
     Scene,
+    constrain,
+    constrain_rates,
     damping_rates,
     external_loads,
-    hold,
-    hold_rates,
 )
 from jaxrod.structure import pytree
 
@@ -100,7 +100,7 @@ class PyElasticaStepper(Verlet):
         """Takes a state apart; angular momentum becomes angular velocity."""
         velocities = vectors.split(angular_velocities(self.scene.rod, state))
         motion = replace(motion_of(state), spin=velocities, spin_is_velocity=True)
-        return hold_rates(self.scene, hold(self.scene, motion))
+        return constrain_rates(self.scene, constrain(self.scene, motion))
 
     def leave(self, motion: Motion) -> RodState:
         """Puts the state together; angular velocity becomes angular momentum."""
@@ -111,7 +111,7 @@ class PyElasticaStepper(Verlet):
         """Moves nodes and turns elements at constant rates for `dt` [s]."""
         turn = rotation_exp(vectors.scale(dt, motion.spin))
         orientation = normalise(multiply_quaternions(motion.orientation, turn))
-        return hold(self.scene, replace(motion, orientation=orientation).moved(dt))
+        return constrain(self.scene, replace(motion, orientation=orientation).moved(dt))
 
     def internal_loads(self, motion: Motion) -> Loads:
         """Internal forces and couples, gyroscopic and dilatation terms included."""
@@ -171,7 +171,7 @@ class PyElasticaStepper(Verlet):
             ),
             spin=vectors.add(motion.spin, vectors.scale(self.dt * stretch, turn)),
         )
-        held = hold_rates(self.scene, kicked)
+        held = constrain_rates(self.scene, kicked)
         if self.decay is None:
             return held
         return replace(

@@ -50,7 +50,7 @@ from jaxrod.methods.torsion_free_checks import (
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Method, Scene, damping_rates, hold, hold_rates
+from jaxrod.scene import Method, Scene, constrain, constrain_rates, damping_rates
 from jaxrod.structure import pytree, static
 
 
@@ -70,7 +70,7 @@ class TorsionFreeMotion:
     """What rounding has added to the positions [m], where that is kept count of."""
 
     @property
-    def in_space(self) -> Motion:
+    def view(self) -> Motion:
         """The motion as effects see it. What they do not look at costs nothing."""
         return Motion(
             position=self.position,
@@ -138,7 +138,7 @@ class TorsionFreeStepper(Verlet):
 
     def enter(self, state: RodState) -> TorsionFreeMotion:
         """Takes directions and what turns them from a state."""
-        motion = hold_rates(self.scene, hold(self.scene, motion_of(state)))
+        motion = constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
         direction = directors(motion.orientation)[2]
         return TorsionFreeMotion(
             position=motion.position,
@@ -161,7 +161,7 @@ class TorsionFreeStepper(Verlet):
         root = turned_to(root, (x[index], y[index], z[index]))
         orientation = transported(root, direction, self.root)
         spin = _across(motion.spin, direction)
-        return state_of(replace(motion.in_space, orientation=orientation, spin=spin))
+        return state_of(replace(motion.view, orientation=orientation, spin=spin))
 
     def drift(self, motion: TorsionFreeMotion, dt: Array) -> TorsionFreeMotion:
         """Moves nodes and turns elements freely for a time `dt` [s]."""
@@ -173,8 +173,8 @@ class TorsionFreeStepper(Verlet):
         )
         # One step of Newton's method towards unit length.
         length = 1.5 - 0.5 * vectors.dot(turned, turned)
-        nodes = motion.in_space.moved(dt)
-        return self.hold(
+        nodes = motion.view.moved(dt)
+        return self.constrain(
             replace(
                 motion,
                 position=nodes.position,
@@ -186,7 +186,7 @@ class TorsionFreeStepper(Verlet):
     def kick(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
         """Changes velocities and angular momenta by all loads over one step."""
         d = motion.direction
-        edges = motion.in_space.edges
+        edges = motion.view.edges
         shear, axial = self.stiffness
         along = vectors.dot(d, edges) * self.inverse_lengths
         # Shear stiffness times the whole edge, and along the element what differs.
@@ -202,7 +202,7 @@ class TorsionFreeStepper(Verlet):
             velocity=vectors.apply(self.velocity_kick, motion.velocity, forces),
             spin=vectors.apply(self.spin_kick, motion.spin, couples),
         )
-        held = hold_rates(self.scene, kicked.in_space)
+        held = constrain_rates(self.scene, kicked.view)
         return replace(kicked, velocity=held.velocity, spin=held.spin)
 
     def bending_couples(self, direction: Vec3) -> Vec3:
@@ -231,7 +231,7 @@ class TorsionFreeStepper(Verlet):
         self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
     ) -> tuple[Vec3, Vec3]:
         """Adds the loads of all effects, but for what would twist the rod."""
-        in_space = motion.in_space
+        in_space = motion.view
         for effect in self.scene.effects:
             if has_elastic_wall(effect, self.scene.rod):
                 continue
@@ -247,10 +247,10 @@ class TorsionFreeStepper(Verlet):
                 couples = vectors.add(couples, vectors.scale(second, d2))
         return forces, couples
 
-    def hold(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
+    def constrain(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
         """Applies all constraints on configuration."""
-        free = motion.in_space
-        held = hold(self.scene, free)
+        free = motion.view
+        held = constrain(self.scene, free)
         if held is free:
             return motion
         direction = motion.direction

@@ -70,7 +70,10 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
     touched = []
 
     def look(motion: Motion) -> None:
-        placed, paced = effect.hold(rod, motion), effect.hold_rates(rod, motion)
+        placed, paced = (
+            effect.constrain(rod, motion),
+            effect.constrain_rates(rod, motion),
+        )
         pairs = (
             *zip(placed.orientation, motion.orientation, strict=True),
             *zip(paced.spin, motion.spin, strict=True),

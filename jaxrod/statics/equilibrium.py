@@ -13,7 +13,7 @@ from jaxrod.effects.base import Effect
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, check_scene_and_state, hold, hold_rates
+from jaxrod.scene import Scene, check_scene_and_state, constrain, constrain_rates
 from jaxrod.statics.blocks import unblocked
 from jaxrod.statics.effect_tangents import has_closed_form
 from jaxrod.statics.newton import default_tolerance, largest, newton
@@ -107,8 +107,8 @@ def equilibrium(
 def _is_loose(scene: Scene) -> bool:
     """Whether nothing in the scene could hold the rod."""
     return all(
-        type(effect).hold_rates is Effect.hold_rates
-        and type(effect).hold is Effect.hold
+        type(effect).constrain_rates is Effect.constrain_rates
+        and type(effect).constrain is Effect.constrain
         and has_closed_form(effect)
         for effect in scene.effects
     )
@@ -125,7 +125,7 @@ def _equilibrium(
     scene: Scene, state: RodState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
     start = motion_of(state).at_rest
-    start = hold_rates(scene, hold(scene, start))
+    start = constrain_rates(scene, constrain(scene, start))
     guess = jnp.zeros((len(start.position[0]), 6), tolerance.dtype)
     end = newton(
         *lax.stop_gradient((_at_rest(scene, start), guess, tolerance)),

@@ -1,7 +1,7 @@
 """What the constraints of a scene leave free, component by component.
 
-A component is held if `Effect.hold_rates` gives it the same rate whatever rate it had,
-or if `Effect.hold` gives it the same place whatever place it had.
+A component is held if `Effect.constrain_rates` gives it the same rate whatever rate it
+had, or if `Effect.constrain` gives it the same place whatever place it had.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import Scene, hold, hold_rates
+from jaxrod.scene import Scene, constrain, constrain_rates
 
 _TURN = (0.8, 0.36, 0.48, 0.0)
 """Of 74 degrees: what an element is turned by to see whether it is held."""
@@ -40,12 +40,12 @@ def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
-    """As `freedoms`, but only what `Effect.hold_rates` holds is held."""
+    """As `freedoms`, but only what `Effect.constrain_rates` holds is held."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
         velocity, spin = jax.tree.map(lambda a: jnp.full_like(a, rate), rates)
-        return hold_rates(scene, replace(motion, velocity=velocity, spin=spin))
+        return constrain_rates(scene, replace(motion, velocity=velocity, spin=spin))
 
     moving, still = held(1.0), held(0.0)
     return (
@@ -55,11 +55,11 @@ def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """As `freedoms`, but only what `Effect.hold` holds is held; `None` for nothing."""
-    here = hold(scene, motion)
+    """As `freedoms`, but only what `Effect.constrain` holds; `None` for nothing."""
+    here = constrain(scene, motion)
     if here is motion:
         return None
-    there = hold(scene, _elsewhere(scene, motion))
+    there = constrain(scene, _elsewhere(scene, motion))
     x, y, z = (
         (a != b).astype(a.dtype)
         for a, b in zip(here.position, there.position, strict=True)

@@ -83,7 +83,10 @@ def _holds(effect: Effect) -> bool:
     kind = type(effect)
     if kind.__module__.startswith("jaxrod."):
         return False
-    return kind.hold is not Effect.hold or kind.hold_rates is not Effect.hold_rates
+    return (
+        kind.constrain is not Effect.constrain
+        or kind.constrain_rates is not Effect.constrain_rates
+    )
 
 
 @jax.jit
@@ -161,7 +164,9 @@ def _mixing(effect: Effect, rod: Rod) -> Array:
 
     def with_rates(size: float) -> Motion:
         velocity, spin = jax.tree.map(lambda a: size * a, (nodes, turns))
-        return effect.hold_rates(rod, replace(motion, velocity=velocity, spin=spin))
+        return effect.constrain_rates(
+            rod, replace(motion, velocity=velocity, spin=spin)
+        )
 
     still, moving = with_rates(0.0), with_rates(1.0)
     free = free_rates(alone, motion)
@@ -171,13 +176,13 @@ def _mixing(effect: Effect, rod: Rod) -> Array:
     ]
     placed = free_places(alone, motion)
     if placed is not None:
-        here = effect.hold(rod, motion)
+        here = effect.constrain(rod, motion)
         moved = replace(
             motion,
             position=vectors.add(motion.position, nodes),
             orientation=multiply_quaternions(motion.orientation, rotation_exp(turns)),
         )
-        there = effect.hold(rod, moved)
+        there = effect.constrain(rod, moved)
         frames = [placed[1][0]] * 4
         pairs += _expected(placed[0], here.position, moved.position, there.position)
         pairs += _expected(

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod.envs.published.law import TORQUE_PER_ELEMENT, VISCOSITY, modern_arm
+from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, clean_rod
 from jaxrod.geometry import vectors
 from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rods.elasticity import joint_rotations
@@ -72,7 +72,7 @@ def turned(before, after):
 
 def episode(index, key, mode, dtype, control_steps):
     """One episode; pure."""
-    rod, rest = modern_arm(N_ELEMENTS, (0.0, 0.0, 0.0), "z")
+    rod, rest = clean_rod(N_ELEMENTS, (0.0, 0.0, 0.0), "z")
     rod, rest = jax.tree.map(lambda leaf: leaf.astype(dtype), (rod, rest))
     hold = jaxrod.clamp if mode == "consistent" else jaxrod.fixed_end
     transverse = rod.rotary_inertia[0, 0]

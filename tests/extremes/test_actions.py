@@ -6,7 +6,7 @@ import pytest
 
 import jaxrod
 from extremes.actions import CONTROL_POINTS, DT, N_ELEMENTS, run, turned
-from jaxrod.envs.published.law import TORQUE_PER_ELEMENT
+from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT
 from physics.rods import arm
 
 

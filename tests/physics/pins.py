@@ -27,7 +27,7 @@ class Place(jaxrod.Effect):
         )
         return x, y, z
 
-    def hold(self, rod, motion):
+    def constrain(self, rod, motion):
         return replace(motion, position=self.put(motion.position, self.place))
 
 
@@ -35,7 +35,7 @@ class Place(jaxrod.Effect):
 class Pin(Place):
     """Holds a node in place and at rest."""
 
-    def hold_rates(self, rod, motion):
+    def constrain_rates(self, rod, motion):
         return replace(motion, velocity=self.put(motion.velocity, (0.0,) * 3))
 
 

@@ -37,8 +37,8 @@ class Winch(jaxrod.Effect):
         down = place(-pull, rod.n_elements + 1, "finish")
         return jaxrod.Loads(forces=(zero, down, zero))
 
-    def resistance(self, rod):
-        return jaxrod.Resistance(
+    def stability_bound(self, rod):
+        return jaxrod.StabilityBound(
             node_drag=place(self.drag, rod.n_elements + 1, "finish")
         )
 

@@ -101,7 +101,7 @@ class Drag(jaxrod.Effect):
 class Rail(jaxrod.Effect):
     """Lets the first node slide along an oblique line."""
 
-    def hold_rates(self, rod, motion):
+    def constrain_rates(self, rod, motion):
         x, y, z = motion.velocity
         mean = 0.5 * (x[0] + y[0])
         velocity = (x.at[0].set(mean), y.at[0].set(mean), z.at[0].set(0.0))
@@ -112,7 +112,7 @@ class Rail(jaxrod.Effect):
 class Tie(jaxrod.Effect):
     """Puts the last node where the first is."""
 
-    def hold(self, rod, motion):
+    def constrain(self, rod, motion):
         return replace(
             motion, position=tuple(c.at[-1].set(c[0]) for c in motion.position)
         )
@@ -122,7 +122,7 @@ class Tie(jaxrod.Effect):
 class Slowed(jaxrod.Effect):
     """Halves a velocity in every step."""
 
-    def hold_rates(self, rod, motion):
+    def constrain_rates(self, rod, motion):
         return replace(
             motion, velocity=tuple(c.at[2].multiply(0.5) for c in motion.velocity)
         )

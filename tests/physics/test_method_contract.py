@@ -102,7 +102,7 @@ class Place(jaxrod.Effect):
 
     size: jax.Array
 
-    def hold(self, rod, motion):
+    def constrain(self, rod, motion):
         x, y, z = motion.position
         put = lambda c, to: c.at[-1].set(jnp.where(self.size > 0, to, c[-1]))
         return replace(motion, position=(put(x, 1 + 2e-3 * self.size), y, put(z, 2e-3)))
@@ -120,7 +120,7 @@ class Frame(jaxrod.Effect):
         less, more = jnp.cos(angle) - jnp.sin(angle), jnp.cos(angle) + jnp.sin(angle)
         return Wall(0.5 * jnp.stack([less, more, more, less]))
 
-    def hold(self, rod, motion):
+    def constrain(self, rod, motion):
         put = lambda c, to: c.at[0].set(jnp.where(self.size > 0, to, c[0]))
         w, x, y, z = map(put, motion.orientation, self.wall(rod).orientation)
         return replace(motion, orientation=(w, x, y, z))
@@ -132,7 +132,7 @@ class Pace(jaxrod.Effect):
 
     size: jax.Array
 
-    def hold_rates(self, rod, motion):
+    def constrain_rates(self, rod, motion):
         x, y, z = motion.velocity
         put = lambda c, to: c.at[1].set(jnp.where(self.size > 0, to, c[1]))
         return replace(motion, velocity=(put(x, self.size), y, put(z, 0.5)))
@@ -255,7 +255,9 @@ def one_step(method, *effects):
 def test_every_method_calls_every_hook_that_is_alone(method):
     """Whatever else is in a scene: no other effect is there to have it called."""
     for hook in HOOKS:
-        overridden = {"loads", "hold", "hold_rates", "damping_rates"} & set(vars(hook))
+        overridden = {"loads", "constrain", "constrain_rates", "damping_rates"} & set(
+            vars(hook)
+        )
         name = overridden.pop()
         calls = []
 
@@ -296,8 +298,8 @@ class Stored(jaxrod.Effect):
 class Stiff(jaxrod.Effect):
     """Resists being moved and turned."""
 
-    def resistance(self, rod):
-        return jaxrod.Resistance(nodes=jnp.asarray(1e5), elements=jnp.asarray(1e3))
+    def stability_bound(self, rod):
+        return jaxrod.StabilityBound(nodes=jnp.asarray(1e5), elements=jnp.asarray(1e3))
 
 
 @pytest.mark.parametrize("method", METHODS)

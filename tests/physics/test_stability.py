@@ -379,8 +379,8 @@ class Springs(jaxrod.Effect):
             )
         )
 
-    def resistance(self, rod):
-        return jaxrod.Resistance(nodes=self.stiffness, node_drag=self.drag)
+    def stability_bound(self, rod):
+        return jaxrod.StabilityBound(nodes=self.stiffness, node_drag=self.drag)
 
 
 @pytest.mark.parametrize("share", [0.01, 1.0, 100.0])

@@ -1,0 +1,57 @@
+"""The soft arm of the benchmark: its measures, and the rod they make."""
+
+from __future__ import annotations
+
+from jaxrod import Rod, RodState, straight_rod
+
+LENGTH = 1.0
+RADIUS = 0.05
+DENSITY = 1000.0
+YOUNGS_MODULUS = 1e7
+VISCOSITY = 30.0
+TORQUE_PER_ELEMENT = 75.0
+REFERENCE_ELEMENTS = 20
+
+
+def published_rod(
+    n_elements: int, start: tuple[float, float, float], axis: str
+) -> tuple[Rod, RodState]:
+    """The arm with the published moduli, straight and at rest.
+
+    Args:
+        n_elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
+        start: Where it is clamped [m].
+        axis: "y" (Cases 1, 2; d1 is +z) or "z" (Cases 3, 4; d1 is +y).
+    """
+    return straight_rod(
+        n_elements,
+        length=LENGTH,
+        radius=RADIUS,
+        density=DENSITY,
+        youngs_modulus=YOUNGS_MODULUS,
+        shear_modulus=YOUNGS_MODULUS / 1.5,
+        shear_correction=4 / 3,
+        start=start,
+        **_frame(axis),
+    )
+
+
+def clean_rod(
+    n_elements: int, start: tuple[float, float, float], axis: str
+) -> tuple[Rod, RodState]:
+    """The same arm of incompressible material: G = E/3, shear correction 27/28."""
+    return straight_rod(
+        n_elements,
+        length=LENGTH,
+        radius=RADIUS,
+        density=DENSITY,
+        youngs_modulus=YOUNGS_MODULUS,
+        start=start,
+        **_frame(axis),
+    )
+
+
+def _frame(axis: str) -> dict[str, tuple[float, float, float]]:
+    if axis == "y":
+        return {"direction": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
+    return {"direction": (0.0, 0.0, 1.0), "normal": (0.0, 1.0, 0.0)}

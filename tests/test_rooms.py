@@ -1,0 +1,87 @@
+"""Rooms of the package, and the imports between them: one way, and not many."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+MOST_ARROWS = 200
+"""Between rooms; there were 541 between 123 when most files were rooms of their own."""
+
+
+def modules():
+    """Every module of the package by its import name, with its file."""
+    found = {}
+    for top in ("jaxrod", "envs", "training"):
+        for file in (ROOT / top).rglob("*.py"):
+            parts = file.relative_to(ROOT).with_suffix("").parts
+            parts = parts if top == "jaxrod" else ("jaxrod", *parts)
+            parts = parts[:-1] if parts[-1] == "__init__" else parts
+            found[".".join(parts)] = file
+    return found
+
+
+def room(module):
+    """A folder, or a file that lies beside the folders."""
+    parts = module.split(".")
+    return ".".join(parts[: 3 if parts[1:2] in (["envs"], ["training"]) else 2])
+
+
+def arrows():
+    """Pairs of modules of which the first imports the second when it runs."""
+    known = modules()
+    pairs = set()
+    for module, file in known.items():
+        tree = ast.parse(file.read_text())
+        for_types = {
+            id(inner)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+            for inner in ast.walk(node)
+        }
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.ImportFrom) or id(node) in for_types:
+                continue
+            for name in node.names:
+                whole = f"{node.module}.{name.name}"
+                imported = whole if whole in known else node.module
+                if imported in known and imported != module:
+                    pairs.add((module, imported))
+    return pairs
+
+
+def on_circles(pairs):
+    """The pairs left when all that imports nothing, or only such, is taken away."""
+    left = set(pairs)
+    while True:
+        sources = {a for a, _ in left}
+        kept = {(a, b) for a, b in left if b in sources}
+        if kept == left:
+            return kept
+        left = kept
+
+
+def test_files_do_not_import_each_other_in_circles():
+    assert on_circles(arrows()) == set()
+
+
+def test_rooms_do_not_import_each_other_in_circles():
+    between = {(room(a), room(b)) for a, b in arrows()}
+    between = {(a, b) for a, b in between if a != b}
+    assert on_circles(between) == set()
+    assert len(between) <= MOST_ARROWS
+
+
+def test_dependencies_point_one_way():
+    floors = {"envs": 1, "training": 2, "cli": 3}
+
+    def floor(module):
+        return floors.get(module.split(".")[1] if "." in module else "", 0)
+
+    # The root package finds everything by name, when it is asked for.
+    upward = {(a, b) for a, b in arrows() if floor(a) < floor(b) and a != "jaxrod"}
+    assert upward == {("jaxrod.__main__", "jaxrod.cli")}
+
+
+def test_no_module_name_begins_with_an_underscore():
+    names = {name for module in modules() for name in module.split(".")}
+    assert {name for name in names if name.startswith("_")} == {"__main__"}
