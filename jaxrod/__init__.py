@@ -34,6 +34,7 @@ _NAMES = {
         "scale_inertia",
     ),
     "analysis.modes": ("natural_frequencies",),
+    "analysis.reactions": ("reactions",),
     "analysis.stability": ("StableStep", "stable_dt"),
     "composition": ("make_scene",),
     "contacts.bodies": (
@@ -62,8 +63,9 @@ _NAMES = {
         "limit_rate",
         "spline_couples",
     ),
-    "effects.base": ("Effect", "StabilityBound"),
+    "effects.base": ("Effect", "Reaction", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
+    "effects.driven": ("Driven", "driven"),
     "effects.loads": (
         "EndLoad",
         "ExponentialDamping",
@@ -74,6 +76,9 @@ _NAMES = {
         "gravity",
         "uniform_load",
     ),
+    "effects.schedules": ("Ramp", "Sine", "Table", "ramp", "sine", "table", "time"),
+    "effects.supports": ("Hinge", "Pin", "hinge", "pin"),
+    "effects.time": ("Clock", "Schedule"),
     "installation.backend": ("configure_cpu",),
     "methods.consistent": ("Consistent", "consistent"),
     "methods.implicit": ("Implicit", "implicit"),
@@ -101,7 +106,7 @@ _NAMES = {
     ),
     "statics.equilibrium": ("Equilibrium", "equilibrium"),
     "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
-    "structure": ("pytree", "static"),
+    "structure": ("memory", "pytree", "static"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

@@ -10,7 +10,12 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
+from jaxrod.effects.memory import remembers
+from jaxrod.effects.time import at_clock, at_largest, clock_at, depends_on_time
+from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.planar import Planar
+from jaxrod.methods.planar_verlet import PLANES
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
 from jaxrod.validation import check_held, check_kind, is_traced
@@ -39,7 +44,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
-        effect.check(rod)
+        at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype)).check(rod)
     if method is None:
         method = Consistent()
     if not isinstance(method, Method):
@@ -51,8 +56,52 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     listed = _in_type(dtype, "effects", tuple(effects))
     method = _in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
-    method.check(scene)
+    _check_evolution(scene)
+    method.check(scene.at(0.0))
+    if scene.depends_on_time:
+        # Zero now may be out of the plane or about the axis later.
+        method.check(scene.at_largest)
     return scene
+
+
+def _check_evolution(scene: Scene) -> None:
+    """Raises where an effect may not depend on time or remember."""
+    for effect in scene.effects:
+        if not (depends_on_time(effect) or remembers((effect,))):
+            continue
+        name = type(effect).__name__
+        if type(effect).damping_rates is not Effect.damping_rates:
+            raise ValueError(
+                f"damping rates are worked out once, but {name}, which has some, "
+                "depends on time or remembers"
+            )
+        if isinstance(scene.method, Planar) and _leaves(effect, scene):
+            raise ValueError(
+                f"a scene in the {scene.method.plane} plane needs what is driven to be "
+                f"free across it, but {name} holds all axes: give it "
+                f'axes="{"".join(sorted(scene.method.plane))}"'
+            )
+        if not scene.method.twist and at_largest(effect).wall(scene.rod) is not None:
+            raise ValueError(
+                f"torsion_free() needs walls that stand still, but {name} depends on "
+                "time or remembers; another method has no such needs"
+            )
+
+
+def _leaves(effect: Effect, scene: Scene) -> bool:
+    """Whether an effect puts nodes out of the plane of a scene or back into it."""
+    assert isinstance(scene.method, Planar)
+    out = PLANES[scene.method.plane][2]
+    touched = []
+
+    def look() -> None:
+        motion = trial_motion(scene.rod)
+        now = at_clock(effect, clock_at(0.0, scene.rod.rest_lengths.dtype))
+        placed = now.constrain(scene.rod, motion).position[out]
+        touched.append(placed is not motion.position[out])
+
+    jax.eval_shape(look)
+    return touched[0]
 
 
 def _in_type(dtype: Any, name: str, tree: Any) -> Any:

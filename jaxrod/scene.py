@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Protocol
+from dataclasses import replace
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects.base import Effect
+from jaxrod.effects.memory import memory_of, recalled, remembers
+from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elasticity import stored_energy
@@ -41,6 +45,19 @@ class Stepper(Protocol):
 
     def end(self, carry: Any) -> RodState:
         """What is left to do after the cycles."""
+
+
+@runtime_checkable
+class Evolvable(Protocol):
+    """A stepper that can follow a scene that depends on time or remembers."""
+
+    def evolving(self, scene: Scene, first: Array) -> Stepper:
+        """The stepper that does.
+
+        Args:
+            scene: The scene with its schedules; the stepper has it without them.
+            first: Steps since time zero when it begins.
+        """
 
 
 @pytree
@@ -89,10 +106,91 @@ class Scene:
     method: Method
     """How it is stepped."""
 
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether an effect has a number that is a schedule."""
+        return depends_on_time(self.effects)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether an effect has something that it remembers from step to step."""
+        return remembers(self.effects)
+
+    def at(self, time: ArrayLike | Clock) -> Scene:
+        """The scene as it is at a time [s]: schedules replaced by their values.
+
+        For what asks about one moment: energies, health, equilibrium, frequencies.
+        """
+        if not self.depends_on_time:
+            return self
+        clock = time
+        if not isinstance(clock, Clock):
+            clock = clock_at(clock, self.rod.rest_lengths.dtype)
+        return replace(self, effects=at_clock(self.effects, clock))
+
+    @property
+    def at_largest(self) -> Scene:
+        """The scene with every schedule at the bound on its size."""
+        if not self.depends_on_time:
+            return self
+        return replace(self, effects=at_largest(self.effects))
+
+    def recalling(self, state: RodState) -> Scene:
+        """The scene with what its effects remember as it is in a state."""
+        if state.memory is None or not self.remembers:
+            return self
+        return replace(self, effects=recalled(self.effects, state.memory))
+
 
 def check_scene(scene: Scene) -> None:
-    """Raises a `TypeError` unless a scene is one."""
+    """Checks that something is a scene, and one alone.
+
+    Raises:
+        TypeError: If it is something else.
+        ValueError: If it is a batch of scenes.
+    """
     check_kind("scene", scene, Scene)
+    shape = jnp.shape(scene.rod.rest_lengths)
+    if len(shape) != 1:
+        raise ValueError(
+            f"scene must be one scene, got a batch of shape {shape[:-1]}: use jax.vmap,"
+            " as in jax.vmap(jaxrod.stable_dt)(scenes)"
+        )
+
+
+def scene_of(scene: Scene, state: RodState) -> Scene:
+    """The scene as its effects are in a state, for what asks about one moment.
+
+    Raises:
+        TypeError: If they are not a scene and a state.
+        ValueError: If the state is not one of the scene's rod, or the scene is one that
+            depends on time.
+    """
+    check_scene_and_state(scene, state)
+    check_moment(scene)
+    return scene.recalling(state)
+
+
+def check_moment(scene: Scene) -> None:
+    """Raises a `ValueError` if a scene depends on time."""
+    if scene.depends_on_time:
+        raise ValueError(
+            "this asks about one moment, but a number of the scene's effects is a "
+            "schedule: give scene.at(time)"
+        )
+
+
+def check_memory(scene: Scene, state: RodState) -> None:
+    """Raises a `ValueError` if a state remembers what effects of the scene do not."""
+    if state.memory is None:
+        return
+    given: Any = jax.tree.structure(state.memory)
+    own: Any = jax.tree.structure(memory_of(scene.effects))
+    if not scene.remembers or given != own:
+        raise ValueError(
+            "state.memory must be of the effects of this scene: "
+            "dataclasses.replace(state, memory=None) begins anew"
+        )
 
 
 def check_scene_and_state(scene: Scene, state: RodState) -> None:
@@ -104,6 +202,7 @@ def check_scene_and_state(scene: Scene, state: RodState) -> None:
     """
     check_scene(scene)
     check_state(scene.rod, state)
+    check_memory(scene, state)
 
 
 def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:
@@ -153,7 +252,7 @@ def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
 
 def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Stored elastic energy plus the potential of all effects [J]."""
-    check_scene_and_state(scene, state)
+    scene = scene_of(scene, state)
     total = stored_energy(scene.rod, state)
     for effect in scene.effects:
         total = total + effect.energy(scene.rod, state)
@@ -162,7 +261,6 @@ def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
 
 def total_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Kinetic plus potential energy [J]."""
-    check_scene_and_state(scene, state)
     return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import jax
@@ -13,8 +14,10 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod.analysis.stability import compression, stable_dt
+from jaxrod.effects.memory import memory_of
+from jaxrod.effects.time import Clock
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, check_scene, check_scene_and_state
+from jaxrod.scene import Evolvable, Scene, Stepper, check_scene, check_scene_and_state
 from jaxrod.validation import as_array, check_array, check_count, is_traced
 
 Carry = TypeVar("Carry")
@@ -29,13 +32,16 @@ class UnstableStepWarning(UserWarning):
     """The time step is above the stability bound of the scene."""
 
 
-def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
+def step(
+    scene: Scene, state: RodState, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
+) -> RodState:
     """One step: half drift, kick, half drift. Pure; works inside jit, vmap and grad.
 
     Args:
         scene: The scene.
         state: Where the rod is and how it moves.
         dt: Step size [s].
+        first: Steps since time zero, where the scene depends on time.
 
     Returns:
         The state after `dt`.
@@ -44,11 +50,17 @@ def step(scene: Scene, state: RodState, dt: ArrayLike) -> RodState:
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
         TypeError: If `scene` or `state` is something else.
     """
-    return _static_compiled(scene, state, _check(scene, state, dt), 1)
+    begin = _check_first(scene, first)
+    return _static_compiled(scene, state, _check(scene, state, dt, begin), 1, begin)
 
 
 def advance(
-    scene: Scene, state: RodState, dt: ArrayLike, n_steps: int | Int[Array, ""]
+    scene: Scene,
+    state: RodState,
+    dt: ArrayLike,
+    n_steps: int | Int[Array, ""],
+    *,
+    first: int | Int[Array, ""] = 0,
 ) -> RodState:
     """`n_steps` steps of size `dt`, neighbouring half drifts merged.
 
@@ -66,6 +78,8 @@ def advance(
         state: The initial state.
         dt: Step size [s].
         n_steps: How many steps, from 0 to 2147483647; an array below 0 counts as 0.
+        first: Steps since time zero when it begins, where the scene depends on time:
+            with schedules, call after call, `first += n_steps`.
 
     Returns:
         The final state.
@@ -82,20 +96,27 @@ def advance(
         _check_counter(n_steps)
     else:
         n_steps = check_count("n_steps", n_steps, 0)
-    dt = _check(scene, state, dt)
-    if is_traced(scene, state, dt, n_steps):
+    begin = _check_first(scene, first)
+    dt = _check(scene, state, dt, begin)
+    if is_traced(scene, state, dt, n_steps, begin):
         if isinstance(n_steps, int):
-            return _static_compiled(scene, state, dt, n_steps)
-        return _traced_compiled(scene, state, dt, n_steps)
+            return _static_compiled(scene, state, dt, n_steps, begin)
+        return _traced_compiled(scene, state, dt, n_steps, begin)
     near_bound = check_step(scene, dt, state)
-    after = _traced_compiled(scene, state, dt, jnp.asarray(n_steps))
+    after = _traced_compiled(scene, state, dt, jnp.asarray(n_steps), begin)
     if near_bound:
         check_step(scene, dt, after)
     return after
 
 
 def rollout(
-    scene: Scene, state: RodState, dt: ArrayLike, n_steps: int, every: int = 1
+    scene: Scene,
+    state: RodState,
+    dt: ArrayLike,
+    n_steps: int,
+    every: int = 1,
+    *,
+    first: int | Int[Array, ""] = 0,
 ) -> RodState:
     """`n_steps` steps, recorded every `every` steps; differentiable in reverse mode.
 
@@ -105,6 +126,7 @@ def rollout(
         dt: Step size [s].
         n_steps: How many steps, a multiple of `every`.
         every: Steps between records, at least 1.
+        first: Steps since time zero when it begins, where the scene depends on time.
 
     Returns:
         The recorded states, a `RodState` whose leaves have a leading axis of
@@ -118,11 +140,12 @@ def rollout(
         UnstableStepWarning: If `dt` is above the stability bound.
     """
     records = _check_records(n_steps, every)
-    dt = _check(scene, state, dt)
-    if is_traced(scene, state, dt):
-        return _rollout_compiled(scene, state, dt, records, every)
+    begin = _check_first(scene, first)
+    dt = _check(scene, state, dt, begin)
+    if is_traced(scene, state, dt, begin):
+        return _rollout_compiled(scene, state, dt, records, every, begin)
     near_bound = check_step(scene, dt, state)
-    states = _rollout_compiled(scene, state, dt, records, every)
+    states = _rollout_compiled(scene, state, dt, records, every, begin)
     if near_bound:
         check_step(scene, dt, jax.tree.map(lambda leaf: leaf[-1], states))
     return states
@@ -191,12 +214,30 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
     return False
 
 
-def _check_counter(n_steps: Array) -> None:
+def _check_counter(n_steps: Array, name: str = "n_steps") -> None:
     """Checks a number of steps that may be traced."""
     if n_steps.shape != () or not jnp.issubdtype(n_steps.dtype, jnp.integer):
         raise ValueError(
-            f"n_steps must be one integer, got {n_steps.dtype}{list(n_steps.shape)}"
+            f"{name} must be one integer, got {n_steps.dtype}{list(n_steps.shape)}"
         )
+
+
+def _check_first(scene: Scene, first: int | Array) -> Array | None:
+    """The step to begin with, for a scene to which it matters."""
+    if isinstance(first, jax.Array):
+        _check_counter(first, "first")
+    else:
+        first = check_count("first", first, 0)
+    if not (scene.depends_on_time or scene.remembers):
+        return None
+    return jnp.asarray(first, jnp.int32)
+
+
+def _with_memory(scene: Scene, state: RodState) -> RodState:
+    """The state with what the scene's effects begin with, if it has nothing yet."""
+    if state.memory is not None or not scene.remembers:
+        return state
+    return replace(state, memory=memory_of(scene.effects))
 
 
 def _check_records(n_steps: int, every: int) -> int:
@@ -210,7 +251,7 @@ def _check_records(n_steps: int, every: int) -> int:
     return n_steps // every
 
 
-def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
+def _check(scene: Scene, state: RodState, dt: ArrayLike, first: Array | None) -> Array:
     """Checks the arguments of a run; gives the step the type of the scene."""
     check_scene_and_state(scene, state)
     dtype = scene.rod.rest_lengths.dtype
@@ -220,22 +261,34 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike) -> Array:
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
     # Within jit the step is traced, and so is whatever is worked out there.
-    if not is_traced(scene, state, step):
-        scene.method.check_state(scene, state)
+    if not is_traced(scene, state, step, first):
+        now = scene.recalling(state)
+        if first is not None:
+            now = now.at(Clock(first, jnp.zeros_like(step), step))
+        scene.method.check_state(now, state)
+        if scene.depends_on_time:
+            # Zero now may be out of the plane or about the axis later.
+            scene.method.check_state(scene.recalling(state).at_largest, state)
     return step
 
 
-def _run_traced(scene: Scene, state: RodState, dt: Array, n_steps: Array) -> RodState:
-    after = _run(scene, state, dt, n_steps, _repeat_traced)
+def _run_traced(
+    scene: Scene, state: RodState, dt: Array, n_steps: Array, first: Array | None
+) -> RodState:
+    state = _with_memory(scene, state)
+    after = _run(scene, state, dt, n_steps, first, _repeat_traced)
     return jax.tree.map(
         lambda after, before: jnp.where(n_steps > 0, after, before), after, state
     )
 
 
-def _run_static(scene: Scene, state: RodState, dt: Array, n_steps: int) -> RodState:
+def _run_static(
+    scene: Scene, state: RodState, dt: Array, n_steps: int, first: Array | None
+) -> RodState:
+    state = _with_memory(scene, state)
     if n_steps == 0:
         return state
-    return _run(scene, state, dt, n_steps, repeat)
+    return _run(scene, state, dt, n_steps, first, repeat)
 
 
 def _run(
@@ -243,12 +296,27 @@ def _run(
     state: RodState,
     dt: Array,
     n_steps: int | Array,
+    first: Array | None,
     loop: Callable[[Callable[[Any], Any], Any, Any], Any],
 ) -> RodState:
     """At least one step."""
-    integrator = scene.method.stepper(scene, state, dt)
+    integrator = stepper(scene, state, dt, first)
     cycles = n_steps - integrator.steps_of_end
     return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
+
+
+def stepper(scene: Scene, state: RodState, dt: Array, first: Array | None) -> Stepper:
+    """The integrator of a scene; `first` counts where it depends on time."""
+    if first is None:
+        return scene.method.stepper(scene, state, dt)
+    start = scene.at(Clock(first, jnp.zeros_like(dt), dt))
+    constants = scene.method.stepper(start, state, dt)
+    if not isinstance(constants, Evolvable):
+        raise ValueError(
+            f"{type(scene.method).__name__} has no steps for a scene that depends on "
+            "time or remembers: its stepper needs a method `evolving`"
+        )
+    return constants.evolving(scene, first)
 
 
 def _repeat_traced(
@@ -287,17 +355,25 @@ _static_compiled = jax.jit(_run_static, static_argnames="n_steps")
 
 @jax.jit(static_argnames=("records", "every"))
 def _rollout_compiled(
-    scene: Scene, state: RodState, dt: Array, records: int, every: int
+    scene: Scene,
+    state: RodState,
+    dt: Array,
+    records: int,
+    every: int,
+    first: Array | None,
 ) -> RodState:
-    advance_block = jax.checkpoint(
-        lambda s: _run_static(scene, s, dt, every), prevent_cse=False
-    )
+    state = _with_memory(scene, state)
 
-    def record(carry: RodState, _: None) -> tuple[RodState, RodState]:
-        after = advance_block(carry)
+    def block(state: RodState, count: Array | None) -> RodState:
+        begin = None if first is None or count is None else first + every * count
+        return _run_static(scene, state, dt, every, begin)
+
+    def record(carry: RodState, count: Array | None) -> tuple[RodState, RodState]:
+        after = jax.checkpoint(block, prevent_cse=False)(carry, count)
         return after, after
 
-    _, states = lax.scan(record, state, length=records)
+    counts = None if first is None else jnp.arange(records, dtype=jnp.int32)
+    _, states = lax.scan(record, state, counts, length=records)
     return jax.tree.map(
         lambda first, rest: jnp.concatenate([first[None], rest]), state, states
     )

@@ -26,8 +26,21 @@ def static(**options: Any) -> Any:
     return dataclasses.field(metadata={"static": True}, **options)
 
 
+def memory(**options: Any) -> Any:
+    """A field of an effect that changes from step to step, by `Effect.after_step`.
+
+    Its value in a scene is where it begins; from then on it is in `RodState.memory`.
+
+    Args:
+        **options: Those of `dataclasses.field`: `default`, say.
+    """
+    return dataclasses.field(metadata={"memory": True}, **options)
+
+
 @dataclass_transform(
-    frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, static)
+    frozen_default=True,
+    eq_default=False,
+    field_specifiers=(dataclasses.field, static, memory),
 )
 def pytree(cls: type[T]) -> type[T]:
     """Makes a class a frozen dataclass registered as a JAX pytree.

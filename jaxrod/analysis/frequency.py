@@ -25,7 +25,7 @@ from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_scene_and_state, external_loads
+from jaxrod.scene import Scene, external_loads, scene_of
 from jaxrod.statics.freedoms import freedoms
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
@@ -72,7 +72,7 @@ def highest_frequency(
     Raises:
         ValueError: If `size` is less than 2, or the state is not of the scene's rod.
     """
-    check_scene_and_state(scene, state)
+    scene = scene_of(scene, state)
     size = check_count("size", size, 2, MOST_VECTORS)
     return _measure(scene, state, size).angular_frequency
 

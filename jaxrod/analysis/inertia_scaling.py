@@ -23,7 +23,7 @@ from jaxrod.analysis.frequency import no_damping
 from jaxrod.analysis.modes import natural_frequencies
 from jaxrod.analysis.stability import frequency_bounds, stable_dt
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_scene
+from jaxrod.scene import Scene, check_moment, check_scene
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
 
@@ -72,6 +72,7 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
         ValueError: If `dt` is above what stretch and twist allow.
     """
     check_scene(scene)
+    check_moment(scene)
     dtype = scene.rod.rest_lengths.dtype
     before = stable_dt(scene, 1.0).dt
     others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxrod.analysis.frequency import linearised, no_damping
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, check_scene_and_state
+from jaxrod.scene import Scene, scene_of
 from jaxrod.statics.freedoms import freedoms
 from jaxrod.validation import check_count, is_traced
 
@@ -38,7 +38,7 @@ def natural_frequencies(
             anything is traced.
         TypeError: If `scene` or `state` is something else.
     """
-    check_scene_and_state(scene, state)
+    scene = scene_of(scene, state)
     if n_modes is not None:
         n_modes = check_count("n_modes", n_modes, 1)
     if scene.method.law != "consistent":

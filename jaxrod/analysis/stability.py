@@ -49,7 +49,7 @@ from jaxrod.analysis.frequency import (
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_scene, check_scene_and_state, damping_rates
+from jaxrod.scene import Scene, check_scene, damping_rates, scene_of
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array
 
@@ -89,7 +89,7 @@ def stable_dt(
     strongly compressed in PyElastica mode, or to have the last few per cent.
 
     Args:
-        scene: The scene.
+        scene: The scene; of a schedule, the bound on its size counts.
         safety: Fraction of the limit to use, in (0, 1]: 0.5 is cautious, 0.9 fast.
             Above 0.9 a rod that is compressed while it moves may blow up.
         state: The deformation at which to measure, if any.
@@ -106,8 +106,8 @@ def stable_dt(
     dtype = scene.rod.rest_lengths.dtype
     factor = as_array("safety", safety, "", positive=True, at_most=1, dtype=dtype)
     if state is None:
-        return _bounded(scene, factor)
-    check_scene_and_state(scene, state)
+        return _bounded(scene.at_largest, factor)
+    scene = scene_of(scene, state)
     return _measured(scene, factor, state)
 
 

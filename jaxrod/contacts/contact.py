@@ -158,7 +158,7 @@ class Contact(Effect):
         """Warns where a body is so thin that it fits between two contact points."""
         check_spacing(self.body.inradius, rod, self.points_per_element)
 
-    def directions(self, rod: Rod, motion: Motion) -> Vec3:
+    def force_directions(self, rod: Rod, motion: Motion) -> Vec3:
         """The bodies' normals, whether the rod touches or not.
 
         None from deep inside: no node gets there, and a short post has its nearest

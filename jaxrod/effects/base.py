@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal, get_args
 
-from jaxtyping import Array
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxrod.effects.ends import Wall
+from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
@@ -37,6 +39,27 @@ class StabilityBound:
     """Force on a node per speed, where `loads` has it (explicit drag) [kg/s]."""
     element_drag: Array | None = None
     """Couple on an element per angular velocity, likewise [N m s]."""
+
+
+@pytree
+class Reaction:
+    """What a support does to a rod."""
+
+    force: Float[Array, "3"]
+    """On the node it holds, world frame [N]."""
+    couple: Float[Array, "3"]
+    """On the element it holds, world frame [N m]."""
+    power: Float[Array, ""]
+    """Work per time on the rod; zero for one that stands still [W]."""
+
+    @staticmethod
+    def of(force: Vec3, couple: Vec3 | None = None, power: Any = None) -> Reaction:
+        """From components; what is not given is zero."""
+        none = jnp.zeros_like(force[0])
+        turn = (none, none, none) if couple is None else couple
+        return Reaction(
+            vectors.join(force), vectors.join(turn), none if power is None else power
+        )
 
 
 class Effect:
@@ -98,6 +121,20 @@ class Effect:
         """Constrains velocities and spins."""
         return motion
 
+    def after_step(self, rod: Rod, motion: Motion, dt: Array) -> Effect:
+        """Itself with what it remembers one step later.
+
+        For fields declared with `jaxrod.memory()`; other changes are not kept. Called
+        once a step, where loads act, with the rates that follow from them (in implicit
+        steps at their end).
+
+        Args:
+            rod: The rod.
+            motion: Where it is and how it moves.
+            dt: Step size [s].
+        """
+        return self
+
     def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
         """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
         return None
@@ -123,13 +160,24 @@ class Effect:
         """
         return None
 
+    def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction | None:
+        """What the effect does to hold the rod; `None` if it does not.
+
+        Args:
+            rod: The rod.
+            motion: Where it is and how it moves.
+            needed: The loads that would balance all others, so that no node and no
+                element accelerates.
+        """
+        return None
+
     def check(self, rod: Rod) -> None:
         """Warns or raises where the effect does not fit the rod; for `make_scene`.
 
         Numbers may be traced, and then cannot be looked at.
         """
 
-    def directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
+    def force_directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
         """Unit vectors along which forces may act that `loads` does not have yet.
 
         For checking that they are in the plane of a planar scene.

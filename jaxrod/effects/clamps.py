@@ -7,7 +7,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import Effect, StabilityBound
+from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.ends import (
     End,
     Wall,
@@ -23,17 +23,19 @@ from jaxrod.geometry.matrices import Matrix, skew, subtract
 from jaxrod.geometry.rotations import (
     Quaternion,
     conjugate,
+    directors,
     join_quaternion,
     multiply_quaternions,
     rotation_exp,
     rotation_log_and_coupling,
     split_quaternion,
+    to_world,
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elastic_tangents import turned_joint
 from jaxrod.rods.elasticity import joint_couples
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.rods.rod import Rod, RodState
+from jaxrod.rods.rod import Rod, RodState, check_one
 from jaxrod.structure import pytree, static
 from jaxrod.validation import check_kind
 
@@ -122,6 +124,12 @@ class Clamp(Effect):
             return folded
         return jnp.maximum(_offset(self.position, self.end, rod, state), folded)
 
+    def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
+        """The force that keeps the end node in place, and the wall joint's couple."""
+        couples = self.loads(rod, motion).couples
+        assert couples is not None
+        return _reaction_at(self.end, motion, needed, couples)
+
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Elastic energy of the wall joint [J]."""
         orientation = at_end(split_quaternion(state.orientations), self.end)
@@ -160,6 +168,11 @@ class FixedEnd(Effect):
         """The end element itself, held fast."""
         return Wall(self.orientation, None, self.end)
 
+    def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
+        """What keeps the end node and the end element as they are."""
+        assert needed.couples is not None
+        return _reaction_at(self.end, motion, needed, needed.couples)
+
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
         """Puts the end node and end element back."""
         x, y, z = (
@@ -179,6 +192,16 @@ class FixedEnd(Effect):
             velocity=zero_at_end(motion.velocity, self.end),
             spin=zero_at_end(motion.spin, self.end),
         )
+
+
+def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:
+    """The force needed at an end node, and a couple on the end element."""
+    assert needed.forces is not None
+    index = 0 if end == "start" else -1
+    fx, fy, fz = (component[index] for component in needed.forces)
+    cx, cy, cz = (component[index] for component in couples)
+    frame = directors(at_end(motion.orientation, end))
+    return Reaction.of((fx, fy, fz), to_world(frame, (cx, cy, cz)))
 
 
 def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
@@ -203,6 +226,7 @@ def clamp(state: RodState, end: End = "start") -> Clamp:
     The wall's frame is the end element's orientation in `state`.
     """
     check_kind("state", state, RodState)
+    check_one(state)
     index = 0 if check_end(end) == "start" else -1
     return Clamp(state.orientations[:, index], end, state.positions[:, index])
 
@@ -210,5 +234,6 @@ def clamp(state: RodState, end: End = "start") -> Clamp:
 def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
     """Holds one end node and end element where the given state has them."""
     check_kind("state", state, RodState)
+    check_one(state)
     index = 0 if check_end(end) == "start" else -1
     return FixedEnd(state.positions[:, index], state.orientations[:, index], end)

@@ -1,4 +1,7 @@
-"""Loads that need nothing but the rod: gravity, end loads, uniform loads, damping."""
+"""Loads that need nothing but the rod: gravity, end loads, uniform loads, damping.
+
+All but damping may be schedules of time: see `jaxrod.ramp`, `sine` and `table`.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect
 from jaxrod.effects.ends import End, at_end, check_end, only_at_end
+from jaxrod.effects.time import Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, skew
 from jaxrod.geometry.rotations import directors, to_material, to_world
@@ -40,7 +44,7 @@ class Gravity(Effect):
 
 @pytree
 class EndLoad(Effect):
-    """A constant force and couple on one end of the rod (dead loads)."""
+    """A force and couple on one end of the rod (dead loads)."""
 
     force: Float[Array, "3"]
     """On the end node, world frame [N]."""
@@ -80,7 +84,7 @@ class EndLoad(Effect):
 
 @pytree
 class UniformLoad(Effect):
-    """A constant force and couple per rest length all along the rod (dead loads)."""
+    """A force and couple per rest length all along the rod (dead loads)."""
 
     force_per_length: Float[Array, "3"]
     """World frame [N/m]."""
@@ -126,52 +130,52 @@ class ExponentialDamping(Effect):
 # Factories: what users call. They check their arguments and say what is wrong.
 
 
-def gravity(acceleration: Numbers = (0.0, 0.0, -9.80665)) -> Gravity:
+def gravity(acceleration: Timed = (0.0, 0.0, -9.80665)) -> Gravity:
     """Uniform gravity.
 
     Args:
-        acceleration: World frame `(3,)` [m/s^2].
+        acceleration: World frame `(3,)`, or a schedule of such [m/s^2].
     """
-    return Gravity(as_array("acceleration", acceleration, "m/s^2", [(3,)]))
+    return Gravity(as_timed("acceleration", acceleration, "m/s^2", (3,)))
 
 
 def end_load(
-    force: Numbers = (0.0, 0.0, 0.0),
-    couple: Numbers = (0.0, 0.0, 0.0),
+    force: Timed = (0.0, 0.0, 0.0),
+    couple: Timed = (0.0, 0.0, 0.0),
     *,
     end: End = "finish",
     follower: bool = False,
 ) -> EndLoad:
-    """A constant force and couple on one end.
+    """A force and couple on one end.
 
     Args:
-        force: On the end node, world frame `(3,)` [N].
-        couple: On the end element `(3,)` [N m]; world frame, or material frame if
-            `follower`.
+        force: On the end node, world frame `(3,)`, or a schedule of such [N].
+        couple: On the end element `(3,)`, or a schedule of such [N m]; world frame, or
+            material frame if `follower`.
         end: "start" or "finish".
         follower: Whether the couple turns with the end element.
     """
     return EndLoad(
-        force=as_array("force", force, "N", [(3,)]),
-        couple=as_array("couple", couple, "N m", [(3,)]),
+        force=as_timed("force", force, "N", (3,)),
+        couple=as_timed("couple", couple, "N m", (3,)),
         end=check_end(end),
         follower=bool(follower),
     )
 
 
 def uniform_load(
-    force_per_length: Numbers = (0.0, 0.0, 0.0),
-    couple_per_length: Numbers = (0.0, 0.0, 0.0),
+    force_per_length: Timed = (0.0, 0.0, 0.0),
+    couple_per_length: Timed = (0.0, 0.0, 0.0),
 ) -> UniformLoad:
-    """A constant force and couple per rest length.
+    """A force and couple per rest length.
 
     Args:
-        force_per_length: World frame `(3,)` [N/m].
-        couple_per_length: World frame `(3,)` [N m/m].
+        force_per_length: World frame `(3,)`, or a schedule of such [N/m].
+        couple_per_length: World frame `(3,)`, or a schedule of such [N m/m].
     """
     return UniformLoad(
-        as_array("force_per_length", force_per_length, "N/m", [(3,)]),
-        as_array("couple_per_length", couple_per_length, "N m/m", [(3,)]),
+        as_timed("force_per_length", force_per_length, "N/m", (3,)),
+        as_timed("couple_per_length", couple_per_length, "N m/m", (3,)),
     )
 
 

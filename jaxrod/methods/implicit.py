@@ -25,7 +25,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
@@ -37,6 +37,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.methods.now import Now, memory_in, remembering, scene_at
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
@@ -144,6 +145,8 @@ class ImplicitStepper:
     """The method's gamma [1]."""
     duration: Float[Array, ""]
     """Of a stage, gamma dt [s]."""
+    dt: Float[Array, ""]
+    """Step size [s]."""
     damping: tuple[Array, Array] | None
 
     @staticmethod
@@ -156,6 +159,7 @@ class ImplicitStepper:
             law=elastic_law(scene.rod),
             coefficient=coefficient,
             duration=coefficient * dt,
+            dt=dt,
             damping=damping_rates(scene),
         )
 
@@ -173,17 +177,25 @@ class ImplicitStepper:
         second = 1 / self.coefficient - 2
 
         def stage(base: Base, _: None) -> tuple[Base, Increments]:
-            added = self._stage(base)
-            return self._second_base(motion, added, second), added
+            added = self.stage(base)
+            return self.second_base(motion, added, second), added
 
-        first = Base(motion, self._rates(motion))
+        first = Base(motion, self.rates(motion))
         _, added = lax.scan(stage, first, length=2)
+        return self.after(motion, added)
+
+    def evolving(self, scene: Scene, first: Array) -> EvolvingImplicit:
+        """The same for a scene that depends on time or remembers."""
+        return EvolvingImplicit(self, scene, first)
+
+    def after(self, motion: Motion, added: Increments) -> Motion:
+        """The end of a step from what its two stages add."""
         share = 0.5 / self.coefficient
         one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
         after = _add(_add(motion, one), two)
         return constrain_rates(self.scene, constrain(self.scene, after))
 
-    def _rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
+    def rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
         """Velocities and angular velocities, world frame."""
         transverse, polar = self.scene.rod.inertias
         frame = directors(motion.orientation)
@@ -191,14 +203,14 @@ class ImplicitStepper:
         spin = to_world(frame, (a / transverse, b / transverse, c / polar))
         return motion.velocity, spin
 
-    def _second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
+    def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
         """Where the second stage starts from, and the rates extrapolated to it."""
         base = _add(motion, jax.tree.map(lambda a: factor * a, added))
         moved = _add(motion, added)
-        rates = self._rates(moved)
+        rates = self.rates(moved)
         return Base(base, rates)
 
-    def _stage(self, base: Base) -> Increments:
+    def stage(self, base: Base) -> Increments:
         """A backward Euler step from a base."""
         balance = Balance(
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
@@ -225,6 +237,58 @@ class ImplicitStepper:
             velocity=vectors.subtract(reached.velocity, base.motion.velocity),
             spin=vectors.subtract(reached.spin, base.motion.spin),
         )
+
+
+@pytree
+class EvolvingImplicit:
+    """Implicit steps of a scene that depends on time or remembers.
+
+    Each stage has the loads of its own time, and what is held is where it is then.
+    """
+
+    steps_of_end: ClassVar[int] = 0
+    implicit: ImplicitStepper
+    """The stepper of the scene as it is when it begins."""
+    scene: Scene
+    """The scene with its schedules."""
+    first: Int[Array, ""]
+    """Steps since time zero when it begins."""
+
+    def begin(self, state: RodState) -> tuple[Motion, Now]:
+        """Takes a state apart and makes it respect the scene's constraints."""
+        now = Now(self.first, memory_in(self.scene, state))
+        return self._at(now, 0.0).begin(state), now
+
+    def cycle(self, carry: tuple[Motion, Now]) -> tuple[Motion, Now]:
+        """One step."""
+        motion, now = carry
+        coefficient = self.implicit.coefficient
+        second = 1 / coefficient - 2
+
+        def stage(base: Base, fraction: Array) -> tuple[Base, Increments]:
+            present = self._at(now, fraction)
+            placed = constrain(present.scene, base.motion)
+            placed = constrain_rates(present.scene, placed)
+            added = present.stage(replace(base, motion=placed))
+            return present.second_base(motion, added, second), added
+
+        first = Base(motion, self.implicit.rates(motion))
+        fractions = jnp.stack([coefficient, 1 - coefficient])
+        _, added = lax.scan(stage, first, fractions)
+        last = self._at(now, 1.0)
+        after = last.after(motion, added)
+        return after, remembering(last.scene, after, self.implicit.dt, now)
+
+    def end(self, carry: tuple[Motion, Now]) -> RodState:
+        """Puts the state together again."""
+        motion, now = carry
+        state = state_of(motion)
+        return replace(state, memory=now.memory) if any(now.memory) else state
+
+    def _at(self, now: Now, fraction: ArrayLike) -> ImplicitStepper:
+        """The stepper with the scene as it is a part of a step later."""
+        scene = scene_at(self.scene, now, fraction, self.implicit.dt)
+        return replace(self.implicit, scene=scene)
 
 
 def _add(motion: Motion, added: Increments) -> Motion:

@@ -213,7 +213,7 @@ def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
     """
     rod = scene.rod
     length = jnp.sum(rod.rest_lengths)
-    if effect.directions(rod, motion) is None:
+    if effect.force_directions(rod, motion) is None:
         return jnp.zeros_like(length)
     a, b = (k for k in range(3) if k != out)
     # Odd numbers, which hardly hit the middle of a body.
@@ -226,7 +226,7 @@ def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
         place = list(motion.position)
         place[a], place[b] = place[a] + step_a, place[b] + step_b
         moved = replace(motion, position=(place[0], place[1], place[2]))
-        directions = effect.directions(rod, moved)
+        directions = effect.force_directions(rod, moved)
         assert directions is not None
         return _largest(directions[out])
 

@@ -183,6 +183,10 @@ class TorsionFreeStepper(Verlet):
             )
         )
 
+    def view(self, motion: TorsionFreeMotion) -> Motion:
+        """The motion as effects see it. What they do not look at costs nothing."""
+        return motion.view
+
     def kick(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
         """Changes velocities and angular momenta by all loads over one step."""
         d = motion.direction
@@ -202,8 +206,12 @@ class TorsionFreeStepper(Verlet):
             velocity=vectors.apply(self.velocity_kick, motion.velocity, forces),
             spin=vectors.apply(self.spin_kick, motion.spin, couples),
         )
-        held = constrain_rates(self.scene, kicked.view)
-        return replace(kicked, velocity=held.velocity, spin=held.spin)
+        return self.constrain_rates(kicked)
+
+    def constrain_rates(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
+        """Applies all constraints on rates."""
+        held = constrain_rates(self.scene, motion.view)
+        return replace(motion, velocity=held.velocity, spin=held.spin)
 
     def bending_couples(self, direction: Vec3) -> Vec3:
         """Couples of the joints on the elements, world frame [N m]."""

@@ -9,6 +9,7 @@ comes first: `(3, n + 1)`, `(4, n)`.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -106,6 +107,9 @@ class RodState:
     """Angular momentum of each element about its centre, world frame [kg m^2/s]."""
     remainders: Float[Array, "3 n+1"] | None = None
     """What rounding has added to the positions [m]; `None` unless `compensated`."""
+    memory: tuple[tuple[Any, ...], ...] | None = None
+    """What the effects of a scene remember: see `jaxrod.memory`; `None` if nothing, or
+    if that is what the scene begins with."""
 
     @property
     def directors(self) -> Float[Array, "3 3 n"]:
@@ -185,12 +189,23 @@ def check_state(rod: Rod, state: RodState) -> None:
     check_size(rod, state)
 
 
+def check_one(state: RodState) -> None:
+    """Raises a `ValueError` if a state is a batch of states, or a rollout."""
+    shape = jnp.shape(state.positions)
+    if len(shape) != 2:
+        raise ValueError(
+            f"state must be one state, got a batch of shape {shape[:-2]} (or a "
+            "rollout): use jax.vmap"
+        )
+
+
 def check_size(rod: Rod, state: RodState) -> None:
     """Checks that a state is one of a scene's rod, whether traced or not.
 
     Raises:
         ValueError: If its numbers of elements and nodes are others.
     """
+    check_one(state)
     n = rod.n_elements
     elements, nodes = state.orientations.shape[-1], state.positions.shape[-1]
     if elements != n:

@@ -13,7 +13,7 @@ from jaxrod.effects.base import Effect
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, check_scene_and_state, constrain, constrain_rates
+from jaxrod.scene import Scene, constrain, constrain_rates, scene_of
 from jaxrod.statics.blocks import unblocked
 from jaxrod.statics.effect_tangents import has_closed_form
 from jaxrod.statics.newton import default_tolerance, largest, newton
@@ -86,7 +86,7 @@ def equilibrium(
             an argument is out of range.
         TypeError: If `scene` or `state` is something else.
     """
-    check_scene_and_state(scene, state)
+    scene = scene_of(scene, state)
     if scene.method.law != "consistent":
         raise ValueError(f"equilibrium needs the consistent law, got {scene.method!r}")
     dtype = scene.rod.rest_lengths.dtype
@@ -137,7 +137,7 @@ def _equilibrium(
     moves = balanced(balance, _no_moves(found))
     force, couple = unblocked(balance.residual(moves))
     return Equilibrium(
-        state=state_of(balance.motion(moves)),
+        state=replace(state_of(balance.motion(moves)), memory=state.memory),
         converged=end.converged,
         stable=end.converged & end.tangent.is_positive(),
         loose=end.loose,

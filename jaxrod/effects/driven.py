@@ -1,0 +1,197 @@
+"""Driven ends: moved along a path, turned with a wall."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.effects.base import Effect, Reaction, StabilityBound
+from jaxrod.effects.clamps import Clamp
+from jaxrod.effects.ends import End, check_end
+from jaxrod.effects.nodes import (
+    Axes,
+    at_node,
+    axes_named,
+    distance_from,
+    end_node,
+    force_at,
+    own_couple,
+    unit,
+)
+from jaxrod.effects.paths import Path, Placed, Turned, Turning
+from jaxrod.effects.time import Schedule, as_timed
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState, check_one
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, check_kind
+
+
+@pytree
+class Driven(Effect):
+    """An end moved along a path, its element turned with a wall or free to turn.
+
+    The wall acts through an elastic joint of half an element, as that of a `Clamp`.
+    """
+
+    place: Placed | Schedule
+    """Where the end node is, and how it moves: a schedule of such."""
+    turn: Turned | Schedule | None
+    """The wall's frame, and how it turns; `None` if the element turns freely."""
+    end: End = static(default="start")
+    """Which end."""
+    axes: Axes = static(default=(True, True, True))
+    """World axes along which the node is driven; along others it is free."""
+
+    @property
+    def _placed(self) -> Placed:
+        assert isinstance(self.place, Placed)
+        return self.place
+
+    @property
+    def _joint(self) -> Clamp | None:
+        """The wall's joint."""
+        if self.turn is None:
+            return None
+        assert isinstance(self.turn, Turned)
+        return Clamp(self.turn.orientation, self.end)
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The wall joint's couple on the end element."""
+        joint = self._joint
+        return Loads() if joint is None else joint.loads(rod, motion)
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
+        """Of the joint, on the end element."""
+        joint = self._joint
+        return None if joint is None else joint.turning_tangent(rod, motion)
+
+    def energy(self, rod: Rod, state: RodState) -> Array | float:
+        """Elastic energy of the wall joint [J]."""
+        joint = self._joint
+        return 0.0 if joint is None else joint.energy(rod, state)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound | None:
+        """The stiffness of the wall joint, on the end element."""
+        joint = self._joint
+        return None if joint is None else joint.stability_bound(rod)
+
+    @property
+    def twists(self) -> str | None:
+        """The wall, which may turn about the rod's axis."""
+        return None if self.turn is None else "a wall that is driven"
+
+    def constrain(self, rod: Rod, motion: Motion) -> Motion:
+        """Puts the end node where it is driven."""
+        node = end_node(rod, self.end)
+        there = at_node(motion.position, self._placed.position, node, self.axes)
+        moved = replace(motion, position=there)
+        if motion.remainder is None:
+            return moved
+        none = jnp.zeros_like(self._placed.position)
+        return replace(
+            moved, remainder=at_node(motion.remainder, none, node, self.axes)
+        )
+
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Gives the end node the velocity of the path."""
+        node = end_node(rod, self.end)
+        velocity = at_node(motion.velocity, self._placed.velocity, node, self.axes)
+        return replace(motion, velocity=velocity)
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Distance of the end node from the path along the axes, over the radius."""
+        node = end_node(rod, self.end)
+        apart = distance_from(self._placed.position, node, self.axes, rod, state)
+        joint = self._joint
+        return (
+            apart if joint is None else jnp.maximum(apart, joint.violation(rod, state))
+        )
+
+    def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
+        """The force along the path's axes, the joint's couple, and their power."""
+        node = end_node(rod, self.end)
+        mass = rod.node_masses[node]
+        push = vectors.split(mass * self._placed.acceleration)
+        held = force_at(needed, node, self.axes)
+        a, b, c = (
+            force + inertia if is_held else force
+            for force, inertia, is_held in zip(held, push, self.axes, strict=True)
+        )
+        force = (a, b, c)
+        power = vectors.dot(force, vectors.split(self._placed.velocity))
+        if self.turn is None:
+            return Reaction.of(force, power=power)
+        assert isinstance(self.turn, Turned)
+        couple = own_couple(self, rod, motion, self.end)
+        turning = vectors.dot(couple, vectors.split(self.turn.angular_velocity))
+        return Reaction.of(force, couple, power + turning)
+
+
+def driven(
+    state: RodState,
+    end: End = "start",
+    *,
+    displacement: Schedule | Numbers = (0.0, 0.0, 0.0),
+    axes: str = "xyz",
+    axis: Numbers | None = None,
+    angle: Schedule | Numbers = 0.0,
+    free_to_turn: bool = False,
+) -> Driven:
+    """Moves an end along a path, and turns the wall that holds its element.
+
+    `jaxrod.reactions` says what it takes, in force, couple and power.
+
+    Args:
+        state: The state of the rod: displacement and angle count from there.
+        end: Which end.
+        displacement: Of the end node, world frame: a schedule of `(3,)` [m].
+        axes: World axes along which it is driven; along others it is free.
+        axis: What the wall turns about, world frame, of any length `(3,)`.
+        angle: By how much: a schedule [rad].
+        free_to_turn: Whether the end element turns freely, as on a ball joint.
+
+    Raises:
+        ValueError: If an argument is out of range.
+        TypeError: If `state` is something else.
+    """
+    check_kind("state", state, RodState)
+    check_one(state)
+    index = 0 if check_end(end) == "start" else -1
+    path = Path(
+        state.positions[:, index], _schedule("displacement", displacement, "m", (3,))
+    )
+    turn = _schedule("angle", angle, "rad", ())
+    if free_to_turn and (axis is not None):
+        raise ValueError("an end that is free to turn is not turned about an axis")
+    if axis is None and (isinstance(angle, Schedule) or np.any(np.asarray(angle) != 0)):
+        raise ValueError("axis must say what the wall turns about by that angle")
+    wall = None
+    if not free_to_turn:
+        along = unit("axis", (0, 0, 1) if axis is None else axis, state.positions.dtype)
+        wall = Turning(state.orientations[:, index], along, turn)
+    return Driven(path, wall, end, axes_named(axes))
+
+
+@pytree
+class _Constant(Schedule):
+    """A schedule that stays what it is."""
+
+    value: Array
+
+    def __call__(self, clock: Any) -> Array:
+        return self.value
+
+    @property
+    def largest(self) -> Array:
+        return jnp.abs(self.value)
+
+
+def _schedule(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
+    checked = as_timed(name, value, unit, shape)
+    return checked if isinstance(checked, Schedule) else _Constant(checked)

@@ -1,0 +1,88 @@
+"""Nodes of a rod: the components of a field that a support holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.ends import End, at_end
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.validation import Numbers, as_array, is_traced
+
+Axes = tuple[bool, bool, bool]
+"""World axes x, y and z: those along which something is held."""
+
+
+ALL_AXES: Axes = (True, True, True)
+
+
+def end_node(rod: Rod, end: End) -> int:
+    """Number of the node at an end."""
+    return 0 if end == "start" else rod.n_elements
+
+
+def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
+    """A field with the components along some axes replaced at one node."""
+    here = np.arange(field[0].shape[0]) == node
+    x, y, z = (
+        jnp.where(here, value[k], component) if axes[k] else component
+        for k, component in enumerate(field)
+    )
+    return x, y, z
+
+
+def distance_from(
+    place: Array, node: int, axes: Axes, rod: Rod, state: RodState
+) -> Array:
+    """Of a node from a place along some axes, over the radius there [1]."""
+    apart = (state.positions[:, node] - place) * jnp.asarray(axes, place.dtype)
+    return (
+        vectors.safe_norm(vectors.split(apart))
+        / rod.radii[min(node, rod.n_elements - 1)]
+    )
+
+
+def force_at(needed: Loads, node: int, axes: Axes) -> Vec3:
+    """The components along some axes of the force needed at a node [N]."""
+    assert needed.forces is not None
+    x, y, z = (
+        component[node] if held else jnp.zeros_like(component[node])
+        for component, held in zip(needed.forces, axes, strict=True)
+    )
+    return x, y, z
+
+
+def own_couple(effect: Effect, rod: Rod, motion: Motion, end: End) -> Vec3:
+    """The couple of an effect on an end element, world frame [N m]."""
+    couples = effect.loads(rod, motion).couples
+    assert couples is not None
+    index = 0 if end == "start" else -1
+    x, y, z = (component[index] for component in couples)
+    return to_world(directors(at_end(motion.orientation, end)), (x, y, z))
+
+
+def axes_named(axes: str) -> Axes:
+    """Axes by their names."""
+    if not isinstance(axes, str) or not axes or not set(axes) <= set("xyz"):
+        raise ValueError(f'axes must be some of "xyz", got {axes!r}')
+    return "x" in axes, "y" in axes, "z" in axes
+
+
+def unit(name: str, value: Numbers, dtype: Any) -> Array:
+    """A direction at length one."""
+    given = as_array(name, value, "", [(3,)])
+    length = vectors.safe_norm(vectors.split(given))
+    if not is_traced(given) and not np.any(np.asarray(given)):
+        raise ValueError(f"{name} must have a direction, got zero")
+    return (given / length).astype(dtype)

@@ -1,0 +1,111 @@
+r"""Paths: schedules of places and orientations, with their rates.
+
+What is driven along a path needs to know how fast it goes: velocity and acceleration
+are derivatives of the schedule, by JAX.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.time import Clock, Schedule
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    join_quaternion,
+    multiply_quaternions,
+    rotation_exp,
+    split_quaternion,
+)
+from jaxrod.structure import pytree
+
+
+@pytree
+class Placed:
+    """A place, and how it moves."""
+
+    position: Float[Array, "3"]
+    """World frame [m]."""
+    velocity: Float[Array, "3"]
+    """World frame [m/s]."""
+    acceleration: Float[Array, "3"]
+    """World frame [m/s^2]."""
+
+
+@pytree
+class Path(Schedule):
+    """Places from a schedule of displacements."""
+
+    start: Float[Array, "3"]
+    """Where the displacement is zero [m]."""
+    displacement: Any
+    """Schedule of displacements from there `(3,)` [m]."""
+
+    def __call__(self, clock: Clock) -> Placed:
+        """Place, velocity and acceleration at a time."""
+
+        def place(clock: Clock) -> Array:
+            return self.start + self.displacement(clock)
+
+        def rate(clock: Clock) -> Array:
+            return _rate(place, clock)[1]
+
+        position, velocity = _rate(place, clock)
+        return Placed(position, velocity, _rate(rate, clock)[1])
+
+    @property
+    def largest(self) -> Placed:
+        """The place furthest along every axis, at rest."""
+        still = jnp.zeros_like(self.start)
+        return Placed(self.start + self.displacement.largest, still, still)
+
+
+@pytree
+class Turned:
+    """An orientation, and how it turns."""
+
+    orientation: Float[Array, "4"]
+    """Unit quaternion (w, x, y, z), material to world."""
+    angular_velocity: Float[Array, "3"]
+    """World frame [rad/s]."""
+
+
+@pytree
+class Turning(Schedule):
+    """Orientations that turn about an axis that stands still."""
+
+    start: Float[Array, "4"]
+    """Orientation at angle zero (w, x, y, z)."""
+    axis: Float[Array, "3"]
+    """Unit vector, world frame."""
+    angle: Any
+    """Schedule of the angle [rad]."""
+
+    def __call__(self, clock: Clock) -> Turned:
+        """Orientation and angular velocity at a time."""
+        angle, rate = _rate(self.angle, clock)
+        return Turned(self._turned(angle), rate * self.axis)
+
+    @property
+    def largest(self) -> Turned:
+        """Turned as far as it goes, at rest."""
+        return Turned(self._turned(self.angle.largest), jnp.zeros_like(self.axis))
+
+    def _turned(self, angle: Array) -> Array:
+        turn = rotation_exp(vectors.scale(angle, vectors.split(self.axis)))
+        start = split_quaternion(self.start)
+        return join_quaternion(multiply_quaternions(turn, start))
+
+
+def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:
+    """A schedule's value and its derivative by time."""
+
+    def at(fraction: Array) -> Any:
+        return schedule(replace(clock, fraction=fraction))
+
+    value, change = jax.jvp(at, (clock.fraction,), (1 / clock.dt,))
+    return value, change

@@ -1,0 +1,196 @@
+"""Supports that stand still: nodes held along axes, and hinges.
+
+A wall that holds an end altogether is in `jaxrod.effects.clamps`, what moves in
+`jaxrod.effects.driven`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect, Reaction, StabilityBound
+from jaxrod.effects.ends import End, at_end, check_end, only_at_end, place
+from jaxrod.effects.nodes import (
+    ALL_AXES,
+    Axes,
+    at_node,
+    axes_named,
+    distance_from,
+    end_node,
+    force_at,
+    own_couple,
+    unit,
+)
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState, check_one
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, check_kind
+
+
+@pytree
+class Pin(Effect):
+    """A node held in place along world axes; elements turn freely."""
+
+    position: Float[Array, "3"]
+    """Where the node is held [m]; of axes that are not held it says nothing."""
+    node: int = static(default=0)
+    """Which node."""
+    axes: Axes = static(default=(True, True, True))
+    """Along which axes."""
+
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Stops the node."""
+        still = jnp.zeros_like(self.position)
+        velocity = at_node(motion.velocity, still, self.node, self.axes)
+        return replace(motion, velocity=velocity)
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Distance along the axes from where it is held, over the radius there."""
+        return distance_from(self.position, self.node, self.axes, rod, state)
+
+    def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
+        """The force that keeps the node where it is."""
+        return Reaction.of(force_at(needed, self.node, self.axes))
+
+    def check(self, rod: Rod) -> None:
+        """Raises ValueError if the rod has no such node."""
+        if not 0 <= self.node <= rod.n_elements:
+            raise ValueError(
+                f"node must be from 0 to {rod.n_elements}, got {self.node}"
+            )
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Pin:
+        """The end node of the new rod; other nodes have no counterpart."""
+        if self.node not in (0, rod.n_elements):
+            raise ValueError(
+                f"a pin at node {self.node} has no place on a rod of "
+                f"{new_rod.n_elements} elements"
+            )
+        return replace(self, node=new_rod.n_elements if self.node else 0)
+
+
+@pytree
+class Hinge(Effect):
+    r"""An end node held in place, whose element turns about one axis only.
+
+    Between hinge and end element lies half an element, as in a `Clamp`: a material axis
+    $e$ of the element is pulled towards the hinge's axis $a$ by the couple
+    $k\, e \times a$, with $k$ the bending stiffness over that half length.
+    """
+
+    position: Float[Array, "3"]
+    """Where the end node is held [m]."""
+    axis: Float[Array, "3"]
+    """Unit vector along the hinge, world frame."""
+    own_axis: Float[Array, "3"]
+    """The same axis at rest, in the frame of the end element."""
+    end: End = static(default="start")
+    """Which end."""
+
+    def _stiffness(self, rod: Rod) -> Array:
+        """Of the joint [N m]."""
+        index = 0 if self.end == "start" else -1
+        return jnp.max(rod.bend_twist_stiffness[:2, index]) / (
+            0.5 * rod.rest_lengths[index]
+        )
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The joint's couple on the end element."""
+        frame = directors(at_end(motion.orientation, self.end))
+        axis = to_material(frame, vectors.split(self.axis))
+        pull = vectors.cross(vectors.split(self.own_axis), axis)
+        couple = vectors.scale(self._stiffness(rod), pull)
+        return Loads(couples=only_at_end(couple, rod.n_elements, self.end))
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Elastic energy of the joint [J]."""
+        frame = directors(at_end(split_quaternion(state.orientations), self.end))
+        own = to_world(frame, vectors.split(self.own_axis))
+        apart = vectors.subtract(own, vectors.split(self.axis))
+        return 0.5 * self._stiffness(rod) * vectors.dot(apart, apart)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """The stiffness of the joint, on the end element."""
+        return StabilityBound(
+            elements=place(self._stiffness(rod), rod.n_elements, self.end)
+        )
+
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Stops the end node."""
+        node = end_node(rod, self.end)
+        still = jnp.zeros_like(self.position)
+        return replace(motion, velocity=at_node(motion.velocity, still, node, ALL_AXES))
+
+    def violation(self, rod: Rod, state: RodState) -> Array:
+        """Distance of the end node, over the radius, or twice the sine of the tilt."""
+        frame = directors(at_end(split_quaternion(state.orientations), self.end))
+        own = to_world(frame, vectors.split(self.own_axis))
+        tilt = vectors.safe_norm(vectors.subtract(own, vectors.split(self.axis)))
+        node = end_node(rod, self.end)
+        return jnp.maximum(
+            distance_from(self.position, node, ALL_AXES, rod, state), tilt
+        )
+
+    def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
+        """The force that keeps the node in place, and the joint's couple."""
+        force = force_at(needed, end_node(rod, self.end), ALL_AXES)
+        return Reaction.of(force, own_couple(self, rod, motion, self.end))
+
+
+def pin(state: RodState, at: End | int = "start", *, axes: str = "xyz") -> Pin:
+    """Holds a node where the given state has it, along world axes; elements turn.
+
+    Args:
+        state: The state of the rod.
+        at: "start", "finish", or the number of a node.
+        axes: Along which axes: "xyz" for a pin, "z" for a smooth floor, "yz" for a
+            rail along x.
+
+    Raises:
+        ValueError: If there is no such node, or no such axes.
+        TypeError: If `state` is something else.
+    """
+    check_kind("state", state, RodState)
+    check_one(state)
+    nodes = state.positions.shape[-1]
+    if isinstance(at, str):
+        node = 0 if check_end(at) == "start" else nodes - 1
+    elif isinstance(at, bool) or not isinstance(at, int | np.integer):
+        raise ValueError(f'at must be "start", "finish" or a node, got {at!r}')
+    else:
+        node = int(at)
+    if not 0 <= node < nodes:
+        raise ValueError(f"at must be a node from 0 to {nodes - 1}, got {at}")
+    return Pin(state.positions[:, node], node, axes_named(axes))
+
+
+def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
+    """Holds an end node where the state has it; its element turns about an axis.
+
+    Args:
+        state: The state of the rod: the hinge is at rest there.
+        axis: Direction of the hinge, world frame, of any length `(3,)`.
+        end: Which end.
+
+    Raises:
+        ValueError: If an argument is out of range.
+        TypeError: If `state` is something else.
+    """
+    check_kind("state", state, RodState)
+    check_one(state)
+    index = 0 if check_end(end) == "start" else -1
+    along = unit("axis", axis, state.positions.dtype)
+    frame = directors(at_end(split_quaternion(state.orientations), end))
+    own = vectors.join(to_material(frame, vectors.split(along)))
+    return Hinge(state.positions[:, index], along, own, end)

@@ -1,0 +1,176 @@
+r"""Numbers of an effect that depend on time, and a clock that stays exact.
+
+A `Schedule` may stand in any field of an effect where a number or an array would: at
+every step it is replaced by its value, so that hooks see plain numbers. Scenes without
+a schedule have no clock, and their programs are the same as ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array
+
+Tree = TypeVar("Tree")
+
+_DIGIT = 10
+"""Bits of a digit of the step count."""
+_COARSE = 4096
+"""Parts of a turn whose products with a digit float32 holds."""
+
+
+@pytree
+class Clock:
+    """Time as a count of steps: it does not lose digits as time goes on."""
+
+    step: Int[Array, ""]
+    """Whole steps since time zero."""
+    fraction: Float[Array, ""]
+    """Of a step, since then [1]."""
+    dt: Float[Array, ""]
+    """Step size [s]."""
+
+    @property
+    def time(self) -> Float[Array, ""]:
+        """Time [s], rounded: of a period that is over many times ask `phase`."""
+        return (self.step.astype(self.dt.dtype) + self.fraction) * self.dt
+
+    def phase(self, period: Array) -> Float[Array, "..."]:
+        """Part of a period that has passed, from 0 to 1 [1].
+
+        The error is a few roundings, however many periods have passed: the step count
+        is taken digit by digit, the steps per period to twice the precision.
+
+        Args:
+            period: The period [s].
+        """
+        period = jnp.asarray(period, self.dt.dtype)
+        turns, rest = _quotient(self.dt, period)
+        total = self.fraction * turns
+        count = self.step
+        for digit in range(0, 31, _DIGIT):
+            part = ((count >> digit) & (2**_DIGIT - 1)).astype(turns.dtype)
+            size = turns * 2.0**digit
+            size = size - jnp.floor(size)
+            # So few bits that their product with a digit is exact, and the others.
+            coarse = jnp.floor(size * _COARSE) / _COARSE
+            whole = part * coarse
+            rounded = part * (size - coarse) + part * (rest * 2.0**digit)
+            total = total + (whole - jnp.floor(whole)) + rounded
+        return total - jnp.floor(total)
+
+    def later(self, fraction: ArrayLike) -> Clock:
+        """The clock a part of a step later."""
+        return replace(self, fraction=self.fraction + fraction)
+
+
+def clock_at(time: ArrayLike, dtype: Any) -> Clock:
+    """A clock that shows a time [s]."""
+    seconds = as_array("time", time, "s", dtype=dtype)
+    return Clock(jnp.zeros((), jnp.int32), seconds, jnp.ones_like(seconds))
+
+
+def _quotient(a: Array, b: Array) -> tuple[Array, Array]:
+    """The quotient of two numbers, and what its rounding has left of it."""
+    quotient = a / b
+    high, low = _product(quotient, b)
+    return quotient, ((a - high) - low) / b
+
+
+def _product(a: Array, b: Array) -> tuple[Array, Array]:
+    """The product of two numbers and its rounding error (Dekker, 1971)."""
+    splitter = 2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1
+
+    def halves(x: Array) -> tuple[Array, Array]:
+        spread = splitter * x
+        high = spread - (spread - x)
+        return high, x - high
+
+    product = a * b
+    (a1, a2), (b1, b2) = halves(a), halves(b)
+    return product, ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2
+
+
+class Schedule:
+    """Base of numbers that depend on time; a subclass is a pytree.
+
+    `largest` is what bounds of stability and checks of planes and axes go by: it must
+    be at least as large as any value, component by component.
+    """
+
+    def __call__(self, clock: Clock) -> Any:
+        """The value at a time."""
+        raise NotImplementedError
+
+    @property
+    def largest(self) -> Any:
+        """Bound on the size of every component at all times, of the same shape."""
+        raise NotImplementedError
+
+
+Timed = Numbers | Schedule
+"""A number, a vector or an array of numbers, or a schedule of such."""
+
+
+def is_schedule(value: Any) -> bool:
+    """Whether a value depends on time."""
+    return isinstance(value, Schedule)
+
+
+def depends_on_time(tree: Any) -> bool:
+    """Whether there is a schedule anywhere in a pytree."""
+    return any(map(is_schedule, jax.tree.leaves(tree, is_leaf=is_schedule)))
+
+
+def at_clock(tree: Tree, clock: Clock) -> Tree:
+    """The tree with every schedule replaced by its value."""
+    return _replaced(tree, lambda schedule: schedule(clock))
+
+
+def at_largest(tree: Tree) -> Tree:
+    """The tree with every schedule replaced by the bound on its size."""
+    return _replaced(tree, lambda schedule: schedule.largest)
+
+
+def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
+    return jax.tree.map(
+        lambda leaf: value(leaf) if is_schedule(leaf) else leaf,
+        tree,
+        is_leaf=is_schedule,
+    )
+
+
+def as_timed(
+    name: str, value: Timed, unit: str, shape: tuple[int, ...] = (), **limits: Any
+) -> Any:
+    """An argument that may depend on time, checked.
+
+    Args:
+        name: The argument's name, for the message.
+        value: What was given for it.
+        unit: SI unit, for the message.
+        shape: Of the value.
+        **limits: As `as_array` has them; for what does not depend on time.
+
+    Raises:
+        ValueError: Naming the argument.
+    """
+    if not isinstance(value, Schedule):
+        return as_array(name, value, unit, [shape], **limits)
+    kind = jnp.result_type(float)
+    now = Clock(jnp.zeros((), np.int32), jnp.zeros((), kind), jnp.zeros((), kind))
+    found = jax.eval_shape(value, now)
+    if getattr(found, "shape", None) != shape:
+        raise ValueError(
+            f"{name} must have values of shape {shape}, got a {type(value).__name__} "
+            f"of shape {getattr(found, 'shape', None)}"
+        )
+    return value

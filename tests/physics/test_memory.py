@@ -1,0 +1,133 @@
+"""Effects that remember: their memory is part of the state, in every method."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+
+METHODS = {
+    "consistent": jaxrod.consistent(),
+    "pyelastica": jaxrod.pyelastica(),
+    "planar": jaxrod.planar("zx"),
+    "torsion-free": jaxrod.torsion_free(),
+    "implicit": jaxrod.implicit(),
+}
+RISE, DT = 0.02, 1e-4
+
+
+@jaxrod.pytree
+class Muscle(jaxrod.Effect):
+    """Pulls the tip along x as strongly as it is activated, which takes time."""
+
+    command: jax.Array
+    strength: jax.Array
+    activation: jax.Array = jaxrod.memory(default=0.0)
+
+    def loads(self, rod, motion):
+        pull = jnp.zeros_like(motion.position[0])
+        pull = pull.at[-1].set(self.strength * self.activation)
+        return jaxrod.Loads(forces=(pull, 0 * pull, 0 * pull))
+
+    def after_step(self, rod, motion, dt):
+        kept = jnp.exp(-dt / RISE)
+        return replace(
+            self, activation=self.command + kept * (self.activation - self.command)
+        )
+
+
+@pytest.fixture(scope="module")
+def rod_and_state():
+    return jaxrod.straight_rod(
+        3, length=1.0, radius=0.02, density=1000.0, youngs_modulus=1e6
+    )
+
+
+def muscled(rod, state, method=None, command=0.8):
+    return jaxrod.make_scene(
+        rod,
+        jaxrod.gravity((0.0, 0.0, 0.0)),
+        Muscle(command, 0.3),
+        method=method,
+    )
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_what_an_effect_remembers_goes_on_in_every_method(name, rod_and_state):
+    rod, state = rod_and_state
+    scene = muscled(rod, state, METHODS[name])
+    after = jaxrod.advance(scene, state, DT, 150)
+    (nothing, (activation,)) = after.memory
+    assert nothing == ()
+    exact = 0.8 * (1 - np.exp(-150 * DT / RISE))
+    assert float(activation) == pytest.approx(exact, rel=1e-12)
+    # The impulse: of the middle of the first step nothing, of the last 149 steps' end.
+    levels = 0.8 * (1 - np.exp(-np.arange(150) * DT / RISE))
+    if name == "implicit":
+        return
+    impulse = float(jnp.sum(rod.node_masses * after.velocities[0]))
+    assert impulse == pytest.approx(0.3 * DT * np.sum(levels), rel=1e-12)
+
+
+def test_runs_go_on_where_they_ended(rod_and_state):
+    rod, state = rod_and_state
+    scene = muscled(rod, state)
+    records = jaxrod.rollout(scene, state, DT, 40, 20)
+    assert records.memory[1][0].shape == (3,)
+    half = jaxrod.advance(scene, state, DT, 20)
+    whole = jaxrod.advance(scene, half, DT, 20)
+    np.testing.assert_allclose(
+        whole.positions, records.positions[-1], rtol=0, atol=1e-15
+    )
+    np.testing.assert_allclose(whole.memory[1][0], records.memory[1][0][-1])
+    # A command that changes between runs does not touch what is remembered.
+    other = muscled(rod, state, command=0.0)
+    relaxing = jaxrod.advance(other, half, DT, 20).memory[1][0]
+    kept = np.exp(-20 * DT / RISE)
+    assert float(relaxing) == pytest.approx(kept * float(half.memory[1][0]), rel=1e-12)
+
+
+def test_gradients_and_batches_go_through_memory(rod_and_state):
+    rod, state = rod_and_state
+
+    def tip(command):
+        scene = muscled(rod, state, command=command)
+        return jaxrod.advance(scene, state, 1e-3, 30).tip[0]
+
+    slope = float(jax.grad(tip)(0.5))
+    assert slope == pytest.approx(float(tip(1.0) - tip(0.0)), rel=1e-3)
+    commands = jnp.asarray([0.1, 0.4])
+    batch = jax.vmap(tip)(commands)
+    for k in range(2):
+        assert float(batch[k]) == pytest.approx(float(tip(commands[k])), abs=1e-14)
+
+
+def test_memory_that_is_not_of_the_scene_is_refused(rod_and_state):
+    rod, state = rod_and_state
+    after = jaxrod.advance(muscled(rod, state), state, DT, 1)
+    without = jaxrod.make_scene(rod, jaxrod.gravity())
+    with pytest.raises(ValueError, match="memory must be of the effects"):
+        jaxrod.advance(without, after, DT, 1)
+    jaxrod.advance(without, replace(after, memory=None), DT, 1)
+
+
+def test_energies_and_health_see_what_is_remembered(rod_and_state):
+    rod, state = rod_and_state
+
+    @jaxrod.pytree
+    class Charge(jaxrod.Effect):
+        charge: jax.Array = jaxrod.memory(default=1.0)
+
+        def energy(self, rod, state):
+            return self.charge
+
+        def after_step(self, rod, motion, dt):
+            return replace(self, charge=2 * self.charge)
+
+    scene = jaxrod.make_scene(rod, Charge())
+    after = jaxrod.advance(scene, state, DT, 3)
+    assert float(jaxrod.potential_energy(scene, state)) == pytest.approx(1.0)
+    assert float(jaxrod.potential_energy(scene, after)) == pytest.approx(8.0)

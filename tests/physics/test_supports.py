@@ -1,0 +1,257 @@
+"""Pins, hinges and driven ends, against closed forms and the balance of energy."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+
+N, LENGTH, RADIUS, DENSITY, MODULUS = 24, 1.0, 0.01, 1000.0, 1e8
+AREA = np.pi * RADIUS**2
+BENDING = MODULUS * np.pi * RADIUS**4 / 4
+
+
+def along_x(n=N, modulus=MODULUS):
+    return jaxrod.straight_rod(
+        n,
+        length=LENGTH,
+        radius=RADIUS,
+        density=DENSITY,
+        youngs_modulus=modulus,
+        direction=(1.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+    )
+
+
+def test_a_simply_supported_beam_sags_as_it_should():
+    rod, state = along_x()
+    load = 0.05
+    scene = jaxrod.make_scene(
+        rod,
+        jaxrod.pin(state),
+        jaxrod.pin(state, "finish", axes="yz"),
+        jaxrod.uniform_load((0.0, 0.0, -load)),
+    )
+    found = jaxrod.equilibrium(scene, state)
+    assert found.converged
+    sag = -float(found.state.positions[2, N // 2])
+    assert sag == pytest.approx(5 * load * LENGTH**4 / (384 * BENDING), rel=3e-3)
+    # Each end carries half of the weight.
+    for reaction in jaxrod.reactions(scene, found.state)[:2]:
+        np.testing.assert_allclose(
+            reaction.force, [0, 0, load * LENGTH / 2], atol=1e-6 * load
+        )
+        assert float(reaction.power) == 0
+
+
+def test_a_simply_supported_beam_vibrates_as_it_should():
+    rod, state = along_x()
+    scene = jaxrod.make_scene(
+        rod, jaxrod.pin(state), jaxrod.pin(state, "finish", axes="yz")
+    )
+    exact = np.pi**2 * np.sqrt(BENDING / (DENSITY * AREA)) / LENGTH**2
+    found = np.asarray(jaxrod.natural_frequencies(scene, state))
+    # Turning about its own axis is free; bending in two planes.
+    lowest = found[found > 0.01 * exact][:2]
+    np.testing.assert_allclose(lowest, exact, rtol=3e-3)
+
+
+def test_a_pin_in_the_middle_carries_what_it_should():
+    """Two equal spans under a uniform load: the middle carries 5/8 of it."""
+    rod, state = along_x()
+    load = 0.05
+    scene = jaxrod.make_scene(
+        rod,
+        jaxrod.pin(state),
+        jaxrod.pin(state, N // 2, axes="yz"),
+        jaxrod.pin(state, "finish", axes="yz"),
+        jaxrod.uniform_load((0.0, 0.0, -load)),
+    )
+    found = jaxrod.equilibrium(scene, state)
+    middle = jaxrod.reactions(scene, found.state)[1].force
+    assert float(middle[2]) == pytest.approx(5 / 8 * load * LENGTH, rel=5e-3)
+
+
+def test_a_cantilever_is_held_by_its_weight_and_its_moment():
+    rod, state = along_x()
+    scene = jaxrod.make_scene(
+        rod,
+        jaxrod.clamp(state),
+        jaxrod.gravity((0.0, 0.0, -1e-2)),
+        jaxrod.end_load(couple=(0.0, 2e-4, 0.0)),
+    )
+    found = jaxrod.equilibrium(scene, state)
+    reaction, nothing, nor_this = jaxrod.reactions(scene, found.state)
+    assert nothing is None and nor_this is None
+    weight = 1e-2 * float(jnp.sum(rod.node_masses))
+    np.testing.assert_allclose(reaction.force, [0, 0, weight], atol=1e-9)
+    # About the end node, exactly, however few elements there are.
+    arm = float(jnp.sum(rod.node_masses * found.state.positions[0])) * 1e-2
+    assert float(reaction.couple[1]) == pytest.approx(-arm - 2e-4, rel=1e-6)
+
+
+def test_a_stiff_rod_on_a_hinge_is_a_compound_pendulum():
+    rod, state = along_x(4)
+    gravity = 9.81
+    scene = jaxrod.make_scene(
+        rod, jaxrod.hinge(state, (0.0, 2.0, 0.0)), jaxrod.gravity((gravity, 0.0, 0.0))
+    )
+    exact = np.sqrt(1.5 * gravity / LENGTH)
+    hanging = jaxrod.equilibrium(scene, state)
+    assert hanging.stable
+    found = np.asarray(jaxrod.natural_frequencies(scene, hanging.state))
+    lowest = found[found > 0.1]
+    # Four elements weigh their ends: the inertia is that of their nodes.
+    inertia = float(jnp.sum(rod.node_masses * state.positions[0] ** 2))
+    inertia += float(jnp.sum(rod.inertias[0]))
+    moment = gravity * float(jnp.sum(rod.node_masses * state.positions[0]))
+    assert lowest[0] == pytest.approx(np.sqrt(moment / inertia), rel=5e-3)
+    assert lowest[0] == pytest.approx(exact, rel=0.05)
+    # Across the hinge it is stiff, and twisting is too: nothing else is as slow.
+    assert lowest[1] > 1.5 * exact
+
+
+def test_a_hinge_lets_a_rod_go_round_and_round():
+    rod, state = along_x(3, 1e7)
+    omega = np.zeros((3, 3))
+    frame = np.asarray(state.directors)
+    omega[:] = np.einsum("ijn,j->in", frame, [0.0, 20.0, 0.0])
+    spinning = jaxrod.with_angular_velocities(rod, state, omega)
+    x = np.asarray(state.positions[0])
+    velocities = np.stack([0 * x, 0 * x, -20.0 * x])
+    spinning = jax.tree.map(jnp.asarray, spinning)
+    spinning = replace(spinning, velocities=jnp.asarray(velocities))
+    scene = jaxrod.make_scene(rod, jaxrod.hinge(state, (0.0, 1.0, 0.0)))
+    dt = float(jaxrod.stable_dt(scene, 0.4).dt)
+    steps = int(1.0 / dt)
+    records = jaxrod.rollout(scene, spinning, dt, steps - steps % 20, steps // 20)
+    tips = np.asarray(records.tip)
+    assert np.max(np.abs(tips[:, 1])) < 1e-9
+    before, after = (
+        float(jaxrod.total_energy(scene, jax.tree.map(lambda a, k=k: a[k], records)))
+        for k in (0, -1)
+    )
+    assert after == pytest.approx(before, rel=1e-3)
+    # Three times round in a second.
+    angles = np.unwrap(np.arctan2(-tips[:, 2], tips[:, 0]))
+    assert abs(angles[-1]) == pytest.approx(
+        20 * dt * (len(tips) - 1) * (steps // 20), rel=0.05
+    )
+
+
+def pendulum(method, turn=True):
+    """A soft pendulum whose upper end is shaken, and turned by a wall."""
+    rod, state = jaxrod.straight_rod(
+        3, length=0.5, radius=0.02, density=1000.0, youngs_modulus=2e5
+    )
+    shake = jaxrod.sine((0.01, 0.0, 0.0), 0.3, phase=0.25, mean=(-0.01, 0.0, 0.0))
+    wall = {"free_to_turn": True}
+    if turn:
+        angle = jaxrod.sine(0.3, 0.2, phase=0.25, mean=-0.3)
+        wall = {"axis": (0.0, 1.0, 0.0), "angle": angle}
+    planar = isinstance(method, jaxrod.Planar)
+    driven = jaxrod.driven(
+        state, displacement=shake, axes="xz" if planar else "xyz", **wall
+    )
+    scene = jaxrod.make_scene(rod, driven, jaxrod.gravity(), method=method)
+    return scene, state
+
+
+@pytest.mark.parametrize(
+    ("method", "turn"),
+    [
+        (jaxrod.consistent(), True),
+        (jaxrod.planar("zx"), True),
+        pytest.param(jaxrod.implicit(1.0), True, marks=pytest.mark.slow),
+        (jaxrod.consistent(), False),
+    ],
+    ids=["consistent", "planar", "implicit", "free to turn"],
+)
+def test_the_work_of_a_driven_end_is_what_the_energy_grows_by(method, turn):
+    scene, state = pendulum(method, turn)
+    gaps = []
+    for n in (300, 600):
+        h = 0.2 / n
+        records = jaxrod.rollout(scene, state, h, n)
+        times = jnp.arange(n + 1) * h
+
+        def measured(state, time):
+            now = scene.at(time)
+            power = jaxrod.reactions(now, state)[0].power
+            return jaxrod.total_energy(now, state), power
+
+        energies, powers = map(np.asarray, jax.vmap(measured)(records, times))
+        work = h * np.sum(0.5 * (powers[1:] + powers[:-1]))
+        grown = energies[-1] - energies[0]
+        assert abs(grown) > 1e-4
+        gaps.append(abs(work - grown) / abs(grown))
+    assert gaps[1] < 1e-3
+    assert gaps[0] / gaps[1] > 3
+
+
+def test_a_driven_end_is_where_it_is_driven():
+    scene, state = pendulum(jaxrod.consistent())
+    after = jaxrod.advance(scene, state, 5e-4, 101)
+    there = scene.at(101 * 5e-4).effects[0].place.position
+    np.testing.assert_allclose(after.positions[:, 0], there, rtol=0, atol=1e-15)
+    assert not jaxrod.health(scene.at(101 * 5e-4), after, 5e-4).flagged
+    assert jaxrod.health(scene.at(0.0), after, 5e-4).largest_violation > 0.1
+
+
+def test_bad_supports_are_refused_in_words():
+    rod, state = along_x(4)
+    shake = jaxrod.sine((0.0, 0.0, 0.01), 0.3)
+    for make, words in (
+        (lambda: jaxrod.pin(state, 7), "at must be a node from 0 to 4"),
+        (lambda: jaxrod.pin(state, "middle"), 'end must be "start" or "finish"'),
+        (lambda: jaxrod.pin(state, axes="xw"), 'axes must be some of "xyz"'),
+        (lambda: jaxrod.hinge(state, (0.0, 0.0, 0.0)), "axis must have a direction"),
+        (
+            lambda: jaxrod.driven(state, displacement=jaxrod.ramp(0.0, 1.0, 1.0)),
+            "displacement must have values of shape",
+        ),
+        (
+            lambda: jaxrod.driven(state, angle=jaxrod.ramp(0.0, 1.0, 1.0)),
+            "axis must say what the wall turns about",
+        ),
+        (
+            lambda: jaxrod.make_scene(
+                rod,
+                jaxrod.driven(state, displacement=shake),
+                method=jaxrod.planar("zx"),
+            ),
+            "needs what is driven to be free across it",
+        ),
+        (
+            lambda: jaxrod.make_scene(
+                rod,
+                jaxrod.driven(state, displacement=shake),
+                method=jaxrod.torsion_free(),
+            ),
+            "a wall that is driven",
+        ),
+    ):
+        with pytest.raises(ValueError, match=words):
+            make()
+
+
+def test_batches_are_refused_with_the_word_vmap():
+    rod, state = along_x(3)
+    scene = jaxrod.make_scene(rod, jaxrod.gravity())
+    scenes, states = jax.tree.map(lambda a: jnp.stack([a, a]), (scene, state))
+    for ask in (
+        lambda: jaxrod.stable_dt(scenes),
+        lambda: jaxrod.advance(scenes, states, 1e-4, 1),
+        lambda: jaxrod.advance(scene, states, 1e-4, 1),
+        lambda: jaxrod.total_energy(scenes, states),
+        lambda: jaxrod.health(scenes, states, 1e-4),
+        lambda: jaxrod.momentum(rod, states),
+        lambda: jaxrod.clamp(states),
+        lambda: jaxrod.pin(states),
+    ):
+        with pytest.raises(ValueError, match=r"use jax\.vmap"):
+            ask()
+    assert jax.vmap(jaxrod.stable_dt)(scenes).dt.shape == (2,)
