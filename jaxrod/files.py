@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 TEMPORARY = ".partial"
-"""How the names of files end that are not yet whole."""
+"""Ending of the names of files that are not yet complete."""
 
 
 class DamagedFileError(ValueError):
@@ -107,7 +107,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """What is wrong, on one line."""
+    """The reason of an error, on one line."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if isinstance(error, KeyError):
@@ -163,7 +163,7 @@ def _refuse_constant(name: str) -> None:
 
 
 Kind = tuple[str, Callable[[Any], bool]]
-"""What an entry must be, in words and as a test."""
+"""Kind of an entry, in words and as a test."""
 
 TEXT: Kind = ("text", lambda value: isinstance(value, str))
 OBJECT: Kind = ("an object", lambda value: isinstance(value, dict))

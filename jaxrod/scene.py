@@ -31,7 +31,7 @@ class Stepper(Protocol):
     """
 
     steps_of_end: ClassVar[int]
-    """How many steps `end` finishes, 1 or 0."""
+    """Number of steps that `end` finishes, 1 or 0."""
 
     def begin(self, state: RodState) -> Any:
         """From a state to the carry before the first step."""
@@ -40,14 +40,14 @@ class Stepper(Protocol):
         """A step that `end` does not finish."""
 
     def end(self, carry: Any) -> RodState:
-        """What is left to do after the cycles."""
+        """The state, from the carry after the last cycle."""
 
 
 @pytree
 class Method:
-    """How a scene is stepped: a law, what is left out of it, and an integrator.
+    """Method of stepping a scene: an elastic law, its reduction and an integrator.
 
-    One of those in `jaxrod.methods`, or a subclass of one's own that is a pytree.
+    One of those in `jaxrod.methods`, or a user's subclass that is a pytree.
     """
 
     twist: ClassVar[bool] = True
@@ -76,18 +76,18 @@ class Method:
 
 @pytree
 class Scene:
-    """What is simulated. Its structure is static, its numbers are traced.
+    """One rod, its effects and a method. Structure is static, numbers are traced.
 
-    What is not in `effects` is not in the compiled program. Build one with
+    Only what is in `effects` is in the compiled program. Build one with
     `make_scene`; change numbers with `dataclasses.replace`.
     """
 
     rod: Rod
     """The rod's parameters."""
     effects: tuple[Effect, ...]
-    """What acts on the rod, in the order in which it is applied."""
+    """Effects on the rod, in the order in which they are applied."""
     method: Method
-    """How it is stepped."""
+    """Method that steps it."""
 
 
 def check_scene(scene: Scene) -> None:

@@ -50,7 +50,7 @@ class Body(ABC):
 
     @property
     def count(self) -> int | None:
-        """How many bodies this is, if its numbers have a leading axis."""
+        """Number of bodies, from a leading axis; `None` for a single one."""
         return None
 
     @property
@@ -74,7 +74,7 @@ class Sphere(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.radius.shape)
 
     @property
@@ -104,7 +104,7 @@ class Capsule(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.radius.shape)
 
     @property
@@ -141,7 +141,7 @@ class Cylinder(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.radius.shape)
 
     @property
@@ -169,7 +169,7 @@ class Plane(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.normal.shape[:-1])
 
     @property
@@ -187,7 +187,7 @@ class Box(Body):
     half_lengths: Float[Array, "3"]
     """From the centre to the faces, along the box's own axes [m]."""
     orientation: Float[Array, "4"]
-    """Of the box's axes (w, x, y, z)."""
+    """Orientation of the box's axes (w, x, y, z)."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """From the distances to the nearest of each pair of faces."""
@@ -201,7 +201,7 @@ class Box(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.centre.shape[:-1])
 
     @property
@@ -229,7 +229,7 @@ class SignedDistance(Body):
 
     @property
     def count(self) -> int | None:
-        """By the axes that its numbers have beyond those of one body."""
+        """Number of bodies, from the axes beyond those of a single one."""
         leaves = jax.tree.leaves(self.parameters)
         leading = {
             leaf.shape[: leaf.ndim - rank]

@@ -27,19 +27,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Check:
-    """What one check found.
-
-    Attributes:
-        name: what was checked.
-        ok: False when results computed here cannot be trusted.
-        detail: what was found, with numbers.
-        advice: what to do about it; empty when there is nothing to do.
-    """
+    """Result of one check."""
 
     name: str
+    """Name of the check."""
     ok: bool
+    """False when results computed here cannot be trusted."""
     detail: str
+    """Findings, with numbers."""
     advice: str = ""
+    """Advice on a mend; empty when nothing is wrong."""
 
 
 def run_checks() -> list[Check]:

@@ -36,11 +36,11 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     """Constants of PyElastica's step for one scene, one step size, one plane."""
 
     decay: tuple[Array, Array] | None
-    """What damping leaves of velocities and spins in one step [1]."""
+    """Shares of velocities and spins left by damping after one step [1]."""
     inverse_masses: Array
     """[1/kg]"""
     inertia: Array
-    """Of the elements about the normal [kg m^2]."""
+    """Rotary inertia of the elements about the normal [kg m^2]."""
     inverse_joint_lengths: Array
     """[1/m]"""
 

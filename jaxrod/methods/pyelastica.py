@@ -53,7 +53,7 @@ class PyElasticaStepper(Verlet):
     """Constants of the PyElastica step for one scene and one step size."""
 
     decay: tuple[Array, Array] | None
-    """What damping leaves of velocities and spins in one step [1]."""
+    """Shares of velocities and spins left by damping after one step [1]."""
     lengths: Array
     """Rest lengths [m]."""
     inverse_lengths: Array
@@ -199,6 +199,6 @@ def pyelastica() -> PyElastica:
     """PyElastica 1.0's law and stepping order, to round-off.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
     """
     return PyElastica()

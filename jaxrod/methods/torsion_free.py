@@ -67,11 +67,12 @@ class TorsionFreeMotion:
     spin: Vec3
     """Angular momentum of the elements, perpendicular to d3 [kg m^2/s]."""
     remainder: Vec3 | None = None
-    """What rounding has added to the positions [m], where that is kept count of."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` without
+    compensation."""
 
     @property
     def view(self) -> Motion:
-        """The motion as effects see it. What they do not look at costs nothing."""
+        """The motion as effects see it. Fields that no effect reads cost nothing."""
         return Motion(
             position=self.position,
             orientation=frame_along(self.direction),
@@ -230,7 +231,7 @@ class TorsionFreeStepper(Verlet):
     def add_loads(
         self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Adds the loads of all effects, but for what would twist the rod."""
+        """Adds the loads of all effects, except couples that would twist the rod."""
         in_space = motion.view
         for effect in self.scene.effects:
             if has_elastic_wall(effect, self.scene.rod):
@@ -290,13 +291,13 @@ class TorsionFree(Method):
 
 
 def torsion_free() -> TorsionFree:
-    """Leaves twist out: half the arithmetic, for what the polar inertia changes.
+    """Drops twist and halves the arithmetic; neglects polar inertia.
 
     For a naturally straight rod with sections alike in all directions, under loads that
     do not twist it. Couples about the axis that cannot be seen on the host (traced
     ones), and spin about it in a state, are dropped.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
     """
     return TorsionFree()

@@ -14,7 +14,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class Verlet(ABC):
-    """Position Verlet of whatever drift and kick a subclass has.
+    """Position Verlet, of the drift and kick that a subclass defines.
 
     A cycle goes from the middle of one step, where its kick acts, to the middle of
     the next.
@@ -22,7 +22,7 @@ class Verlet(ABC):
 
     steps_of_end: ClassVar[int] = 1
     scene: Scene
-    """What is simulated."""
+    """The scene."""
     dt: Array
     """Step size [s]."""
 

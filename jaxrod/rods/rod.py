@@ -94,7 +94,7 @@ class Rod:
 
 @pytree
 class RodState:
-    """What changes in time. Minimal: nothing derived is stored."""
+    """State of a rod: all that changes in time, and nothing derived from it."""
 
     positions: Float[Array, "3 n+1"]
     """Node positions, world frame [m]."""
@@ -105,7 +105,8 @@ class RodState:
     angular_momenta: Float[Array, "3 n"]
     """Angular momentum of each element about its centre, world frame [kg m^2/s]."""
     remainders: Float[Array, "3 n+1"] | None = None
-    """What rounding has added to the positions [m]; `None` unless `compensated`."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` unless
+    `compensated`."""
 
     @property
     def directors(self) -> Float[Array, "3 3 n"]:

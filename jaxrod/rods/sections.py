@@ -66,7 +66,7 @@ def round_rod(
         check(formula, value, unit)
         return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
 
-    # What the type cannot hold is said in words, not in NumPy's warnings.
+    # Overflow is refused in words below, not by NumPy's warnings.
     with np.errstate(all="ignore"):
         area = np.pi * radii**2
         second_moment = area**2 / (4 * np.pi)
