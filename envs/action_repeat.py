@@ -25,16 +25,14 @@ class ActionRepeat:
     would bring is not counted. `info` is that of the last step that counts, with
     `"control_steps"`, how many counted; `VectorEnvironment` keeps its clock by it.
 
-    Attributes:
-        env: the environment.
-        times: control steps of one decision.
-
     Raises:
         ValueError: If `times` is below 1.
     """
 
     env: Environment
+    """The environment."""
     times: int
+    """Control steps of one decision."""
 
     def __post_init__(self) -> None:
         """Checks the number."""

@@ -24,7 +24,7 @@ from jaxrod.envs.protocol import Environment
 __all__ = ["StableBaselinesVecEnv"]
 
 Indices = None | int | Iterable[int]
-"""Which environments of the batch: None for all."""
+"""Indices of environments of the batch: None for all."""
 
 
 class StableBaselinesVecEnv(VecEnv):
@@ -164,7 +164,7 @@ class StableBaselinesVecEnv(VecEnv):
         indices: Indices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """What a method of the environment returns, for every one that is asked.
+        """Return values of a method of the environment, one for every index.
 
         Raises:
             AttributeError: it has none of that name.

@@ -18,7 +18,7 @@ from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
-"""What Gymnasium asks of both classes before there is an environment."""
+"""Metadata that Gymnasium reads from both classes before there is an environment."""
 
 
 class Batch:
@@ -115,7 +115,7 @@ class Batch:
         return self.state
 
     def picture(self, state: VectorState, index: int) -> UInt8[np.ndarray, "h w 3"]:
-        """What environment number `index` looks like.
+        """A picture of environment number `index`.
 
         Raises:
             ValueError: there is no arm to draw.

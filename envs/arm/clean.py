@@ -44,7 +44,7 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class CleanArm:
-    """Numbers of the arm and of all that acts on it."""
+    """Parameters of the arm and of all that acts on it."""
 
     rod: Rod
     """The arm."""
@@ -55,21 +55,21 @@ class CleanArm:
     viscosity: Float[Array, ""]
     """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
     spline: ElementAverages
-    """Through the control points, averaged over the arm's elements."""
+    """Spline through the control points, averaged over the arm's elements."""
     couple_density: Float[Array, ""]
     """Couple per length for a control value of one [N m/m]."""
     largest_change: Float[Array, ""] | None
-    """The most a control value may change from one control step to the next; `None`
-    where they jump."""
+    """Largest change of a control value from one control step to the next; `None` where
+    they jump."""
     obstacles: tuple[Contact, ...] = ()
-    """Contact with what is in the way."""
+    """Contact with the obstacles."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Beyond these the arm is frozen."""
+    """Limits of health beyond which the arm is frozen."""
     method: Method = dataclasses.field(default_factory=consistent)
-    """How it is stepped: in its plane of motion, where there is one."""
+    """Method of stepping: in the plane of motion, where there is one."""
     nearest: int | None = static(default=None)
-    """How many obstacles each point of the arm looks at in a control step; `None` for
-    all."""
+    """Number of obstacles that each point of the arm looks at in a control step; `None`
+    for all."""
 
     def relaxed(self) -> Array | None:
         """Control values at the start of an episode, where they are remembered."""
@@ -108,7 +108,7 @@ class CleanArm:
     def scene(
         self, controls: Float[Array, "3 n_controls"], near: RodState | None = None
     ) -> Scene:
-        """What acts on the arm under these control values.
+        """Scene of the arm under these control values.
 
         Args:
             controls: Control values [1].

@@ -45,7 +45,7 @@ CONTACT_DAMPING = 4.0
 
 @pytree
 class PublishedArm:
-    """Numbers of the published arm and of all that acts on it."""
+    """Parameters of the published arm and of all that acts on it."""
 
     rod: Rod
     """The arm."""
@@ -54,13 +54,13 @@ class PublishedArm:
     held: FixedEnd
     """Its base."""
     drag: ViscousDrag
-    """What it moves in."""
+    """Viscous drag of the medium."""
     muscles: MuscleParams
-    """What moves it."""
+    """Parameters of the muscles."""
     contact: LegacyContact | None
-    """With the obstacles; `None` where there are none."""
+    """Contact with the obstacles; `None` where there are none."""
     method: PyElastica | Planar
-    """PyElastica's, in the plane of motion where there is one."""
+    """Method of PyElastica's law, in the plane of motion where there is one."""
 
     def relaxed(self) -> Muscles:
         """The muscles at the start of an episode."""
