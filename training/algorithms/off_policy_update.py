@@ -30,15 +30,12 @@ from jaxrod.training.short_episodes import restart_phase
 
 @pytree
 class Batch:
-    """What one gradient step learns from.
-
-    Attributes:
-        transition: observations normalised, rewards scaled.
-        noise: standard normal, as many arrays as were asked for.
-    """
+    """Transitions and noise of one gradient step."""
 
     transition: Transition
+    """Observations normalised, rewards scaled."""
     noise: tuple[Float[Array, "batch action"], ...]
+    """Standard normal noise, as many arrays as the gradient step takes."""
 
 
 def act_and_remember(

@@ -167,7 +167,7 @@ def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) 
 
 
 def _hint(apart: list[str]) -> str:
-    """What mostly makes every number another one."""
+    """The usual cause of numbers that all differ."""
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (is JAX_ENABLE_X64 as it was?)" if double else ""
 

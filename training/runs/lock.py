@@ -98,7 +98,7 @@ def _is_still(lock: int, file: Path) -> bool:
 
 
 def _holder(lock: int) -> str:
-    """Who holds the lock, in words."""
+    """The process that holds the lock, in words."""
     words = os.pread(lock, 200, 0) if hasattr(os, "pread") else os.read(lock, 200)
     pid, _, host = words.decode(errors="replace").strip().partition(" ")
     return f"process {pid} on {host}" if pid and host else "another process"

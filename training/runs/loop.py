@@ -152,7 +152,7 @@ def _describe(
     env_options: Mapping[str, Any] | None,
     score_window: int,
 ) -> dict[str, Any]:
-    """What was asked for, as `config.json` keeps it."""
+    """The request, as `config.json` keeps it."""
     options = _options(env) if env_options is None else dict(env_options)
     return {
         "case": env.name,
@@ -167,7 +167,7 @@ def _describe(
 
 
 def _options(env: Any) -> dict[str, Any]:
-    """What `make` needs to be told beside the name to make this environment.
+    """Options that `make` needs beside the name to make this environment.
 
     The fields of the library's tasks are called like the options they are made with.
     """

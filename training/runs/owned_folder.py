@@ -26,7 +26,7 @@ from jaxrod.files import (
 from jaxrod.training.runs.lock import only_process
 
 CONFIG = "config.json"
-"""What was asked for, and the mark."""
+"""File of the configuration and the mark."""
 
 
 class OwnedFolder:
@@ -106,7 +106,7 @@ class OwnedFolder:
                 raise ValueError(f"{self.path / name} was not written by jaxrod")
 
     def _there(self) -> list[str]:
-        """Which of the names that are written here something has already."""
+        """Names written here that exist already."""
         return [name for name in self._files if os.path.lexists(self.path / name)] + [
             name
             for name in self._folders
@@ -115,7 +115,7 @@ class OwnedFolder:
         ]
 
     def _strange(self) -> str | None:
-        """Why the folder is not known as jaxrod's; None where it is."""
+        """The reason why the folder is not known as jaxrod's; None where it is."""
         file = self.path / CONFIG
         if not os.path.lexists(file):
             return f"no {CONFIG} that says that they are of a {self.kind} of jaxrod"

@@ -21,7 +21,7 @@ from jaxrod.files import (
 )
 
 Mark = dict[str, Any]
-"""How far a table was written: its rows, bytes, and the SHA-256 of these bytes."""
+"""Mark in a table: the number of its rows and bytes, and the SHA-256 of these bytes."""
 
 
 class Table:
