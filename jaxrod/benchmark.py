@@ -144,7 +144,7 @@ def measure(
         batch: number of arms.
         dtype: "float32" or "float64".
         mode: "consistent" or "pyelastica".
-        seconds: how long to measure [s].
+        seconds: time to measure [s].
         devices: devices to spread the batch over, None for all; as many are used as
             divide it evenly.
 

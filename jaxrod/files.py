@@ -87,7 +87,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turns whatever goes wrong in reading a file into an error that names it.
+    """Turns any failure to read a file into an error that names it.
 
     Raises:
         DamagedFileError: anything was raised but by the operating system.
@@ -204,11 +204,11 @@ def check_entries(
     kinds: Mapping[str, Kind],
     may_lack: Mapping[str, Kind] | None = None,
 ) -> None:
-    """Checks the entries of what was read; there may be others.
+    """Checks the entries of a file's content; there may be others.
 
     Args:
-        content: what was read.
-        kinds: what each entry must be.
+        content: content of the file.
+        kinds: kind of each entry.
         may_lack: the same for those that need not be there.
 
     Raises:

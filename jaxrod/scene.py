@@ -21,9 +21,9 @@ Law = Literal["consistent", "pyelastica"]
 
 
 class Stepper(Protocol):
-    """An integrator with its constants worked out: what `advance` runs.
+    """An integrator with its constants worked out, as `advance` runs it.
 
-    `begin` takes a state apart into whatever the integrator carries, `cycle` is what
+    `begin` takes a state apart into the carry of the integrator, `cycle` is what
     the loop repeats, `end` finishes and puts the state together. Position Verlet's
     cycle ends where the kick of the next step acts, half a step on, so that
     neighbouring half drifts are one: `end(cycle(cycle(begin(state))))` is three

@@ -5,7 +5,7 @@ $\omega^2$ are the eigenvalues of $M^{-1}K$. The largest is found from the actio
 $K$ alone, a forward-mode derivative of the loads: a Krylov space is built from a
 random motion (Lanczos' method; Arnoldi's, because PyElastica's loads have no
 potential), and the largest eigenvalue in it taken. Nothing dense is formed but the
-small matrix of that space. Whatever acts on the rod is included: the law of the
+small matrix of that space. All that acts on the rod is included: the law of the
 scene's mode at this deformation, walls, user-defined effects.
 """
 

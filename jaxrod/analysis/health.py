@@ -8,14 +8,14 @@ Inside a compiled program nothing raises: failure is data. Look at the flags aft
     state = jaxrod.freeze(flagged, before, after)
 
 Nothing is clamped or repaired. Under `vmap` every rod of a batch has flags of its own,
-and what becomes of one does not touch the others.
+and one does not affect the others.
 
-The answer is the same wherever the rod is, whichever way it points and in whatever
-units it is given, up to the rounding of its coordinates. Far from the origin that is
-all there is: a coordinate near 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in
-float64), which strains an element of 5 cm by a thousandth, shakes the rod a little in
-every step (`jaxrod.analysis.energy_balance` says by how much) and loses what moves less
-than that per step.
+The answer does not depend on the rod's place and orientation, nor on the units, up to
+the rounding of its coordinates. Far from the origin rounding dominates: a coordinate
+near 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64), which strains an
+element of 5 cm by a thousandth, shakes the rod a little in every step
+(`jaxrod.analysis.energy_balance` says by how much) and loses motion of less than that
+per step.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def health(
             examined.
         work_input: Work done on the rod since then by loads without a potential [J].
             Energy may grow by twice as much.
-        n_steps: Steps since then: what rounding does grows with them
+        n_steps: Steps since then: round-off grows with them
             (`jaxrod.analysis.energy_balance`).
 
     Returns:

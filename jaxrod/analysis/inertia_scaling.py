@@ -57,9 +57,9 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     Automatically (without `dt`): as far as it helps, which is until stretch or twist
     limit the step, but never beyond the radius of gyration of a sphere as long as the
     element. A rod thicker than its elements are long is left as it is. With `dt`: as
-    far as that step asks for, whatever it does to the frequencies.
-    `frequency_changes` says what it does to them. Rates of rotational damping act on
-    the enlarged inertia: the couples they stand for grow with it.
+    far as that step asks for, without regard to the frequencies, whose changes
+    `frequency_changes` gives. Rates of rotational damping act on the enlarged inertia:
+    the couples they stand for grow with it.
 
     Args:
         scene: The scene; effects and damping are as before.

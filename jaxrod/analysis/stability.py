@@ -154,7 +154,7 @@ def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
         vibration = fastest_vibration(scene, state, factors)
         return vibration.angular_frequency, vibration
 
-    # The bound knows roughly what damping does: from there it is not far.
+    # The bound accounts for damping roughly, and is a near start.
     bound = _bounded(scene, jnp.ones_like(safety))
 
     def start(undamped: Array) -> Array:

@@ -1,4 +1,4 @@
-r"""Fixed bodies, each known by its signed distance: what a rod can touch.
+r"""Fixed bodies that a rod can touch, each given by its signed distance.
 
 A body gives, at any point, the distance to its surface (negative inside) and the
 outward unit normal there, which is the distance's gradient. Its numbers are traced:

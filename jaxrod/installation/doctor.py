@@ -1,4 +1,4 @@
-"""Checks that this machine computes what it is told to.
+"""Checks that this machine computes correctly.
 
 Compilers have bugs, and a wrong number looks like any other number. Each check
 here runs a small program whose right answer is known, or reports a setting that
@@ -247,7 +247,7 @@ def _one_device_per_platform() -> list[jax.Device]:
 
 
 def _guard(name: str, check: Callable[[], Check]) -> Check:
-    """Runs a check; whatever it raises is what it found."""
+    """Runs a check; an exception is its finding."""
     try:
         return check()
     except Exception as error:

@@ -146,12 +146,12 @@ class PlanarRod:
 
 @pytree
 class PlanarVerlet(Verlet):
-    """Position Verlet of a rod in a plane, whatever the law."""
+    """Position Verlet of a rod in a plane, of either law."""
 
     plane: PlaneName = static()
     """The plane of motion."""
     start: RodState
-    """The state at the start of the call: what lies out of the plane stays so."""
+    """The state at the start of the call: components out of the plane stay so."""
     constants: PlanarRod
     """Constants of the rod, in the plane."""
     inverse_inertia: Array

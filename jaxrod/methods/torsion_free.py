@@ -1,8 +1,8 @@
 r"""The method without twist: an element is a direction, not a frame.
 
 In a naturally straight rod with sections alike in all directions, under loads that do
-not twist it, twist is a fast motion of no consequence: nothing drives it but the small
-polar inertia. Left out, an element is a unit vector $d$ with an angular momentum $P$
+not twist it, twist is a fast motion without consequence: only the small polar inertia
+drives it. Left out, an element is a unit vector $d$ with an angular momentum $P$
 perpendicular to it. With edge $\Delta x$, rest length $\hat\ell$ and $\theta$ the angle
 between neighbours,
 

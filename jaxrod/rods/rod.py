@@ -166,7 +166,7 @@ def compensated(state: RodState) -> RodState:
     gone, for six operations per node and component. For float32; in float64 rounding
     is far below what discretisation does.
 
-    Angular momentum gains nothing: what it loses in a free rod is rounding of the loads
+    Angular momentum gains nothing: its drift in a free rod is rounding of the loads
     themselves, about `u sqrt(steps)` of the sum of `m |x| |v|` over the nodes, with `u`
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
     """

@@ -1,4 +1,4 @@
-"""Rods of round section: what radius and material make of masses and stiffnesses."""
+"""Rods of round section: masses and stiffnesses from radius and material."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def with_differentiated(
     momentum: Matrix,
     free: Float[Array, "n+1 6"],
 ) -> Tangent:
-    """A tangent with that of the effects that do not know theirs, whatever they are.
+    """A tangent with that of the effects that have no closed form.
 
     Args:
         chain: The tangent without them.

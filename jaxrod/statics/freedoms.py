@@ -1,7 +1,7 @@
 """Free components of positions and rates under the constraints of a scene.
 
-A component is held if `Effect.constrain_rates` gives it the same rate whatever rate it
-had, or if `Effect.constrain` gives it the same place whatever place it had.
+A component is held if `Effect.constrain_rates` gives it the same rate for any rate it
+had, or if `Effect.constrain` gives it the same place for any place it had.
 """
 
 from __future__ import annotations

@@ -33,8 +33,9 @@ from jaxrod.statics.blocks import blocks
 from jaxrod.statics.dense import Dense
 
 _ROUNDINGS = 16
-"""Resistance of at most so many roundings is none. Of modes that nothing resists 3 are
-left; what pins resist has 3000 of float32's even where n = 100 and L/r = 1000."""
+"""Multiple of rounding up to which a resistance counts as none. Modes that nothing
+resists have 3; those that pins resist have 3000 in float32 even for n = 100 and
+L/r = 1000."""
 
 
 def loose_modes(

@@ -94,7 +94,7 @@ class Replay:
             spheres: spheres to show; positions (3,) or (T, 3).
             cylinders: cylinders to show.
             readouts: name -> one number per frame, shape (T,).
-            rod_names: what the legend calls each rod; empty, or R names.
+            rod_names: names of the rods in the legend; empty, or R names.
             title: heading of the player.
             up: the world axis drawn upwards: "x", "y" or "z".
 
@@ -192,7 +192,7 @@ class Replay:
         return low, high
 
     def __repr__(self) -> str:
-        """One line: what was recorded, not the numbers."""
+        """One line on what was recorded, without the numbers."""
         duration = float(self.times[-1] - self.times[0])
         return (
             f"Replay({self.title!r}: {self.num_rods} rods, {self.num_frames} frames, "

@@ -15,7 +15,7 @@ class Sphere:
     """A sphere shown with the rods, such as a target."""
 
     positions: Any
-    """Centre [m], shape (3,) if it stays put, (T, 3) if it moves."""
+    """Centre [m], shape (3,) if it is at rest, (T, 3) if it moves."""
     radius: float
     """Radius [m]."""
     name: str = "target"
@@ -24,7 +24,7 @@ class Sphere:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder that stays put, such as an obstacle."""
+    """A cylinder at rest, such as an obstacle."""
 
     start: Any
     """Centre of one end [m], shape (3,)."""

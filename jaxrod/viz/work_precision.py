@@ -1,4 +1,4 @@
-"""Work-precision diagrams: what accuracy costs, and where the best settings lie."""
+"""Work-precision diagrams: error against cost, and the best settings."""
 
 from __future__ import annotations
 
