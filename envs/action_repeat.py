@@ -21,9 +21,9 @@ from jaxrod.envs.protocol import Environment
 class ActionRepeat:
     """Every action is held for `times` control steps, whose rewards are added up.
 
-    An episode that ends in between ends there: what the rest of the control steps
-    would bring is not counted. `info` is that of the last step that counts, with
-    `"control_steps"`, how many counted; `VectorEnvironment` keeps its clock by it.
+    An episode that ends in between ends there: rewards of the remaining control steps
+    are not counted. `info` is that of the last step that counts, with
+    `"control_steps"`, the number that counted, for `VectorEnvironment`'s clock.
 
     Raises:
         ValueError: If `times` is below 1.

@@ -85,8 +85,8 @@ class VectorEnvironment:
 
     A step that returns a number that is not finite is reported as flagged, pays
     nothing and truncates there, with the observation before it as the final one. One
-    broken environment never spoils the batch: what becomes of the others is the same
-    to the last bit.
+    broken environment never affects the others: their results are the same to the
+    last bit.
     """
 
     env: Environment

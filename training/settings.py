@@ -55,7 +55,7 @@ LARGEST_COUNT = 2**31 - 1
 
 
 def check_steps(steps: int, per_update: int) -> int:
-    """Returns how many updates so many control steps are, rounded up.
+    """Number of updates in a number of control steps, rounded up.
 
     Raises:
         ValueError: they are not one update, or more than can be counted.

@@ -45,13 +45,13 @@ class Arm(Protocol):
 
         Args:
             state: The arm.
-            muscles: What its muscles remember.
+            muscles: Memory of its muscles.
             controls: Commanded values [1] about d1, d2 and d3.
             dt: Step [s].
-            n_steps: How many, at least 1.
+            n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, what its muscles remember, and whether it crashed.
+            The arm, the memory of its muscles, and whether it crashed.
         """
 
 

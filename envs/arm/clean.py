@@ -92,7 +92,7 @@ class CleanArm:
             muscles: Control values of the control step before.
             controls: Commanded values [1] about d1, d2 and d3.
             dt: Step [s].
-            n_steps: How many, at least 1.
+            n_steps: Number of steps, at least 1.
 
         Returns:
             The arm, the control values, and whether a health flag rose; then the arm
@@ -149,12 +149,12 @@ def clean_arm(
         n_elements: Elements.
         start: Where it is clamped [m].
         axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
-        spline: Through the control points, in rest arc length.
-        published_elements: Elements of the published arm: how many couples of 75 N m
-            are spread over the length.
-        largest_rate: The fastest a control value may change [1/s].
-        obstacles: Contact with what is in the way.
-        nearest: How many obstacles each point looks at in a control step.
+        spline: Spline through the control points, in rest arc length.
+        published_elements: Elements of the published arm, each with a couple of 75 N m:
+            their sum is spread over the length.
+        largest_rate: Largest rate of a control value [1/s].
+        obstacles: Contact with the obstacles.
+        nearest: Number of obstacles that each point looks at in a control step.
         smallest_stretch: Below this an arm is flagged [1].
         largest_stretch: Beyond this an arm is flagged [1].
         plane: The plane of motion, where there is one.

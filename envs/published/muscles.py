@@ -58,8 +58,8 @@ def contract(
     """Muscles in the simulation step that follows.
 
     Args:
-        muscles: What they did in the step before.
-        commanded: What they should do.
+        muscles: Their state in the step before.
+        commanded: Commanded control values [1].
         lengths: Current lengths of the elements [m].
         renewed: Whether the commanded values are new in this step. Where they
             happen to be the old ones the couples do not change, but they follow the

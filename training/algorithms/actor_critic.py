@@ -78,8 +78,8 @@ def critic_loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
 
-    The target is r + gamma V', and V' is worth nothing only where the task ended: an
-    episode cut short is continued by the value of its final observation.
+    The target is r + gamma V', and V' is 0 only where the task ended: an episode cut
+    short is continued by the value of its final observation.
 
     Args:
         weights: of the critics.

@@ -121,7 +121,7 @@ def learn(
     Args:
         state: the train state, its memory up to date.
         gradient_step: `(learner, batches) -> (learner, report)`.
-        acted: what acting brought.
+        acted: results of acting.
         batches_per_step: batches of one call; divides `gradient_steps`.
         noises: arrays of noise, of the shape of the actions, that a batch brings.
         axis_name: mapped axis over which the environments are spread, if any.

@@ -84,7 +84,7 @@ def init(
         env: the environment.
         config: settings; `vmap` over their numbers works too.
         env_params: parameters of the environment, None for its own.
-        total_steps: of no consequence: nothing follows a schedule.
+        total_steps: without effect: nothing follows a schedule.
     """
 
     def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:

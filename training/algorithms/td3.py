@@ -1,8 +1,9 @@
 """Twin delayed deep deterministic policy gradients.
 
 A deterministic policy climbs the first of its critics. Three things keep it from
-climbing their errors: the smaller of two critics is believed, the actions that judge
-what follows are blurred, and the policy waits until the critics have moved.
+climbing their errors: targets take the smaller of two critics, their actions carry
+clipped noise (target policy smoothing), and the policy is updated less often than the
+critics.
 
 Source: Fujimoto et al., "Addressing function approximation error in actor-critic
 methods", 2018.

@@ -41,7 +41,7 @@ class Checkpoints:
 
         Args:
             folder: made with the first checkpoint if missing.
-            keep: how many checkpoints to keep.
+            keep: number of checkpoints to keep.
         """
         self.folder, self._keep = folder, keep
         self._latest: int | None = None
@@ -65,7 +65,7 @@ class Checkpoints:
             step: number of the checkpoint, growing along the run. Nothing is
                 written if it is the one that was saved or restored last.
             state: the train state.
-            facts: what else to remember; anything JSON can hold.
+            facts: further facts to store; anything JSON can hold.
 
         Raises:
             OSError: it cannot be written; with the name of the file.

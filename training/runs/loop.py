@@ -57,11 +57,11 @@ def train(
             nothing.
         config: settings of the algorithm, None for its defaults.
         env_params: parameters of the environment, None for its own.
-        env_options: how the environment was made, `make(env.name,
+        env_options: options the environment was made with, `make(env.name,
             **env_options)`; recorded. "variant" among them is repeated in the
             summary. None for what distinguishes `env` from `make(env.name)`.
         resume: continue the run in `out`.
-        overwrite: replace the run in `out`; what else lies there stays.
+        overwrite: replace the run in `out`; other files there stay.
         score_window: `final_score` is the mean return of this many last
             complete training episodes.
         evaluation_episodes: episodes of the evaluation at the end, 0 for none.

@@ -1,8 +1,8 @@
 """A folder of results that knows which of its files jaxrod has written.
 
-Its `config.json` carries a mark. Where the mark is missing, nothing that lies in the
-folder is replaced or removed, whatever was asked for; where it is there, only the
-files that such a folder is known to hold are, one by one.
+Its `config.json` carries a mark. Where the mark is missing, nothing in the folder is
+replaced or removed, on any request; where it is there, only the files that such a
+folder is known to hold are, one by one.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class OwnedFolder:
 
         Args:
             path: the folder.
-            kind: what it holds, such as "training run".
+            kind: kind of its content, such as "training run".
             files: names of the files in it, beside `config.json`.
             folders: names of the folders in it, and as a regular expression the
                 names of the files in each.

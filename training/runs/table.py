@@ -105,7 +105,7 @@ class Table:
             )
 
     def cut(self, mark: Mark | None = None) -> None:
-        """Keeps what was marked: what came later was not checkpointed.
+        """Cuts the table back to a mark: later rows were not checkpointed.
 
         Raises:
             ValueError: see `check`.
