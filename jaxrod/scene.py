@@ -34,7 +34,7 @@ class Stepper(Protocol):
     """Number of steps that `end` finishes, 1 or 0."""
 
     def begin(self, state: RodState) -> Any:
-        """From a state to the carry before the first step."""
+        """Carry before the first step, from the initial state."""
 
     def cycle(self, carry: Any) -> Any:
         """A step that `end` does not finish."""

@@ -44,7 +44,7 @@ class Vibration:
     """The fastest small motion about a configuration."""
 
     angular_frequency: Float[Array, ""]
-    """[rad/s]"""
+    """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
     """Share of the kinetic energy in each node's motion, world frame [1]."""
     turns: Float[Array, "3 n"]

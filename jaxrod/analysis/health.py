@@ -43,7 +43,7 @@ State = TypeVar("State")
 
 @pytree
 class HealthLimits:
-    """Beyond these a state is flagged."""
+    """Limits beyond which a state is flagged."""
 
     smallest_stretch: Float[Array, ""] | float = 0.3
     """Extent of an element along its axis over that at rest [1]. Negative where it

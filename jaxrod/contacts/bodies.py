@@ -64,9 +64,9 @@ class Sphere(Body):
     """A ball."""
 
     centre: Float[Array, "3"]
-    """[m]"""
+    """Centre [m]."""
     radius: Float[Array, ""]
-    """[m]"""
+    """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance from the centre, less the radius."""
@@ -79,7 +79,7 @@ class Sphere(Body):
 
     @property
     def inradius(self) -> Array:
-        """Its own."""
+        """Radius [m]."""
         return self.radius
 
 
@@ -92,7 +92,7 @@ class Capsule(Body):
     end: Float[Array, "3"]
     """Centre of the half sphere at the other end [m]."""
     radius: Float[Array, ""]
-    """[m]"""
+    """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance from the line between the centres, less the radius."""
@@ -109,7 +109,7 @@ class Capsule(Body):
 
     @property
     def inradius(self) -> Array:
-        """That of the cylinder."""
+        """Radius of the cylinder [m]."""
         return self.radius
 
 
@@ -122,7 +122,7 @@ class Cylinder(Body):
     end: Float[Array, "3"]
     """Centre of the other end [m]."""
     radius: Float[Array, ""]
-    """[m]"""
+    """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """From the distances to the mantle and to the nearer end."""
@@ -146,7 +146,7 @@ class Cylinder(Body):
 
     @property
     def inradius(self) -> Array:
-        """That of the cylinder, or half its length."""
+        """Radius of the cylinder, or half its length [m]."""
         axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
         return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
 
@@ -174,7 +174,7 @@ class Plane(Body):
 
     @property
     def inradius(self) -> Array:
-        """Without end."""
+        """Infinite."""
         return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
 
@@ -183,9 +183,9 @@ class Box(Body):
     """A block with right angles."""
 
     centre: Float[Array, "3"]
-    """[m]"""
+    """Centre [m]."""
     half_lengths: Float[Array, "3"]
-    """From the centre to the faces, along the box's own axes [m]."""
+    """Distances from the centre to the faces, along the box's own axes [m]."""
     orientation: Float[Array, "4"]
     """Orientation of the box's axes (w, x, y, z)."""
 

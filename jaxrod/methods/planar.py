@@ -47,7 +47,7 @@ class Planar(Method):
 
     @property
     def law(self) -> Law:
-        """That of the method in space."""
+        """Law of the method in space."""
         return self.of.law
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:

@@ -98,7 +98,7 @@ class PlanarRod:
     normal: Vec2
     """The plane's normal along d1 and d2 of every element."""
     inverse_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the elements [1/m]."""
     stiffness: Vec2
     """Transverse shear and axial stiffness [N]."""
     rest_strains: Vec2

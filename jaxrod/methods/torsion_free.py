@@ -89,7 +89,7 @@ class TorsionFreeStepper(Verlet):
     start: RodState
     """The state at the start of the call."""
     inverse_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the elements [1/m]."""
     stiffness: tuple[Array, Array]
     """Shear and axial stiffness [N]."""
     rest_stretch: Array
@@ -97,7 +97,7 @@ class TorsionFreeStepper(Verlet):
     joint: Array
     """Bending stiffness over joint length, of wall joints too [N m]."""
     inverse_inertia: Array
-    """[1/(kg m^2)]"""
+    """One over the transverse rotary inertia [1/(kg m^2)]."""
     velocity_kick: Kick
     spin_kick: Kick
     walls: tuple[Vec3 | None, Vec3 | None]

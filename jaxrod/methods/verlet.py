@@ -43,13 +43,13 @@ class Verlet(ABC):
         """Changes the rates by all loads over one step, at rest."""
 
     def begin(self, state: RodState) -> Any:
-        """To the middle of the first step."""
+        """Carry in the middle of the first step, from the initial state."""
         return self.drift(self.enter(state), 0.5 * self.dt)
 
     def cycle(self, motion: Any) -> Any:
-        """From the middle of a step to the middle of the next."""
+        """Advances from the middle of a step to the middle of the next."""
         return self.drift(self.kick(motion), self.dt)
 
     def end(self, motion: Any) -> RodState:
-        """From the middle of the last step to its end."""
+        """Final state, from the carry in the middle of the last step."""
         return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))

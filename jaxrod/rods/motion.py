@@ -128,9 +128,9 @@ class Loads:
     """Forces on nodes and couples on elements. `None` where there are none."""
 
     forces: Vec3 | None = None
-    """On the `n + 1` nodes, world frame [N]."""
+    """Forces on the `n + 1` nodes, world frame [N]."""
     couples: Vec3 | None = None
-    """On the `n` elements, material frame [N m]."""
+    """Couples on the `n` elements, material frame [N m]."""
 
 
 def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:

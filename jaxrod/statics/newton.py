@@ -37,7 +37,7 @@ class Search:
     base: Motion
     moves: Moves
     tangent: Tangent
-    """At the moves."""
+    """Tangent at the moves."""
     loose: Bool[Array, ""]
     """Whether the rod could move as a whole there and nothing would resist."""
     step: Float[Array, "n+1 6"]
