@@ -60,7 +60,7 @@ class ActionRepeat:
         return self.env.episode_length
 
     def default_params(self) -> Any:
-        """Those of the environment."""
+        """Parameters of the environment."""
         return self.env.default_params()
 
     def reset(self, key: Key[Array, ""], params: Any) -> tuple[Array, Any]:

@@ -80,7 +80,7 @@ class Goal:
     """Position and orientation that the tip should have."""
 
     position: Float[Array, "3"]
-    """[m]"""
+    """Position of the tip [m]."""
     orientation: Float[Array, "4"]
     """Orientation as observed: unit quaternion (w, x, y, z), world to material, w >=
     0."""

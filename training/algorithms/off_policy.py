@@ -84,7 +84,7 @@ class OffPolicyState:
     moments: RunningMoments
     """Moments of all observations acted on."""
     environments: VectorState
-    """The batch."""
+    """State of the batch of environments."""
     replay: Replay
     """Replay buffer."""
     action_keys: Key[Array, " num_envs"]

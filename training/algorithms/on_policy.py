@@ -71,7 +71,7 @@ class OnPolicyState:
     moments: RunningMoments
     """Moments of the observations before the running update."""
     environments: VectorState
-    """The batch."""
+    """State of the batch of environments."""
     action_keys: Key[Array, " num_envs"]
     """One key for every environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
