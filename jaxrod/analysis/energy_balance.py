@@ -36,7 +36,7 @@ class EnergyBalance:
     growth: Float[Array, ""]
     """Growth of the total energy [J]."""
     own: Float[Array, ""]
-    """Energy of the rod independent of where it is: kinetic and elastic [J]."""
+    """Energy independent of place: kinetic, elastic, of held ends, of contact [J]."""
     rounding: Float[Array, ""]
     """Largest growth that rounding can account for [J]."""
 

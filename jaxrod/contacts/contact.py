@@ -87,7 +87,7 @@ class Contact(Effect):
     near: tuple[Body, ...] | None = None
     """Bodies near each of `contact_points`, in place of all."""
     n_near: int | None = static(default=None)
-    """Number of bodies near each point."""
+    """Number of bodies that each point looks at, where that is not all."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
 
@@ -109,7 +109,7 @@ class Contact(Effect):
         return Loads(loads.forces, to_material(frame, loads.couples))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Stiffness and drag as if every point touched every body near it."""
+        """Stiffness and drag as if every point touched all bodies it looks at."""
         count = self.n_near or self.n_bodies or 1
         halves = 0.5 * count * rod.rest_lengths
         lengths = vectors.pad(halves, 0, 1) + vectors.pad(halves, 1, 0)
@@ -336,7 +336,7 @@ def contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length of rod and speed of slip
             [kg/(m s)]; by default as much as `damping`. A sticking contact creeps at
-            (tangential load per length) / friction_drag, over the root of
+            (tangential load per length) / friction_drag, divided by the root of
             1 - (load / limit)^2 with limit = friction * normal force: the faster the
             nearer it is to slipping.
         onset: Width of the smooth onset of contact over the rod's radius [1]: the

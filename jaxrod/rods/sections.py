@@ -66,7 +66,7 @@ def round_rod(
         check(formula, value, unit)
         return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
 
-    # Overflow is refused in words below, not by NumPy's warnings.
+    # Numbers that the type cannot hold are refused in words, not NumPy's warnings.
     with np.errstate(all="ignore"):
         area = np.pi * radii**2
         second_moment = area**2 / (4 * np.pi)

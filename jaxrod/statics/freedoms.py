@@ -40,7 +40,7 @@ def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
-    """Freedoms of which only `Effect.constrain_rates` holds any; see `freedoms`."""
+    """The `freedoms` under `Effect.constrain_rates` alone."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
@@ -55,7 +55,7 @@ def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """Freedoms of which only `Effect.constrain` holds any; `None` if it holds none."""
+    """The `freedoms` under `Effect.constrain` alone; `None` if it holds nothing."""
     here = constrain(scene, motion)
     if here is motion:
         return None
