@@ -1,4 +1,4 @@
-"""Tasks for soft arms: what is controlled, what is observed, what is rewarded."""
+"""Tasks for soft arms: their controls, observations and rewards."""
 
 if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")

@@ -21,20 +21,18 @@ from jaxrod.envs.protocol import Environment
 class ActionRepeat:
     """Every action is held for `times` control steps, whose rewards are added up.
 
-    An episode that ends in between ends there: what the rest of the control steps
-    would bring is not counted. `info` is that of the last step that counts, with
-    `"control_steps"`, how many counted; `VectorEnvironment` keeps its clock by it.
-
-    Attributes:
-        env: the environment.
-        times: control steps of one decision.
+    An episode that ends in between ends there: rewards of the remaining control steps
+    are not counted. `info` is that of the last step that counts, with
+    `"control_steps"`, the number that counted, for `VectorEnvironment`'s clock.
 
     Raises:
         ValueError: If `times` is below 1.
     """
 
     env: Environment
+    """The environment."""
     times: int
+    """Control steps of one decision."""
 
     def __post_init__(self) -> None:
         """Checks the number."""
@@ -62,7 +60,7 @@ class ActionRepeat:
         return self.env.episode_length
 
     def default_params(self) -> Any:
-        """Those of the environment."""
+        """Parameters of the environment."""
         return self.env.default_params()
 
     def reset(self, key: Key[Array, ""], params: Any) -> tuple[Array, Any]:

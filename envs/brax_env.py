@@ -33,16 +33,13 @@ __all__ = ["BraxEnv", "patched_jax"]
 
 @pytree
 class Running:
-    """What brax keeps as the state of the physics and puts back at a restart.
-
-    Attributes:
-        state: state of the environment.
-        elapsed: control steps of the running episode; more than its length once it
-            has ended before.
-    """
+    """State of the physics as brax keeps it and puts back at a restart."""
 
     state: Any
+    """State of the environment."""
     elapsed: UInt32[Array, ""]
+    """Control steps of the running episode; more than its length once it has ended
+    before."""
 
 
 class BraxEnv(Env):

@@ -90,10 +90,10 @@ class Environment(Protocol):
 
         Returns:
             `(observation, state, reward, terminated, truncated, info)`.
-            `terminated`: the task itself ended, nothing follows, the value of
-            what follows is 0. `truncated`: somebody stopped watching (time
-            limit, numerical health); what follows has a value, to be estimated
-            from this observation. `info` maps fixed names to scalars; under
+            `terminated`: the task itself ended; the value of the final
+            observation is 0. `truncated`: the episode was cut short (time
+            limit, numerical health); the final observation has a value, to be
+            estimated from it. `info` maps fixed names to scalars; under
             `"flagged"` an environment may report that a numerical health flag
             rose, in which case the step is also truncated or terminated. What the
             tasks then report of the arm (`"distance"`) is of the last sound one.

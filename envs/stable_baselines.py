@@ -24,7 +24,7 @@ from jaxrod.envs.protocol import Environment
 __all__ = ["StableBaselinesVecEnv"]
 
 Indices = None | int | Iterable[int]
-"""Which environments of the batch: None for all."""
+"""Indices of environments of the batch: None for all."""
 
 
 class StableBaselinesVecEnv(VecEnv):
@@ -50,7 +50,7 @@ class StableBaselinesVecEnv(VecEnv):
 
         Args:
             task: a name for `jaxrod.envs.make`, or an environment.
-            num_envs: how many environments, at least 1.
+            num_envs: number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
             params: parameters shared by the batch; None for the environment's own.
             **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
@@ -135,7 +135,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Nothing is open."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the environment, once for every one that is asked.
+        """An attribute of the environment, once for every index.
 
         Raises:
             AttributeError: it has none of that name.
@@ -164,7 +164,7 @@ class StableBaselinesVecEnv(VecEnv):
         indices: Indices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """What a method of the environment returns, for every one that is asked.
+        """Return values of a method of the environment, one for every index.
 
         Raises:
             AttributeError: it has none of that name.

@@ -18,28 +18,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class TrivialParams:
-    """Numbers of the task.
-
-    Attributes:
-        stride: distance one full action moves the point [m].
-        edge: distance from zero at which the point runs off the line [m].
-    """
+    """Parameters of the task."""
 
     stride: float | Float[Array, ""] = 0.2
+    """Distance one full action moves the point [m]."""
     edge: float | Float[Array, ""] = 2.0
+    """Distance from zero at which the point runs off the line [m]."""
 
 
 @pytree
 class TrivialState:
-    """State of the task.
-
-    Attributes:
-        position: where the point stands [m].
-        steps: control steps since reset.
-    """
+    """State of the task."""
 
     position: Float[Array, ""]
+    """Position of the point [m]."""
     steps: Int[Array, ""]
+    """Control steps since reset."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,67 +20,58 @@ from jaxrod.structure import pytree
 
 @pytree
 class VectorState:
-    """State of a batch of self-restarting environments; every leaf is batched.
-
-    Attributes:
-        keys: one random key for every environment, never changed.
-        ticks: control steps since the batch was made; counts the randomness.
-        states: states of the environments.
-        observation: what each environment shows now.
-        elapsed: control steps of the running episode, initial phase included.
-        episode_return: sum of the rewards of the running episode.
-        partial: the running episode began in mid-course and does not count.
-    """
+    """State of a batch of self-restarting environments; every leaf is batched."""
 
     keys: Key[Array, " num_envs"]
+    """One random key for every environment, never changed."""
     ticks: UInt[Array, " num_envs"]
+    """Control steps since the batch was made; counts the randomness."""
     states: Any
+    """States of the environments."""
     observation: Float[Array, "num_envs observation"]
+    """Current observation of each environment."""
     elapsed: Int[Array, " num_envs"]
+    """Control steps of the running episode, initial phase included."""
     episode_return: Float[Array, " num_envs"]
+    """Sum of the rewards of the running episode."""
     partial: Bool[Array, " num_envs"]
+    """The running episode began in mid-course and does not count."""
 
 
 @pytree
 class EpisodeRecord:
-    """What is known of the episodes that end in a step.
-
-    Attributes:
-        finished: a complete episode ended here; the rest is valid where true.
-        episode_return: sum of its rewards.
-        length: its control steps.
-        flagged: it was ended by a numerical health flag.
-    """
+    """Results of the episodes that end in a step."""
 
     finished: Bool[Array, "*batch"]
+    """A complete episode ended here; the rest is valid where true."""
     episode_return: Float[Array, "*batch"]
+    """Sum of its rewards."""
     length: Int[Array, "*batch"]
+    """Its control steps."""
     flagged: Bool[Array, "*batch"]
+    """Whether a numerical health flag ended it."""
 
 
 @pytree
 class VectorStep:
-    """What one step of the batch brought; every leaf is batched.
-
-    Attributes:
-        observation: after the restart of those that ended: what to act on next.
-        final_observation: before the restart: what to bootstrap from.
-        reward: reward of the step.
-        terminated: the task ended; what follows is worth 0.
-        truncated: cut short; what follows is worth the value of
-            `final_observation`. Terminated wins where both hold.
-        info: the environment's scalars, before the restart; `"flagged"` is always
-            among them, raised by the environment or by a number that is not finite.
-        episodes: the complete episodes that ended here.
-    """
+    """Results of one step of the batch; every leaf is batched."""
 
     observation: Float[Array, "num_envs observation"]
+    """Observations after the restart of those that ended: those to act on next."""
     final_observation: Float[Array, "num_envs observation"]
+    """Observations before the restart: those to bootstrap from."""
     reward: Float[Array, " num_envs"]
+    """Reward of the step."""
     terminated: Bool[Array, " num_envs"]
+    """The task ended: the value of what follows is 0."""
     truncated: Bool[Array, " num_envs"]
+    """The episode was cut short: the value of what follows is that of
+    `final_observation`. Terminated wins where both hold."""
     info: dict[str, Array]
+    """The environment's scalars, before the restart; `"flagged"` is always among them,
+    raised by the environment or by a number that is not finite."""
     episodes: EpisodeRecord
+    """The complete episodes that ended here."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,14 +85,12 @@ class VectorEnvironment:
 
     A step that returns a number that is not finite is reported as flagged, pays
     nothing and truncates there, with the observation before it as the final one. One
-    broken environment never spoils the batch: what becomes of the others is the same
-    to the last bit.
-
-    Attributes:
-        env: the environment.
+    broken environment never affects the others: their results are the same to the
+    last bit.
     """
 
     env: Environment
+    """The environment."""
 
     def reset(
         self,

@@ -33,44 +33,37 @@ WINDOWS = 5
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """What was measured of one batch.
-
-    Attributes:
-        batch: number of arms.
-        dtype: "float32" or "float64".
-        mode: the scene's mode.
-        rod_steps_per_s: steps of one arm per second, median window [1/s].
-        slowest: of the slowest window [1/s].
-        fastest: of the fastest window [1/s].
-        devices: number of devices the batch was spread over.
-        compile_s: time the program took to compile, not counted above [s].
-        times_pyelastica: ratio to PyElastica's median in the same run; None
-            without PyElastica.
-    """
+    """Measurements of one batch."""
 
     batch: int
+    """Number of arms."""
     dtype: str
+    """Floating-point type, "float32" or "float64"."""
     mode: Law
+    """The scene's mode."""
     rod_steps_per_s: float
+    """Steps of one arm per second, median window [1/s]."""
     slowest: float
+    """Rate in the slowest window [1/s]."""
     fastest: float
+    """Rate in the fastest window [1/s]."""
     devices: int
+    """Number of devices the batch was spread over."""
     compile_s: float
+    """Time the program took to compile, not counted above [s]."""
     times_pyelastica: float | None = None
+    """Ratio to PyElastica's median in the same run; None without PyElastica."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """A whole run.
-
-    Attributes:
-        pyelastica: PyElastica's steps per second before, between and after the
-            rows [1/s]; empty if it is not installed.
-        rows: one for every mode, type and batch.
-    """
+    """A whole run."""
 
     pyelastica: tuple[float, ...]
+    """PyElastica's steps per second before, between and after the rows [1/s]; empty if
+    it is not installed."""
     rows: tuple[Row, ...]
+    """One for every mode, type and batch."""
 
     @property
     def pyelastica_steps_per_s(self) -> float | None:
@@ -151,7 +144,7 @@ def measure(
         batch: number of arms.
         dtype: "float32" or "float64".
         mode: "consistent" or "pyelastica".
-        seconds: how long to measure [s].
+        seconds: time to measure [s].
         devices: devices to spread the batch over, None for all; as many are used as
             divide it evenly.
 

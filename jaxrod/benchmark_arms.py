@@ -55,7 +55,7 @@ def advance_arms(
     dt: Float[Array, ""],
     n_steps: Int[Array, ""],
 ) -> RodState:
-    """Advances a batch of arms, each bent by its own couples: what is timed."""
+    """Advances a batch of arms, each bent by its own couples; this is timed."""
 
     def one(couples: Float[Array, "3 n"], state: RodState) -> RodState:
         effects = (*scene.effects, ElementCouples(couples))

@@ -26,7 +26,7 @@ def pyelastica_steps_per_s(n_elements: int = 20, seconds: float = 2.0) -> float:
 
     Args:
         n_elements: elements of the arm.
-        seconds: how long to measure [s].
+        seconds: time to measure [s].
 
     Returns:
         Steps of one rod per second [1/s].

@@ -28,8 +28,8 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
 
     Args:
         rod: The rod.
-        *effects: What acts on it, in the order in which it is applied.
-        method: How it is stepped; by default `consistent()`. Others are
+        *effects: Effects on it, in the order in which they are applied.
+        method: Method that steps it; by default `consistent()`. Others are
             `planar("xy")`, `torsion_free()`, `implicit()`, `pyelastica()` and
             `planar("xy", pyelastica())`.
 

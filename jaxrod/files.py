@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 TEMPORARY = ".partial"
-"""How the names of files end that are not yet whole."""
+"""Ending of the names of files that are not yet complete."""
 
 
 class DamagedFileError(ValueError):
@@ -87,7 +87,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turns whatever goes wrong in reading a file into an error that names it.
+    """Turns any failure to read a file into an error that names it.
 
     Raises:
         DamagedFileError: anything was raised but by the operating system.
@@ -107,7 +107,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """What is wrong, on one line."""
+    """The reason of an error, on one line."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if isinstance(error, KeyError):
@@ -163,7 +163,7 @@ def _refuse_constant(name: str) -> None:
 
 
 Kind = tuple[str, Callable[[Any], bool]]
-"""What an entry must be, in words and as a test."""
+"""Kind of an entry, in words and as a test."""
 
 TEXT: Kind = ("text", lambda value: isinstance(value, str))
 OBJECT: Kind = ("an object", lambda value: isinstance(value, dict))
@@ -204,11 +204,11 @@ def check_entries(
     kinds: Mapping[str, Kind],
     may_lack: Mapping[str, Kind] | None = None,
 ) -> None:
-    """Checks the entries of what was read; there may be others.
+    """Checks the entries of a file's content; there may be others.
 
     Args:
-        content: what was read.
-        kinds: what each entry must be.
+        content: content of the file.
+        kinds: kind of each entry.
         may_lack: the same for those that need not be there.
 
     Raises:

@@ -25,9 +25,9 @@ Law = Literal["consistent", "pyelastica"]
 
 
 class Stepper(Protocol):
-    """An integrator with its constants worked out: what `advance` runs.
+    """An integrator with its constants worked out, as `advance` runs it.
 
-    `begin` takes a state apart into whatever the integrator carries, `cycle` is what
+    `begin` takes a state apart into the carry of the integrator, `cycle` is what
     the loop repeats, `end` finishes and puts the state together. Position Verlet's
     cycle ends where the kick of the next step acts, half a step on, so that
     neighbouring half drifts are one: `end(cycle(cycle(begin(state))))` is three
@@ -35,16 +35,16 @@ class Stepper(Protocol):
     """
 
     steps_of_end: ClassVar[int]
-    """How many steps `end` finishes, 1 or 0."""
+    """Number of steps that `end` finishes, 1 or 0."""
 
     def begin(self, state: RodState) -> Any:
-        """From a state to the carry before the first step."""
+        """Carry before the first step, from the initial state."""
 
     def cycle(self, carry: Any) -> Any:
         """A step that `end` does not finish."""
 
     def end(self, carry: Any) -> RodState:
-        """What is left to do after the cycles."""
+        """The state, from the carry after the last cycle."""
 
 
 @runtime_checkable
@@ -62,9 +62,9 @@ class Evolvable(Protocol):
 
 @pytree
 class Method:
-    """How a scene is stepped: a law, what is left out of it, and an integrator.
+    """Method of stepping a scene: an elastic law, its reduction and an integrator.
 
-    One of those in `jaxrod.methods`, or a subclass of one's own that is a pytree.
+    One of those in `jaxrod.methods`, or a user's subclass that is a pytree.
     """
 
     twist: ClassVar[bool] = True
@@ -93,18 +93,18 @@ class Method:
 
 @pytree
 class Scene:
-    """What is simulated. Its structure is static, its numbers are traced.
+    """One rod, its effects and a method. Structure is static, numbers are traced.
 
-    What is not in `effects` is not in the compiled program. Build one with
+    Only what is in `effects` is in the compiled program. Build one with
     `make_scene`; change numbers with `dataclasses.replace`.
     """
 
     rod: Rod
     """The rod's parameters."""
     effects: tuple[Effect, ...]
-    """What acts on the rod, in the order in which it is applied."""
+    """Effects on the rod, in the order in which they are applied."""
     method: Method
-    """How it is stepped."""
+    """Method that steps it."""
 
     @property
     def depends_on_time(self) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 Numbers = ArrayLike | Sequence[Any]
-"""What a caller may give for a number, a vector or an array of numbers."""
+"""A number, a vector or an array of numbers, as a caller may give it."""
 
 MOST = 2**31 - 1
 """The largest count: of steps, of iterations."""
@@ -200,7 +200,7 @@ def check_held(
     that are too small to matter beside the largest, unless `each` matters.
 
     Args:
-        name: What it is, for the message.
+        name: Name, for the message.
         value: The values.
         unit: SI unit, for the message ("" for a pure number).
         dtype: The floating-point type.
@@ -236,7 +236,7 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
 
     Args:
         name: The argument's name, for the message.
-        value: What was given for it.
+        value: The value given for it.
         unit: SI unit, for the message ("" for a pure number).
 
     Returns:
@@ -252,7 +252,7 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
         raise ValueError(f"{wanted}, got {_shown(value)}")
     traced = is_traced(leaves)
     if traced and len(leaves) > 1:
-        # What is not traced is lost to view once it is in an array with what is.
+        # Known values become traced once they are in an array with traced ones.
         for leaf in leaves:
             as_array(f"each number of {name}", leaf, unit, [np.shape(leaf)])
     try:
@@ -265,7 +265,7 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """What is in lists and tuples, however deep; anything else is itself a leaf."""
+    """Leaves of nested lists and tuples; anything else is itself a leaf."""
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         for part in value:
             yield from _leaves(part)

@@ -1,4 +1,4 @@
-"""How good a policy is: complete episodes, acted without noise."""
+"""Evaluation of a policy: complete episodes, acted without noise."""
 
 from __future__ import annotations
 
@@ -20,17 +20,14 @@ from jaxrod.validation import check_seed
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One entry per episode.
-
-    Attributes:
-        returns: sums of the rewards.
-        lengths: control steps.
-        flagged: whether a numerical health flag ended the episode.
-    """
+    """One entry per episode."""
 
     returns: Float[np.ndarray, " episodes"]
+    """Sums of the rewards."""
     lengths: Int[np.ndarray, " episodes"]
+    """Control steps."""
     flagged: Bool[np.ndarray, " episodes"]
+    """Whether a numerical health flag ended the episode."""
 
     @property
     def mean(self) -> float:

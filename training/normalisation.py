@@ -16,20 +16,18 @@ class RunningMoments:
     The variance is stored, not the sum of squares: it stays of the size of the
     data however long the run, as float32 needs. Before anything is seen the mean
     is 0 and the variance 1, so that normalising changes nothing.
-
-    Attributes:
-        count: number of samples seen.
-        mean: mean of the samples.
-        variance: mean squared distance of the samples from their mean.
     """
 
     count: Float[Array, ""]
+    """Number of samples seen."""
     mean: Float[Array, " size"]
+    """Mean of the samples."""
     variance: Float[Array, " size"]
+    """Mean squared distance of the samples from their mean."""
 
 
 def no_moments(size: int, dtype: DTypeLike) -> RunningMoments:
-    """Moments of nothing: normalises by the identity."""
+    """Moments before any sample, with which normalising is the identity."""
     return RunningMoments(
         jnp.zeros((), dtype), jnp.zeros(size, dtype), jnp.ones(size, dtype)
     )

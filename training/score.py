@@ -35,7 +35,7 @@ class EpisodeLog:
 
         Args:
             records: on the host, shape (capacity, steps, num_envs).
-            updates: how many of the chunk's updates were done.
+            updates: number of the chunk's updates that were done.
             env_steps: control steps of the run when the chunk ended.
 
         Returns:

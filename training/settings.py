@@ -21,35 +21,33 @@ Settings = Any
 
 @pytree
 class LearnerConfig:
-    """What every learner can be told. Numbers are traced: to change them is free.
+    """Settings common to all learners. Numbers are traced: changing them is free.
 
     Learners have defaults of their own for some of these.
-
-    Attributes:
-        num_envs: environments acting side by side.
-        rollout_steps: decisions of each environment in one update.
-        action_repeat: control steps for which every action is held.
-        hidden_sizes: widths of the hidden layers of all networks.
-        spread_phases: start the first episodes in mid-course, see
-            `jaxrod.envs.VectorEnvironment`.
-        discount: gamma.
-        reward_scale: rewards are multiplied by this before they are learned.
-        observation_limit: normalised observations are clipped to +- this.
-        short_steps: control steps of the run in which episodes are cut short, see
-            `jaxrod.training.short_episodes`.
-        short_length: control steps of such an episode.
     """
 
     num_envs: int = static(default=128)
+    """Environments acting side by side."""
     rollout_steps: int = static(default=128)
+    """Decisions of each environment in one update."""
     action_repeat: int = static(default=1)
+    """Control steps for which every action is held."""
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
+    """Widths of the hidden layers of all networks."""
     spread_phases: bool = static(default=True)
+    """Whether the first episodes start in mid-course, see
+    `jaxrod.envs.VectorEnvironment`."""
     discount: Scalar = 0.99
+    """Discount factor gamma, per decision."""
     reward_scale: Scalar = 0.1
+    """Factor of the rewards before they are learned."""
     observation_limit: Scalar = 10.0
+    """Bound to which normalised observations are clipped."""
     short_steps: Scalar = 0.0
+    """Control steps of the run in which episodes are cut short, see
+    `jaxrod.training.short_episodes`."""
     short_length: Scalar = 500.0
+    """Control steps of such an episode."""
 
 
 LARGEST_COUNT = 2**31 - 1
@@ -57,7 +55,7 @@ LARGEST_COUNT = 2**31 - 1
 
 
 def check_steps(steps: int, per_update: int) -> int:
-    """Returns how many updates so many control steps are, rounded up.
+    """Number of updates in a number of control steps, rounded up.
 
     Raises:
         ValueError: they are not one update, or more than can be counted.

@@ -20,7 +20,7 @@ from jaxrod.training.algorithm import steps_per_update
 def restart_phase(
     env: Environment, config: Any, updates: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """Where the clock of episodes starts [control steps] that start now.
+    """Start of the clock of episodes that start now [control steps].
 
     Args:
         env: the environment.

@@ -1,4 +1,4 @@
-"""What brax 0.14.2, the newest release, still expects of JAX and JAX has dropped."""
+"""A function that brax 0.14.2, the newest release, calls and JAX has dropped."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
-"""What Gymnasium asks of both classes before there is an environment."""
+"""Metadata that Gymnasium reads from both classes before there is an environment."""
 
 
 class Batch:
@@ -26,10 +26,10 @@ class Batch:
 
     Attributes:
         env: the environment.
-        num_envs: how many of it.
+        num_envs: number of environments.
         observation_space: of one environment: any finite float32 numbers.
         action_space: of one environment: [-1, 1].
-        metadata: how it is drawn: `render_fps` control steps are one second.
+        metadata: render modes, and `render_fps`: control steps in a second.
         params: parameters of the environment; None for its own, until the first
             reset makes them.
         state: state of the batch, or None before the first reset.
@@ -47,7 +47,7 @@ class Batch:
 
         Args:
             task: a name for `jaxrod.envs.make`, or an environment.
-            num_envs: how many, at least 1.
+            num_envs: number of environments, at least 1.
             render_mode: None or "rgb_array".
             params: parameters; None for the environment's own.
             options: handed to `make`.
@@ -115,7 +115,7 @@ class Batch:
         return self.state
 
     def picture(self, state: VectorState, index: int) -> UInt8[np.ndarray, "h w 3"]:
-        """What environment number `index` looks like.
+        """A picture of environment number `index`.
 
         Raises:
             ValueError: there is no arm to draw.

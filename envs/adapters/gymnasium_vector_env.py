@@ -40,7 +40,7 @@ class GymnasiumVectorEnv(
 
         Args:
             task: a name for `jaxrod.envs.make`, or an environment.
-            num_envs: how many environments, at least 1.
+            num_envs: number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
             params: parameters shared by the batch; None for the environment's own.
             **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.

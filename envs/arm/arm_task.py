@@ -1,4 +1,4 @@
-"""What the benchmark's tasks share: timing, observations, rewards, options."""
+"""Common parts of the benchmark's tasks: timing, observations, rewards, options."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OBSERVED_NODES = 11
 
 
 class Arm(Protocol):
-    """What a task asks of its arm: the `paper` and the `clean` one have it."""
+    """Interface of an arm to its task: the `paper` and the `clean` one have it."""
 
     @property
     def rod(self) -> Rod:
@@ -31,7 +31,7 @@ class Arm(Protocol):
         """The arm at the start of an episode."""
 
     def relaxed(self) -> Any:
-        """What the muscles remember, at the start of an episode."""
+        """Memory of the muscles at the start of an episode."""
 
     def advance(
         self,
@@ -45,19 +45,19 @@ class Arm(Protocol):
 
         Args:
             state: The arm.
-            muscles: What its muscles remember.
+            muscles: Memory of its muscles.
             controls: Commanded values [1] about d1, d2 and d3.
             dt: Step [s].
-            n_steps: How many, at least 1.
+            n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, what its muscles remember, and whether it crashed.
+            The arm, the memory of its muscles, and whether it crashed.
         """
 
 
 @pytree
 class Bonus:
-    """Where the two bonuses of the reward are paid; both bounds are inclusive."""
+    """Distances within which the two bonuses of the reward are paid, inclusive."""
 
     near: Float[Array, ""]
     """Distance within which the first bonus is paid [m]."""

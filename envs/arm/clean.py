@@ -44,7 +44,7 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class CleanArm:
-    """Numbers of the arm and of all that acts on it."""
+    """Parameters of the arm and of all that acts on it."""
 
     rod: Rod
     """The arm."""
@@ -55,21 +55,21 @@ class CleanArm:
     viscosity: Float[Array, ""]
     """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
     spline: ElementAverages
-    """Through the control points, averaged over the arm's elements."""
+    """Spline through the control points, averaged over the arm's elements."""
     couple_density: Float[Array, ""]
     """Couple per length for a control value of one [N m/m]."""
     largest_change: Float[Array, ""] | None
-    """The most a control value may change from one control step to the next; `None`
-    where they jump."""
+    """Largest change of a control value from one control step to the next; `None` where
+    they jump."""
     obstacles: tuple[Contact, ...] = ()
-    """Contact with what is in the way."""
+    """Contact with the obstacles."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Beyond these the arm is frozen."""
+    """Limits of health beyond which the arm is frozen."""
     method: Method = dataclasses.field(default_factory=consistent)
-    """How it is stepped: in its plane of motion, where there is one."""
+    """Method of stepping: in the plane of motion, where there is one."""
     nearest: int | None = static(default=None)
-    """How many obstacles each point of the arm looks at in a control step; `None` for
-    all."""
+    """Number of obstacles that each point of the arm looks at in a control step; `None`
+    for all."""
 
     def relaxed(self) -> Array | None:
         """Control values at the start of an episode, where they are remembered."""
@@ -92,7 +92,7 @@ class CleanArm:
             muscles: Control values of the control step before.
             controls: Commanded values [1] about d1, d2 and d3.
             dt: Step [s].
-            n_steps: How many, at least 1.
+            n_steps: Number of steps, at least 1.
 
         Returns:
             The arm, the control values, and whether a health flag rose; then the arm
@@ -108,7 +108,7 @@ class CleanArm:
     def scene(
         self, controls: Float[Array, "3 n_controls"], near: RodState | None = None
     ) -> Scene:
-        """What acts on the arm under these control values.
+        """Scene of the arm under these control values.
 
         Args:
             controls: Control values [1].
@@ -149,12 +149,12 @@ def clean_arm(
         n_elements: Elements.
         start: Where it is clamped [m].
         axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
-        spline: Through the control points, in rest arc length.
-        published_elements: Elements of the published arm: how many couples of 75 N m
-            are spread over the length.
-        largest_rate: The fastest a control value may change [1/s].
-        obstacles: Contact with what is in the way.
-        nearest: How many obstacles each point looks at in a control step.
+        spline: Spline through the control points, in rest arc length.
+        published_elements: Elements of the published arm, each with a couple of 75 N m:
+            their sum is spread over the length.
+        largest_rate: Largest rate of a control value [1/s].
+        obstacles: Contact with the obstacles.
+        nearest: Number of obstacles that each point looks at in a control step.
         smallest_stretch: Below this an arm is flagged [1].
         largest_stretch: Beyond this an arm is flagged [1].
         plane: The plane of motion, where there is one.

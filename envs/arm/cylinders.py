@@ -24,9 +24,9 @@ class Cylinders:
     normals: Float[Array, "3 m"]
     """Unit vectors; only the published broad phase looks at them."""
     lengths: Float[Array, " m"]
-    """[m]"""
+    """Lengths [m]."""
     radii: Float[Array, " m"]
-    """[m]"""
+    """Radii [m]."""
 
     @property
     def centres(self) -> Float[Array, "3 m"]:

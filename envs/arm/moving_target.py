@@ -16,26 +16,26 @@ from jaxrod.structure import pytree
 
 @pytree
 class TargetParams:
-    """How the target moves."""
+    """Parameters of the target's motion."""
 
     lower: Float[Array, "3"]
     """Lower corner of the box [m]."""
     upper: Float[Array, "3"]
     """Upper corner of the box [m]."""
     radius: Float[Array, ""]
-    """Of the sphere, used against the walls [m]."""
+    """Radius of the sphere, used against the walls [m]."""
     speed: Float[Array, ""]
-    """[m/s]"""
+    """Speed [m/s]."""
 
 
 @pytree
 class Target:
-    """Where the target is and how it moves."""
+    """Position and velocity of the target."""
 
     position: Float[Array, "3"]
     """Centre [m]."""
     velocity: Float[Array, "3"]
-    """[m/s]"""
+    """Velocity [m/s]."""
 
 
 def heading(key: Key[Array, ""], speed: Array) -> Float[Array, "3"]:

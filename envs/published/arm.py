@@ -45,7 +45,7 @@ CONTACT_DAMPING = 4.0
 
 @pytree
 class PublishedArm:
-    """Numbers of the published arm and of all that acts on it."""
+    """Parameters of the published arm and of all that acts on it."""
 
     rod: Rod
     """The arm."""
@@ -54,13 +54,13 @@ class PublishedArm:
     held: FixedEnd
     """Its base."""
     drag: ViscousDrag
-    """What it moves in."""
+    """Viscous drag of the medium."""
     muscles: MuscleParams
-    """What moves it."""
+    """Parameters of the muscles."""
     contact: LegacyContact | None
-    """With the obstacles; `None` where there are none."""
+    """Contact with the obstacles; `None` where there are none."""
     method: PyElastica | Planar
-    """PyElastica's, in the plane of motion where there is one."""
+    """Method of PyElastica's law, in the plane of motion where there is one."""
 
     def relaxed(self) -> Muscles:
         """The muscles at the start of an episode."""
@@ -78,10 +78,10 @@ class PublishedArm:
 
         Args:
             state: The arm.
-            muscles: What its muscles did in the step before.
+            muscles: Its muscles in the step before.
             controls: Commanded values [1] about d1, d2 and d3.
             dt: Step [s].
-            n_steps: How many, at least 1.
+            n_steps: Number of steps, at least 1.
 
         Returns:
             The arm, the muscles, and whether a node is no longer anywhere.
@@ -131,9 +131,9 @@ def published_arm(
         n_elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
         start: Where it is clamped [m].
         axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
-        spline: Through the control points, in rest arc length.
-        largest_change: The most a control value may change in a simulation step.
-        obstacles: What it may run into.
+        spline: Spline through the control points, in rest arc length.
+        largest_change: Largest change of a control value in a simulation step.
+        obstacles: Cylinders that it may touch.
         plane: The plane of motion, where there is one: obstacles are perpendicular to
             it.
     """

@@ -54,9 +54,9 @@ class LegacyContact(Effect):
 
     cylinders: Cylinders
     stiffness: Float[Array, ""]
-    """k [N/m]"""
+    """Stiffness k [N/m]."""
     damping: Float[Array, ""]
-    """nu [kg/s]"""
+    """Damping nu [kg/s]."""
     plane: PlaneName | None = static(default=None)
     """The plane to which all cylinders are perpendicular and in which the arm and all
     that acts on it stay: forces out of it are not looked at."""

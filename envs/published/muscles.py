@@ -19,28 +19,28 @@ from jaxrod.structure import pytree
 
 @pytree
 class MuscleParams:
-    """Numbers of the muscles."""
+    """Parameters of the muscles."""
 
     spline: ControlSpline
-    """Through the control points, in rest arc length."""
+    """Spline through the control points, in rest arc length."""
     torque: Float[Array, ""]
     """Couple on an element for a control value of one [N m]."""
     largest_change: Float[Array, ""]
-    """The most a control value may change in a simulation step; may be infinite."""
+    """Largest change of a control value in a simulation step; may be infinite."""
 
 
 @pytree
 class Muscles:
-    """What the muscles do now."""
+    """State of the muscles."""
 
     applied: Float[Array, "3 n_controls"]
     """Control values [1] about d1, d2 and d3."""
     couples: Float[Array, "3 n"]
-    """On the elements, material frame [N m]."""
+    """Couples on the elements, material frame [N m]."""
 
 
 def relaxed(rod: Rod, params: MuscleParams) -> Muscles:
-    """Muscles that do nothing, as at the start of an episode."""
+    """Muscles without activation, as at the start of an episode."""
     dtype = rod.rest_lengths.dtype
     return Muscles(
         applied=jnp.zeros((3, params.spline.n_controls), dtype),
@@ -55,11 +55,11 @@ def contract(
     renewed: Bool[Array, ""],
     params: MuscleParams,
 ) -> Muscles:
-    """What the muscles do in the simulation step that follows.
+    """Muscles in the simulation step that follows.
 
     Args:
-        muscles: What they did in the step before.
-        commanded: What they should do.
+        muscles: Their state in the step before.
+        commanded: Commanded control values [1].
         lengths: Current lengths of the elements [m].
         renewed: Whether the commanded values are new in this step. Where they
             happen to be the old ones the couples do not change, but they follow the

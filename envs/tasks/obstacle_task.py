@@ -1,4 +1,4 @@
-r"""What Cases 3 and 4 of the benchmark share: reach a fixed target past obstacles.
+r"""Common parts of Cases 3 and 4 of the benchmark: a fixed target past obstacles.
 
 The arm grows along +z from (0, 0.5, 0) m and is driven through two control points per
 direction, or a few, whose values change at 100 per second at most. Actions are renewed
@@ -58,21 +58,21 @@ AXIS = "z"
 LARGEST_RATE = 100.0
 """The fastest a control value may change [1/s]."""
 PLACED = (0.4, 0.9)
-"""Where the paper puts its two control points, in lengths of the arm."""
+"""The paper's two control points, in lengths of the arm."""
 STIFFNESS = 2e8
-"""Of contact in "clean" [N/m^2]. The strongest actions stretch the arm twofold, to a
-tension of 100 kN. Drawn over a cylinder it presses with 1 MN/m, as a first touch at
-100 m/s does: half a centimetre to 2 cm of overlap, less than the arm's radius of 5 cm.
-Half as stiff, one arm of ten thousand was drawn into a cylinder past its centreline
-(`benchmarks/extremes`)."""
+"""Stiffness of contact in "clean" [N/m^2]. The strongest actions stretch the arm
+twofold, to a tension of 100 kN. Drawn over a cylinder it presses with 1 MN/m, as a
+first touch at 100 m/s does: half a centimetre to 2 cm of overlap, less than the arm's
+radius of 5 cm. Half as stiff, one arm of ten thousand was drawn into a cylinder past
+its centreline (`benchmarks/extremes`)."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
-"""Of an element in "clean", before the arm is flagged [1]. Held in a corner of the
-action space the muscles stretch it to 2.5, and a cylinder it is thrown at presses it to
-less than 0.3; from 0.15 to 3 steps are far below the stable one of a free arm, and
-within the one that counts every obstacle in view."""
+"""Largest element stretch in "clean" before the arm is flagged [1]. Saturated actions
+stretch elements to 2.5 and impacts on a cylinder compress them below 0.3; throughout
+0.15 to 3 the step is far below the stable one of a free arm, and within the bound that
+counts every obstacle in view."""
 DAMPING = 4e3
-"""Of contact in "clean": a twentieth of critical [kg/(m s)]."""
+"""Damping of contact in "clean": a twentieth of critical [kg/(m s)]."""
 
 
 @pytree
@@ -82,7 +82,7 @@ class FixedTarget:
     position: Float[Array, "3"]
     """Centre [m]."""
     radius: Float[Array, ""]
-    """Of the sphere that is drawn [m]."""
+    """Radius of the sphere that is drawn [m]."""
 
 
 @pytree
@@ -94,11 +94,11 @@ class ObstacleParams:
     dt: Float[Array, ""]
     """Step of the simulation [s]."""
     target: FixedTarget
-    """What to reach."""
+    """Target."""
     shown: Float[Array, " 15m"]
-    """What is observed of the obstacles: five points of each [m]."""
+    """Observed points of the obstacles, five of each [m]."""
     bonus: Bonus
-    """Where the bonuses are paid."""
+    """Distances within which the bonuses are paid."""
     crash_reward: Float[Array, ""]
     """Reward of a step after which something observed is not finite ("paper")."""
 
@@ -110,14 +110,14 @@ class ObstacleParams:
 
 @pytree
 class ObstacleState:
-    """What changes during an episode."""
+    """State of an episode."""
 
     arm: RodState
     """The arm."""
     muscles: Any
-    """What its muscles remember."""
+    """Memory of its muscles."""
     target: FixedTarget
-    """What to reach."""
+    """Target."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
@@ -136,14 +136,14 @@ class ObstacleTask:
     n_obstacles: ClassVar[int]
     """Number of cylinders."""
     target_position: ClassVar[tuple[float, float, float]]
-    """Where the target is [m]."""
+    """Position of the target [m]."""
     plane: ClassVar[PlaneName | None]
     """The plane of motion, where there is one."""
     contact_points: ClassVar[int]
-    """Where contact is looked for, per element ("clean")."""
+    """Contact points per element ("clean")."""
     nearest_obstacles: ClassVar[int | None]
-    """How many obstacles each of those looks at in a control step ("clean"); `None`
-    for all."""
+    """Number of obstacles that each of those looks at in a control step ("clean");
+    `None` for all."""
 
     @property
     @abstractmethod
@@ -161,15 +161,15 @@ class ObstacleTask:
 
     @abstractmethod
     def obstacles(self) -> Cylinders:
-        """What is in the way."""
+        """The obstacles."""
 
     @abstractmethod
     def bodies(self, obstacles: Cylinders) -> Body:
-        """What the library's contact takes for them ("clean")."""
+        """The obstacles as bodies of the library's contact ("clean")."""
 
     @abstractmethod
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
-        """Where the observed points of the obstacles start [m]."""
+        """Observed points of the obstacles at the start [m]."""
 
     @property
     def observation_size(self) -> int:

@@ -63,7 +63,7 @@ AXIS = "y"
 
 @pytree
 class GoalParams:
-    """Where goals are."""
+    """Distribution of goals."""
 
     lower: Float[Array, "3"]
     """Lower corner of the box [m]."""
@@ -72,17 +72,18 @@ class GoalParams:
     largest_yaw: Float[Array, ""]
     """Largest turn about the vertical, either way [rad]."""
     radius: Float[Array, ""]
-    """Of the sphere that is drawn [m]."""
+    """Radius of the sphere that is drawn [m]."""
 
 
 @pytree
 class Goal:
-    """Where the tip should be, and how it should be turned."""
+    """Position and orientation that the tip should have."""
 
     position: Float[Array, "3"]
-    """[m]"""
+    """Position of the tip [m]."""
     orientation: Float[Array, "4"]
-    """As observed: unit quaternion (w, x, y, z), world to material, w >= 0."""
+    """Orientation as observed: unit quaternion (w, x, y, z), world to material, w >=
+    0."""
 
 
 @pytree
@@ -94,9 +95,9 @@ class ReachingParams:
     dt: Float[Array, ""]
     """Step of the simulation [s]."""
     target: GoalParams
-    """Where goals are."""
+    """Distribution of goals."""
     bonus: Bonus
-    """Where the bonuses for the distance are paid."""
+    """Distances within which the bonuses for the distance are paid."""
     aligned: Float[Array, "2"]
     """Largest misalignment for the last bonus, nearby and touching [1]."""
     crash_reward: Float[Array, ""]
@@ -110,12 +111,12 @@ class ReachingParams:
 
 @pytree
 class ReachingState:
-    """What changes during an episode."""
+    """State of an episode."""
 
     arm: RodState
     """The arm."""
     muscles: Any
-    """What its muscles remember."""
+    """Memory of its muscles."""
     target: Goal
     """The goal."""
     steps: Int[Array, ""]

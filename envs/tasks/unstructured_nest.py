@@ -74,7 +74,7 @@ class UnstructuredNest(ObstacleTask):
         return published_nest() if self.nest is None else random_nest(self.nest)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """With round ends, as the published contact takes them."""
+        """The nest as capsules: the published contact has round ends, too."""
         return Capsule(obstacles.starts.T, obstacles.ends.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:

@@ -1,4 +1,4 @@
-r"""Energy from nowhere: by how much a rod's total energy may grow between two states.
+r"""Energy balance: the bound on the growth of a rod's total energy between two states.
 
 By twice the work done; by a share of what the rod has, its kinetic energy, its elastic
 energy and that of held ends and of contact, none of which depends on the origin of
@@ -34,11 +34,11 @@ class EnergyBalance:
     """A rod's energy at one state against that at an earlier one."""
 
     growth: Float[Array, ""]
-    """Of the total energy [J]."""
+    """Growth of the total energy [J]."""
     own: Float[Array, ""]
-    """What the rod has wherever it is [J]."""
+    """Energy independent of place: kinetic, elastic, of held ends, of contact [J]."""
     rounding: Float[Array, ""]
-    """What rounding may have added [J]."""
+    """Largest growth that rounding can account for [J]."""
 
 
 def energy_balance(
@@ -80,7 +80,7 @@ def energy_balance(
 def _rounding_of_positions(
     rod: Rod, state: RodState, dt: Array
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What it adds to elastic energy in a step, and kinetic energy too slow for it."""
+    """Elastic energy added by rounding in a step, and kinetic energy lost to it."""
     spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
     stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
     shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12

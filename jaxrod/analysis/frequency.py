@@ -5,8 +5,8 @@ $\omega^2$ are the eigenvalues of $M^{-1}K$. The largest is found from the actio
 $K$ alone, a forward-mode derivative of the loads: a Krylov space is built from a
 random motion (Lanczos' method; Arnoldi's, because PyElastica's loads have no
 potential), and the largest eigenvalue in it taken. Nothing dense is formed but the
-small matrix of that space. Whatever acts on the rod is included: the law of the
-scene's mode at this deformation, walls, effects of one's own.
+small matrix of that space. All that acts on the rod is included: the law of the
+scene's mode at this deformation, walls, user-defined effects.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_count
 
 InertiaFactors = tuple[Array, Array]
-"""What stands in for damping: factors of node masses and of rotary inertias."""
+"""Factors of node masses and of rotary inertias that represent damping."""
 
 KRYLOV_SIZE = 32
 MOST_VECTORS = 10_000
-"""Of the Krylov space; more are taken for a mistake."""
+"""Largest size of the Krylov space; more is taken for a mistake."""
 _SQUARINGS = 12
 
 
@@ -44,7 +44,7 @@ class Vibration:
     """The fastest small motion about a configuration."""
 
     angular_frequency: Float[Array, ""]
-    """[rad/s]"""
+    """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
     """Share of the kinetic energy in each node's motion, world frame [1]."""
     turns: Float[Array, "3 n"]

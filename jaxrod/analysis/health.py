@@ -8,14 +8,14 @@ Inside a compiled program nothing raises: failure is data. Look at the flags aft
     state = jaxrod.freeze(flagged, before, after)
 
 Nothing is clamped or repaired. Under `vmap` every rod of a batch has flags of its own,
-and what becomes of one does not touch the others.
+and one does not affect the others.
 
-The answer is the same wherever the rod is, whichever way it points and in whatever
-units it is given, up to the rounding of its coordinates. Far from the origin that is
-all there is: a coordinate near 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in
-float64), which strains an element of 5 cm by a thousandth, shakes the rod a little in
-every step (`jaxrod.analysis.energy_balance` says by how much) and loses what moves less
-than that per step.
+The answer does not depend on the rod's place and orientation, nor on the units, up to
+the rounding of its coordinates. Far from the origin rounding dominates: a coordinate
+near 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64), which strains an
+element of 5 cm by a thousandth, shakes the rod a little in every step
+(`jaxrod.analysis.energy_balance` says by how much) and loses motion of less than that
+per step.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ State = TypeVar("State")
 
 @pytree
 class HealthLimits:
-    """Beyond these a state is flagged."""
+    """Limits beyond which a state is flagged."""
 
     smallest_stretch: Float[Array, ""] | float = 0.3
     """Extent of an element along its axis over that at rest [1]. Negative where it
@@ -60,8 +60,9 @@ class HealthLimits:
     largest_norm_error: Float[Array, ""] | float = 1e-3
     """Square of the norm of a quaternion, less one [1]."""
     largest_violation: Float[Array, ""] | float = 1.0
-    """Of what an effect ties the rod to, see `Effect.violation` [1]: over the radius,
-    the distance of a held end from its place and the depth of a node in a body."""
+    """Violation of what an effect ties the rod to, see `Effect.violation` [1]: over the
+    radius, the distance of a held end from its place and the depth of a node in a
+    body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
     """Energy from nowhere over what the rod has, kinetic and elastic [1]. Sound steps
     gain up to 0.003 of that in free motion, up to 0.1 in hard impacts."""
@@ -92,19 +93,20 @@ class Health:
     largest_stretch: Float[Array, ""]
     """Largest length of an element over that at rest [1]."""
     largest_joint_angle: Float[Array, ""]
-    """From rest [rad]."""
+    """Largest change of a joint's rotation vector from rest [rad]."""
     largest_speed: Float[Array, ""]
-    """Relative to the rod's mean motion where nothing holds or touches it [m/s]."""
+    """Largest speed of a node, relative to the rod's mean motion where nothing holds or
+    touches it [m/s]."""
     largest_spin: Float[Array, ""]
-    """[rad/s]"""
+    """Largest angular velocity of an element [rad/s]."""
     largest_norm_error: Float[Array, ""]
-    """Of the square of a quaternion's norm [1]."""
+    """Largest error of the square of a quaternion's norm [1]."""
     largest_violation: Float[Array, ""]
-    """Of what an effect ties the rod to [1]."""
+    """Largest violation of what an effect ties the rod to [1]."""
     energy_growth: Float[Array, ""]
     """Growth of the total energy; zero where it is not examined [J]."""
     energy_allowed: Float[Array, ""]
-    """What of it is accounted for [J]."""
+    """Growth that work, rounding and the limit account for [J]."""
 
     @property
     def flagged(self) -> Bool[Array, ""]:
@@ -141,12 +143,12 @@ def health(
         state: The state to examine.
         dt: The step size in use [s]. If it is traced and not positive, speed and spin
             are flagged.
-        limits: What is tolerated.
+        limits: Limits beyond which a state is flagged.
         energy_before: Total energy at an earlier time [J]; without it energy is not
             examined.
         work_input: Work done on the rod since then by loads without a potential [J].
             Energy may grow by twice as much.
-        n_steps: Steps since then: what rounding does grows with them
+        n_steps: Steps since then: round-off grows with them
             (`jaxrod.analysis.energy_balance`).
 
     Returns:

@@ -1,10 +1,10 @@
 r"""Inertia scaling: larger steps for slender rods.
 
 In a rod much thinner than its elements are long, the fastest motion is the rocking of
-elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$: a motion nobody looks at
-sets the step. Enlarging the transverse rotary inertia, and only that (mass and polar
-inertia carry the waves one does look at), slows it down. Bending frequencies change
-by the square of the inertia's share in them, which stays within the error of the
+elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$, so an irrelevant mode limits
+the step. Increasing only the transverse rotary inertia slows it; mass and polar
+inertia, which carry axial and torsional waves, stay as they are. Bending frequencies
+change by the square of the inertia's share in them, which stays within the error of the
 discretisation while the enlarged radius of gyration is below that of a sphere as long
 as the element.
 """
@@ -28,7 +28,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
 
 SHARE_OF_OTHER_LIMITS = 0.9
-"""How near to the limit of stretch and twist an automatic step goes."""
+"""Share of the limit of stretch and twist up to which an automatic step goes."""
 _ROUNDS = 200
 
 
@@ -47,7 +47,7 @@ class InertiaScaling:
 
     @property
     def gain(self) -> Float[Array, ""]:
-        """How many times larger the step may be [1]."""
+        """Ratio of the stability limits, now over before [1]."""
         return self.dt / self.dt_before
 
 
@@ -57,13 +57,13 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     Automatically (without `dt`): as far as it helps, which is until stretch or twist
     limit the step, but never beyond the radius of gyration of a sphere as long as the
     element. A rod thicker than its elements are long is left as it is. With `dt`: as
-    far as that step asks for, whatever it does to the frequencies.
-    `frequency_changes` says what it does to them. Rates of rotational damping act on
-    the enlarged inertia: the couples they stand for grow with it.
+    far as that step asks for, without regard to the frequencies, whose changes
+    `frequency_changes` gives. Rates of rotational damping act on the enlarged inertia:
+    the couples they stand for grow with it.
 
     Args:
         scene: The scene; effects and damping are as before.
-        dt: The step size that shall be stable [s].
+        dt: Step size to be made stable [s].
 
     Returns:
         The new scene, with the factors and both stability limits.
@@ -96,12 +96,12 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
 def frequency_changes(
     scaling: InertiaScaling, state: RodState, n_modes: int = 8
 ) -> np.ndarray:
-    """What the enlarged inertia does to the lowest natural frequencies.
+    """Relative changes of the lowest natural frequencies by the enlarged inertia.
 
     Args:
         scaling: From `scale_inertia`.
         state: The configuration about which the rod vibrates.
-        n_modes: How many frequencies to compare; those that are zero are left out.
+        n_modes: Number of frequencies to compare, without those that are zero.
 
     Returns:
         Relative change of each frequency [1], the lowest first.

@@ -27,7 +27,7 @@ def natural_frequencies(
     Args:
         scene: The scene, in consistent mode.
         state: The configuration, in equilibrium.
-        n_modes: How many, the lowest ones; by default all.
+        n_modes: Number of modes, the lowest ones; by default all.
 
     Returns:
         Angular frequencies, rising `(n_modes,)` [rad/s]; zero for motions without
@@ -77,6 +77,6 @@ def _stiffness(scene: Scene, state: RodState) -> jax.Array:
 
 @jax.jit
 def _free(scene: Scene, state: RodState) -> jax.Array:
-    """Which freedoms no constraint holds; node displacements first, then turns."""
+    """Freedoms that no constraint holds; node displacements first, then turns."""
     nodes, elements = freedoms(scene, motion_of(state))
     return jnp.concatenate([*nodes, *elements]) != 0

@@ -115,7 +115,7 @@ def stable_dt(
 def compression(
     scene: Scene, state: RodState
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What a state takes from the bound, as a factor, and its smallest extent.
+    """Factor by which a state's compression lowers the bound, and its smallest extent.
 
     Frequencies grow as one over the stretch of compressed elements in PyElastica mode.
     In consistent mode it is the bound of the compressed elements that counts.
@@ -154,7 +154,7 @@ def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
         vibration = fastest_vibration(scene, state, factors)
         return vibration.angular_frequency, vibration
 
-    # The bound knows roughly what damping does: from there it is not far.
+    # The bound accounts for damping roughly, and is a near start.
     bound = _bounded(scene, jnp.ones_like(safety))
 
     def start(undamped: Array) -> Array:
@@ -185,7 +185,7 @@ def _largest_step(
         measure: Gives the highest frequency for given factors of the inertias, and
             anything else that is known of it.
         start: Gives the first guess from the limit without damping.
-        rounds: How often the guess is improved.
+        rounds: Number of improvements of the guess.
 
     Returns:
         The step, the limit without damping, and what else is known.
@@ -232,7 +232,7 @@ def _is_damped(scene: Scene) -> bool:
 
 
 def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
-    """What damping makes of masses and rotary inertias in the stability limit."""
+    """Effective over true masses and rotary inertias of a rod with damping."""
     rod = scene.rod
     rates = damping_rates(scene)
     drags = (_total(scene, "node_drag"), _total(scene, "element_drag"))
@@ -330,7 +330,7 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
 
 
 def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Array]:
-    r"""What joints ask of each element, in bending and in twist [rad^2/s^2].
+    r"""Bounds of joints on each element, in bending and in twist [rad^2/s^2].
 
     A joint's squared frequency with half the inertia of either element, half for each
     of the two. In a joint bent by $\theta$ at rest, bending is stiffer by the square

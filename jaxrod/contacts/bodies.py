@@ -1,4 +1,4 @@
-r"""Fixed bodies, each known by its signed distance: what a rod can touch.
+r"""Fixed bodies that a rod can touch, each given by its signed distance.
 
 A body gives, at any point, the distance to its surface (negative inside) and the
 outward unit normal there, which is the distance's gradient. Its numbers are traced:
@@ -50,7 +50,7 @@ class Body(ABC):
 
     @property
     def count(self) -> int | None:
-        """How many bodies this is, if its numbers have a leading axis."""
+        """Number of bodies, from a leading axis; `None` for a single one."""
         return None
 
     @property
@@ -64,9 +64,9 @@ class Sphere(Body):
     """A ball."""
 
     centre: Float[Array, "3"]
-    """[m]"""
+    """Centre [m]."""
     radius: Float[Array, ""]
-    """[m]"""
+    """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance from the centre, less the radius."""
@@ -74,12 +74,12 @@ class Sphere(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.radius.shape)
 
     @property
     def inradius(self) -> Array:
-        """Its own."""
+        """Radius [m]."""
         return self.radius
 
 
@@ -92,7 +92,7 @@ class Capsule(Body):
     end: Float[Array, "3"]
     """Centre of the half sphere at the other end [m]."""
     radius: Float[Array, ""]
-    """[m]"""
+    """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance from the line between the centres, less the radius."""
@@ -104,12 +104,12 @@ class Capsule(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.radius.shape)
 
     @property
     def inradius(self) -> Array:
-        """That of the cylinder."""
+        """Radius of the cylinder [m]."""
         return self.radius
 
 
@@ -122,7 +122,7 @@ class Cylinder(Body):
     end: Float[Array, "3"]
     """Centre of the other end [m]."""
     radius: Float[Array, ""]
-    """[m]"""
+    """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """From the distances to the mantle and to the nearer end."""
@@ -141,12 +141,12 @@ class Cylinder(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.radius.shape)
 
     @property
     def inradius(self) -> Array:
-        """That of the cylinder, or half its length."""
+        """Radius of the cylinder, or half its length [m]."""
         axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
         return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
 
@@ -169,12 +169,12 @@ class Plane(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.normal.shape[:-1])
 
     @property
     def inradius(self) -> Array:
-        """Without end."""
+        """Infinite."""
         return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
 
@@ -183,11 +183,11 @@ class Box(Body):
     """A block with right angles."""
 
     centre: Float[Array, "3"]
-    """[m]"""
+    """Centre [m]."""
     half_lengths: Float[Array, "3"]
-    """From the centre to the faces, along the box's own axes [m]."""
+    """Distances from the centre to the faces, along the box's own axes [m]."""
     orientation: Float[Array, "4"]
-    """Of the box's axes (w, x, y, z)."""
+    """Orientation of the box's axes (w, x, y, z)."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """From the distances to the nearest of each pair of faces."""
@@ -201,7 +201,7 @@ class Box(Body):
 
     @property
     def count(self) -> int | None:
-        """By the shape of its numbers."""
+        """Number of bodies, from the shape of the numbers."""
         return _count(self.centre.shape[:-1])
 
     @property
@@ -229,7 +229,7 @@ class SignedDistance(Body):
 
     @property
     def count(self) -> int | None:
-        """By the axes that its numbers have beyond those of one body."""
+        """Number of bodies, from the axes beyond those of a single one."""
         leaves = jax.tree.leaves(self.parameters)
         leading = {
             leaf.shape[: leaf.ndim - rank]

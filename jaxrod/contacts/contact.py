@@ -18,8 +18,9 @@ $u = v - \omega\times r n$. With the part $u_t$ of it along the surface,
 
 $$F_t = -\frac{c_t u_t}{\sqrt{1 + (c_t |u_t| / \mu F_n)^2}},$$
 
-sliding friction $\mu F_n$ at speed and a drag of rate $c_t$ at rest. What sticks under
-a load $f < \mu F_n$ along the surface creeps, at the speed where friction balances it,
+sliding friction $\mu F_n$ at speed and a drag of rate $c_t$ at rest. A sticking contact
+under a load $f < \mu F_n$ along the surface creeps, at the speed where friction
+balances it,
 
 $$u_t = \frac{f}{c_t}\,\frac{1}{\sqrt{1 - (f/\mu F_n)^2}},$$
 
@@ -80,13 +81,13 @@ class Contact(Effect):
     friction: Float[Array, ""] | None = None
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """The most that friction resists per length of rod and speed [kg/(m s)]."""
+    """Largest friction per length of rod and speed of slip [kg/(m s)]."""
     n_bodies: int | None = static(default=None)
-    """How many bodies, if their numbers have a leading axis."""
+    """Number of bodies, if their numbers have a leading axis."""
     near: tuple[Body, ...] | None = None
-    """For each of `contact_points`, the bodies it looks at in place of all."""
+    """Bodies near each of `contact_points`, in place of all."""
     n_near: int | None = static(default=None)
-    """How many those are."""
+    """Number of bodies that each point looks at, where that is not all."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
 
@@ -98,7 +99,7 @@ class Contact(Effect):
         return None if self.friction is None else "friction"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Normal forces, and what friction does."""
+        """Normal forces, and friction with its couples."""
         loads = Loads()
         for points, bodies in self._in_view(rod):
             loads = self._add_loads(loads, rod, motion, points, bodies)
@@ -108,7 +109,7 @@ class Contact(Effect):
         return Loads(loads.forces, to_material(frame, loads.couples))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """As if every point touched every body that it looks at."""
+        """Stiffness and drag as if every point touched all bodies it looks at."""
         count = self.n_near or self.n_bodies or 1
         halves = 0.5 * count * rod.rest_lengths
         lengths = vectors.pad(halves, 0, 1) + vectors.pad(halves, 1, 0)
@@ -285,7 +286,7 @@ def _one_by_one(body: Body, count: int | None) -> list[Body]:
 
 
 def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
-    """What a function gives for each body, added up.
+    """Sum of a function's values over all bodies.
 
     Body by body in the program, not along an axis of the arrays: that takes two
     thirds of the time on CPUs.
@@ -295,10 +296,10 @@ def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
 
 
 def _started(depth: Array, width: Array) -> tuple[Array, Array]:
-    """Whether contact has begun, and how deep from there on [m]; safe where not.
+    """Flag of contact, and depth from its onset on [m], finite where there is none.
 
-    What is so near to the beginning that it is rounding counts as before it: ratios of
-    vanishing numbers would have no gradient.
+    Depths within rounding of the onset count as before it: ratios of vanishing numbers
+    would have no gradient.
     """
     inside = depth + 0.5 * width
     touches = inside > float(jnp.finfo(width.dtype).eps) ** 0.5 * width
@@ -321,8 +322,8 @@ def contact(
     plane at a penetration of `W / (stiffness L)`, however many elements it has.
     `stable_dt` counts stiffness, damping and friction drag as if all of the rod
     touched: a stiffness well below `linear_density * frequency^2` of the rod's fastest
-    motion costs next to nothing. What a fast rod needs so as not to be pushed through
-    grows with the square of its speed.
+    motion costs next to nothing. The stiffness that prevents tunnelling grows with the
+    square of the impact speed.
 
     Args:
         bodies: A body from `jaxrod.sphere`, `capsule`, `cylinder`, `plane`, `box` or
@@ -333,16 +334,16 @@ def contact(
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length of rod and normal speed [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].
-        friction_drag: The most that friction resists per length of rod and speed
-            [kg/(m s)]; by default as much as `damping`. What sticks creeps at its
-            load per length over this and over the root of 1 - (load / limit)^2, the
-            limit being the friction times the normal force: the faster the nearer it
-            is to slipping.
+        friction_drag: Largest friction per length of rod and speed of slip
+            [kg/(m s)]; by default as much as `damping`. A sticking contact creeps at
+            (tangential load per length) / friction_drag, divided by the root of
+            1 - (load / limit)^2 with limit = friction * normal force: the faster the
+            nearer it is to slipping.
         onset: Width of the smooth onset of contact over the rod's radius [1]: the
             force starts half a width before rod and body touch and is linear from
             half a width of penetration on.
-        points_per_element: Where contact is looked for: 1 for the nodes alone, 2 for
-            nodes and middles, and so on. Neighbouring points should be nearer to each
+        points_per_element: Contact points: 1 for the nodes alone, 2 for nodes and
+            middles, and so on. Neighbouring points should be nearer to each
             other than the radii of rod and body together: from one and a half times
             that on bodies slip through between. `make_scene` warns where they are not.
 

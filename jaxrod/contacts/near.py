@@ -54,10 +54,10 @@ class OneForEach(Body):
 
 
 def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Contact:
-    """The same contact, but each point looks at the bodies nearest to it now alone.
+    """The same contact, but each point looks only at the bodies nearest to it now.
 
-    Exact as long as whatever a point comes to touch is among its `count` nearest
-    bodies; choose them anew before a point can have come to another. `stable_dt`
+    Exact as long as every body that a point touches is among its `count` nearest ones;
+    choose them anew before a point can reach another. `stable_dt`
     counts `count` bodies at each point instead of all. Forces do not jump when bodies
     are chosen anew, since those that are left out do not touch.
 

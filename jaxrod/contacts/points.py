@@ -1,4 +1,4 @@
-"""Where along a rod contact is looked for, and how loads found there reach the rod.
+"""Contact points along a rod, and the transfer of their loads to the rod.
 
 Contact acts per length of rod. Its integral is a sum over points with the lengths they
 stand for (the trapezoidal rule), so loads do not depend on the number of elements. The
@@ -32,10 +32,10 @@ class Points(Protocol):
         """Rest length of rod each point stands for [m]."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """What nodes have, at the points."""
+        """A field on the nodes, at the points."""
 
     def of_elements(self, field: Array) -> Array:
-        """What elements have, at the points."""
+        """A field on the elements, at the points."""
 
     def to_nodes(self, field: Vec3) -> Vec3:
         """Forces at the points, on the nodes."""
@@ -46,7 +46,7 @@ class Points(Protocol):
 
 @pytree
 class AtNodes:
-    """The nodes. What elements have is averaged there by length."""
+    """The nodes. Fields on elements are averaged there by length."""
 
     lengths: Array
     """Rest length of rod each point stands for [m]."""
@@ -56,7 +56,7 @@ class AtNodes:
     """Share of an element in the average at its last node [1]."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """As it is."""
+        """The field itself."""
         return field
 
     def of_elements(self, field: Array) -> Array:
@@ -65,7 +65,7 @@ class AtNodes:
         return vectors.pad(first, 0, 1) + vectors.pad(last, 1, 0)
 
     def to_nodes(self, field: Vec3) -> Vec3:
-        """As it is."""
+        """The field itself."""
         return field
 
     def to_elements(self, field: Array) -> Array:
@@ -80,7 +80,7 @@ class BetweenNodes:
     lengths: Array
     """Rest length of rod each point stands for [m]."""
     fraction: Array
-    """Of the way from an element's first node to its last [1]."""
+    """Fraction of the way from an element's first node to its last [1]."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
         """Interpolated between the element's nodes."""
@@ -89,7 +89,7 @@ class BetweenNodes:
         return vectors.add((x, y, z), way)
 
     def of_elements(self, field: Array) -> Array:
-        """As it is."""
+        """The field itself."""
         return field
 
     def to_nodes(self, field: Vec3) -> Vec3:
@@ -103,7 +103,7 @@ class BetweenNodes:
         return x, y, z
 
     def to_elements(self, field: Array) -> Array:
-        """As it is."""
+        """The field itself."""
         return field
 
 

@@ -1,4 +1,4 @@
-"""Material frames along a polyline: what factories give elements for orientation.
+"""Material frames along a polyline: the orientations factories give to elements.
 
 Worked out in float64 on the host where the line is known, and with JAX where it is
 traced: the same formulas, by the module `xp` that is handed on.
@@ -18,7 +18,7 @@ from jax import lax
 from jaxrod.validation import Numbers, check_array, is_traced
 
 ALONG = math.radians(10)
-"""How far d3 of a given frame may be from the direction of its element [rad]."""
+"""Largest angle of a given frame's d3 to the direction of its element [rad]."""
 
 
 def module_for(*values: Any) -> ModuleType:

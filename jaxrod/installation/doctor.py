@@ -1,4 +1,4 @@
-"""Checks that this machine computes what it is told to.
+"""Checks that this machine computes correctly.
 
 Compilers have bugs, and a wrong number looks like any other number. Each check
 here runs a small program whose right answer is known, or reports a setting that
@@ -27,19 +27,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Check:
-    """What one check found.
-
-    Attributes:
-        name: what was checked.
-        ok: False when results computed here cannot be trusted.
-        detail: what was found, with numbers.
-        advice: what to do about it; empty when there is nothing to do.
-    """
+    """Result of one check."""
 
     name: str
+    """Name of the check."""
     ok: bool
+    """False when results computed here cannot be trusted."""
     detail: str
+    """Findings, with numbers."""
     advice: str = ""
+    """Advice on a mend; empty when nothing is wrong."""
 
 
 def run_checks() -> list[Check]:
@@ -250,7 +247,7 @@ def _one_device_per_platform() -> list[jax.Device]:
 
 
 def _guard(name: str, check: Callable[[], Check]) -> Check:
-    """Runs a check; whatever it raises is what it found."""
+    """Runs a check; an exception is its finding."""
     try:
         return check()
     except Exception as error:

@@ -24,7 +24,7 @@ UNSOUND = {
     ),
     (0, 11, 1): "it gives wrong numbers on some GPUs, and flax 0.12.8 fails on it",
 }
-"""What is wrong with each refused release."""
+"""Fault of each refused release."""
 
 
 class UnsoundJaxError(ImportError):

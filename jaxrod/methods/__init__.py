@@ -1,4 +1,4 @@
-"""Methods: a law, what is left out of it, and how it is integrated in time.
+"""Methods: an elastic law, its reduction, and its integration in time.
 
 | method | law | for |
 |---|---|---|

@@ -45,25 +45,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class ConsistentStepper(Verlet):
-    """Constants of the consistent step for one scene and one step size.
-
-    Attributes:
-        scene: The scene.
-        dt: Step size [s].
-        law: Constants of the elastic law.
-        velocity_kick: What a kick makes of velocities and forces.
-        spin_kick: What a kick makes of angular momenta and couples.
-        inverse_inertia: One over transverse inertia [1/(kg m^2)].
-        inertia_contrast: One over polar less one over transverse inertia.
-    """
+    """Constants of the consistent step for one scene and one step size."""
 
     scene: Scene
+    """The scene."""
     dt: Array
+    """Step size [s]."""
     law: ElasticLaw
+    """Constants of the elastic law."""
     velocity_kick: Kick
+    """Kick of the velocities by forces."""
     spin_kick: Kick
+    """Kick of the angular momenta by couples."""
     inverse_inertia: Array
+    """One over transverse inertia [1/(kg m^2)]."""
     inertia_contrast: Array
+    """One over polar less one over transverse inertia [1/(kg m^2)]."""
 
     @staticmethod
     def create(scene: Scene, dt: Array) -> ConsistentStepper:
@@ -135,6 +132,6 @@ def consistent() -> Consistent:
     """Loads from a stored energy, angular momentum as state, second order: the default.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
     """
     return Consistent()

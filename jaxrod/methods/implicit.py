@@ -58,7 +58,7 @@ class Implicit(Method):
     explicit: ClassVar[bool] = False
 
     spectral_radius: Float[Array, ""]
-    """What is left of an infinitely stiff motion after a step [1]."""
+    """Share of an infinitely stiff motion left after a step [1]."""
     tolerance: Float[Array, ""] | None = None
     """Newton's method ends after a correction below this many element lengths and
     radians [1]; the error that is left is about its square. `None`: by precision."""
@@ -88,15 +88,15 @@ def implicit(
     `jaxrod.health` reports.
 
     Args:
-        spectral_radius: What numerical damping leaves of an infinitely stiff motion
-            after one step, from 0 (nothing) to 1 (everything: no damping). Slow
+        spectral_radius: Share of an infinitely stiff motion that numerical damping
+            leaves after one step, from 0 (nothing) to 1 (everything: no damping). Slow
             motion is followed to second order with any value.
         tolerance: Newton's method ends after a correction below this many element
             lengths and radians; by default 1e-7, or 3e-4 in single precision.
         max_iterations: Corrections allowed per stage.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -116,16 +116,16 @@ def implicit(
 
 @pytree
 class Base:
-    """Where a stage starts from: a configuration with the rates inertia would keep."""
+    """Start of a stage: a configuration with the rates inertia would keep."""
 
     motion: Motion
     rates: tuple[Vec3, Vec3]
-    """Expected at the stage: velocities and angular velocities, world frame."""
+    """Rates expected at the stage: velocities and angular velocities, world frame."""
 
 
 @pytree
 class Increments:
-    """What a stage adds to its base."""
+    """Increments of a stage over its base."""
 
     displacement: Vec3
     turn: Vec3
@@ -144,7 +144,7 @@ class ImplicitStepper:
     coefficient: Float[Array, ""]
     """The method's gamma [1]."""
     duration: Float[Array, ""]
-    """Of a stage, gamma dt [s]."""
+    """Duration of a stage, gamma dt [s]."""
     dt: Float[Array, ""]
     """Step size [s]."""
     damping: tuple[Array, Array] | None
@@ -204,7 +204,7 @@ class ImplicitStepper:
         return motion.velocity, spin
 
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
-        """Where the second stage starts from, and the rates extrapolated to it."""
+        """Base of the second stage, with the rates extrapolated to it."""
         base = _add(motion, jax.tree.map(lambda a: factor * a, added))
         moved = _add(motion, added)
         rates = self.rates(moved)
@@ -226,7 +226,7 @@ class ImplicitStepper:
             *lax.stop_gradient((balance, guess, tolerance)),
             self.settings.max_iterations,
         )
-        # What moves at a given rate does so with its derivative.
+        # Components that move at a given rate have its derivative.
         moves = balanced(balance, balance.following(guess, found.moves))
         # Failure is data: not finite, for health to find.
         moves = jax.tree.map(lambda a: jnp.where(found.converged, a, jnp.nan), moves)

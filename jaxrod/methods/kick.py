@@ -1,4 +1,4 @@
-"""Kicks: what loads and damping make of a rate over one step."""
+"""Kicks: the change of a rate by loads and damping over one step."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ from jaxrod.structure import pytree
 
 @pytree
 class Kick:
-    """Solution after a time h of r' = load / inertia - damping r, per component.
-
-    Attributes:
-        gain: Change of the rate per unit of load.
-        loss: What is lost of the initial rate; `None` without damping. Not what is
-            left: that is close to one, and its rounding would be a bias of the
-            damping rate.
-    """
+    """Solution after a time h of r' = load / inertia - damping r, per component."""
 
     gain: Array
+    """Change of the rate per unit of load."""
     loss: Array | None
+    """Share of the initial rate that is lost [1]; `None` without damping. Not the share
+    left: that is close to one, and its rounding would be a bias of the damping rate."""
 
     @staticmethod
     def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:

@@ -47,7 +47,7 @@ class Planar(Method):
 
     @property
     def law(self) -> Law:
-        """That of the method in space."""
+        """Law of the method in space."""
         return self.of.law
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
@@ -65,14 +65,14 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
     """Motion in a plane: several times cheaper, for the same result to round-off.
 
     The rod and all that acts on it stay in a plane parallel to the one named. The state
-    is the same as in space; what is zero out of the plane stays exactly zero.
+    is the same as in space; zero components out of the plane stay exactly zero.
 
     Args:
         plane: "xy", "yz" or "zx".
         law: `consistent()` (default) or `pyelastica()`.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
 
     Raises:
         ValueError: If the plane is unknown.
@@ -118,7 +118,7 @@ def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
 def _shares_outside(
     scene: Scene, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
-    """How far out of the plane each of `_PARTS` is, relative to its own scale."""
+    """Largest part of each of `_PARTS` out of the plane, relative to its own scale."""
     out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors
@@ -149,13 +149,13 @@ def _shares_outside(
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
-    """Of a state, as it is given or as effects hold it."""
+    """Shares out of the plane of a state, as it is given or as effects hold it."""
     a, b, out = PLANES[method.plane]
     n1, n2, n3 = (axis[out] for axis in state.directors)
     length = jnp.sum(rod.rest_lengths)
     heights = state.positions[out]
     spins = state.angular_momenta
-    # A rod this slow, compared with its waves, has come to rest but for rounding.
+    # Below 1e-6 of the wave speed, velocities are round-off.
     wave_speed = jnp.sqrt(
         jnp.max(rod.shear_stretch_stiffness[2]) / jnp.min(rod.linear_density)
     )
@@ -178,7 +178,7 @@ def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Arr
 def _shares_of_effects(
     scene: Scene, method: Planar, state: RodState, n1: Array, n2: Array
 ) -> tuple[Array, Array, Array]:
-    """What leaves the plane of forces, couples, and unit vectors of forces to come."""
+    """Shares out of the plane of forces, couples and directions of possible forces."""
     rod = scene.rod
     out = PLANES[method.plane][2]
     stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
@@ -206,7 +206,7 @@ def _shares_of_effects(
 
 
 def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
-    """How far out of the plane forces of an effect may point, now or elsewhere in it.
+    """Largest tilt out of the plane of an effect's forces, now or elsewhere in it.
 
     An oblique cylinder is upright where it is seen end-on: it is looked at from
     places all around the rod, near and far.
@@ -244,7 +244,7 @@ def _share(part: Array, whole: Array, least: ArrayLike) -> Array:
     Args:
         part: Some numbers.
         whole: All numbers.
-        least: What they are compared with where they are smaller.
+        least: Smallest scale of the comparison.
     """
     scale = jnp.maximum(_largest(whole), least)
     return _largest(part) / jnp.where(scale == 0, 1, scale)

@@ -52,15 +52,15 @@ class PlanarConsistentStepper(PlanarVerlet):
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """At the rate P/J."""
+        """Angle turned at the rate P/J [rad]."""
         return dt * self.inverse_inertia * spin
 
     def spin_from_momentum(self, momentum: Array) -> Array:
-        """It is the angular momentum."""
+        """The angular momentum itself [kg m^2/s]."""
         return momentum
 
     def momentum_from_spin(self, spin: Array) -> Array:
-        """It is the angular momentum."""
+        """The spin itself, an angular momentum [kg m^2/s]."""
         return spin
 
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
@@ -71,7 +71,7 @@ class PlanarConsistentStepper(PlanarVerlet):
         return (components[0], components[1], components[2]), False
 
     def spin_in_plane(self, spin: Vec3) -> Array:
-        """Its component along the normal."""
+        """Component of the spin along the normal."""
         return spin[PLANES[self.plane][2]]
 
     def kick(self, motion: PlanarMotion) -> PlanarMotion:

@@ -36,13 +36,13 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     """Constants of PyElastica's step for one scene, one step size, one plane."""
 
     decay: tuple[Array, Array] | None
-    """What damping leaves of velocities and spins in one step [1]."""
+    """Shares of velocities and spins left by damping after one step [1]."""
     inverse_masses: Array
-    """[1/kg]"""
+    """One over the masses of the nodes [1/kg]."""
     inertia: Array
-    """Of the elements about the normal [kg m^2]."""
+    """Rotary inertia of the elements about the normal [kg m^2]."""
     inverse_joint_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the joints [1/m]."""
 
     @staticmethod
     def create(
@@ -66,7 +66,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """At the rate `spin`."""
+        """Angle turned at the rate `spin` [rad]."""
         return dt * spin
 
     def spin_from_momentum(self, momentum: Array) -> Array:
@@ -83,7 +83,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         return (n1 * spin, n2 * spin, jnp.zeros_like(spin)), True
 
     def spin_in_plane(self, spin: Vec3) -> Array:
-        """Its component along the normal."""
+        """Component of the spin along the normal."""
         n1, n2 = self.constants.normal
         return n1 * spin[0] + n2 * spin[1]
 

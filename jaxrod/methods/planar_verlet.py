@@ -8,7 +8,7 @@ $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell -
 
 Each law has a planar step of its own, `planar_consistent` and `planar_pyelastica`
 beside this file. They equal those in space to round-off, for a third of the arithmetic
-or less. What is zero out of the plane stays exactly zero, for any number of calls;
+or less. Zero components out of the plane stay exactly zero, for any number of calls;
 joint angles have no bound within a call.
 """
 
@@ -70,7 +70,8 @@ class PlanarMotion:
     [rad/s].
     """
     remainder: Vec2 | None = None
-    """What rounding has added to the positions [m], where that is kept count of."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` without
+    compensation."""
 
     @property
     def edges(self) -> Vec2:
@@ -97,11 +98,11 @@ class PlanarRod:
     normal: Vec2
     """The plane's normal along d1 and d2 of every element."""
     inverse_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the elements [1/m]."""
     stiffness: Vec2
     """Transverse shear and axial stiffness [N]."""
     rest_strains: Vec2
-    """Transverse and axial [1]."""
+    """Transverse and axial strain at rest [1]."""
     joint: Array
     """Bending stiffness over joint length [N m]."""
     joint_offsets: Array
@@ -145,16 +146,16 @@ class PlanarRod:
 
 @pytree
 class PlanarVerlet(Verlet):
-    """Position Verlet of a rod in a plane, whatever the law."""
+    """Position Verlet of a rod in a plane, of either law."""
 
     plane: PlaneName = static()
     """The plane of motion."""
     start: RodState
-    """The state at the start of the call: what lies out of the plane stays so."""
+    """The state at the start of the call: components out of the plane stay so."""
     constants: PlanarRod
-    """Of the rod, in the plane."""
+    """Constants of the rod, in the plane."""
     inverse_inertia: Array
-    """Of the elements about the normal [1/(kg m^2)]."""
+    """One over the rotary inertia of the elements about the normal [1/(kg m^2)]."""
 
     @abstractmethod
     def angle_turned(self, spin: Array, dt: Array) -> Array:
@@ -284,7 +285,7 @@ class PlanarVerlet(Verlet):
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
 
     def view(self, motion: PlanarMotion) -> Motion:
-        """The motion as effects see it. What they do not look at costs nothing."""
+        """The motion as effects see it. Fields that no effect reads cost nothing."""
         start = self.start
         spin, is_velocity = self.spin_in_space(motion.spin)
         return Motion(

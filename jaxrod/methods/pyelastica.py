@@ -53,13 +53,13 @@ class PyElasticaStepper(Verlet):
     """Constants of the PyElastica step for one scene and one step size."""
 
     decay: tuple[Array, Array] | None
-    """What damping leaves of velocities and spins in one step [1]."""
+    """Shares of velocities and spins left by damping after one step [1]."""
     lengths: Array
     """Rest lengths [m]."""
     inverse_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the elements [1/m]."""
     inverse_joint_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the joints [1/m]."""
     shear_stretch: Vec3
     """Shear and axial stiffness [N]."""
     bend_twist: Vec3
@@ -67,11 +67,11 @@ class PyElasticaStepper(Verlet):
     rest_strains: Vec3
     rest_curvatures: Vec3
     inverse_masses: Array
-    """[1/kg]"""
+    """One over the masses of the nodes [1/kg]."""
     inertia: Vec3
     """Rotary inertia about d1, d2, d3 [kg m^2]."""
     inverse_inertia: Vec3
-    """[1/(kg m^2)]"""
+    """One over the rotary inertia about d1, d2, d3 [1/(kg m^2)]."""
 
     @staticmethod
     def create(scene: Scene, dt: Array) -> PyElasticaStepper:
@@ -187,7 +187,7 @@ class PyElastica(Method):
 
     @property
     def law(self) -> Law:
-        """PyElastica's."""
+        """PyElastica 1.0's law."""
         return "pyelastica"
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PyElasticaStepper:
@@ -199,6 +199,6 @@ def pyelastica() -> PyElastica:
     """PyElastica 1.0's law and stepping order, to round-off.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
     """
     return PyElastica()

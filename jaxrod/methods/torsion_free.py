@@ -1,8 +1,8 @@
 r"""The method without twist: an element is a direction, not a frame.
 
 In a naturally straight rod with sections alike in all directions, under loads that do
-not twist it, twist is a fast motion of no consequence: nothing drives it but the small
-polar inertia. Left out, an element is a unit vector $d$ with an angular momentum $P$
+not twist it, twist is a fast motion without consequence: only the small polar inertia
+drives it. Left out, an element is a unit vector $d$ with an angular momentum $P$
 perpendicular to it. With edge $\Delta x$, rest length $\hat\ell$ and $\theta$ the angle
 between neighbours,
 
@@ -67,11 +67,12 @@ class TorsionFreeMotion:
     spin: Vec3
     """Angular momentum of the elements, perpendicular to d3 [kg m^2/s]."""
     remainder: Vec3 | None = None
-    """What rounding has added to the positions [m], where that is kept count of."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` without
+    compensation."""
 
     @property
     def view(self) -> Motion:
-        """The motion as effects see it. What they do not look at costs nothing."""
+        """The motion as effects see it. Fields that no effect reads cost nothing."""
         return Motion(
             position=self.position,
             orientation=frame_along(self.direction),
@@ -88,7 +89,7 @@ class TorsionFreeStepper(Verlet):
     start: RodState
     """The state at the start of the call."""
     inverse_lengths: Array
-    """[1/m]"""
+    """One over the rest lengths of the elements [1/m]."""
     stiffness: tuple[Array, Array]
     """Shear and axial stiffness [N]."""
     rest_stretch: Array
@@ -96,7 +97,7 @@ class TorsionFreeStepper(Verlet):
     joint: Array
     """Bending stiffness over joint length, of wall joints too [N m]."""
     inverse_inertia: Array
-    """[1/(kg m^2)]"""
+    """One over the transverse rotary inertia [1/(kg m^2)]."""
     velocity_kick: Kick
     spin_kick: Kick
     walls: tuple[Vec3 | None, Vec3 | None]
@@ -238,7 +239,7 @@ class TorsionFreeStepper(Verlet):
     def add_loads(
         self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Adds the loads of all effects, but for what would twist the rod."""
+        """Adds the loads of all effects, except couples that would twist the rod."""
         in_space = motion.view
         for effect in self.scene.effects:
             if has_elastic_wall(effect, self.scene.rod):
@@ -298,13 +299,13 @@ class TorsionFree(Method):
 
 
 def torsion_free() -> TorsionFree:
-    """Leaves twist out: half the arithmetic, for what the polar inertia changes.
+    """Drops twist and halves the arithmetic; neglects polar inertia.
 
     For a naturally straight rod with sections alike in all directions, under loads that
     do not twist it. Couples about the axis that cannot be seen on the host (traced
     ones), and spin about it in a state, are dropped.
 
     Returns:
-        What `make_scene` takes as `method`.
+        The method, for `make_scene(..., method=...)`.
     """
     return TorsionFree()

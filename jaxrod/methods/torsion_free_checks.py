@@ -1,4 +1,4 @@
-"""What a scene may have to be simulated without twist: checks, in words."""
+"""Checks of what a scene without twist may contain, in words."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from jaxrod.validation import is_traced
 
 
 def wall_of(scene: Scene) -> Wall | None:
-    """What holds the orientation at an end of the rod, if something does."""
+    """The wall that holds the orientation at an end of the rod, if there is one."""
     for effect in scene.effects:
         wall = effect.wall(scene.rod)
         if wall is not None:
@@ -137,7 +137,7 @@ def _refuse(demand: str, found: str) -> None:
 
 @jax.jit
 def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
-    """How much of each effect's loads turns with the elements, how much twists.
+    """Shares of each effect's loads that turn with the elements, and that twist them.
 
     Looked at on a rod of no particular shape, before and after its elements are
     turned about their axes. A wall's twist is known to be none: it is left out.

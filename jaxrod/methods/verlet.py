@@ -17,7 +17,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class Verlet(ABC):
-    """Position Verlet of whatever drift and kick a subclass has.
+    """Position Verlet, of the drift and kick that a subclass defines.
 
     A cycle goes from the middle of one step, where its kick acts, to the middle of
     the next.
@@ -25,7 +25,7 @@ class Verlet(ABC):
 
     steps_of_end: ClassVar[int] = 1
     scene: Scene
-    """What is simulated."""
+    """The scene."""
     dt: Array
     """Step size [s]."""
 
@@ -54,15 +54,15 @@ class Verlet(ABC):
         return constrain_rates(self.scene, motion)
 
     def begin(self, state: RodState) -> Any:
-        """To the middle of the first step."""
+        """Carry in the middle of the first step, from the initial state."""
         return self.drift(self.enter(state), 0.5 * self.dt)
 
     def cycle(self, motion: Any) -> Any:
-        """From the middle of a step to the middle of the next."""
+        """Advances from the middle of a step to the middle of the next."""
         return self.drift(self.kick(motion), self.dt)
 
     def end(self, motion: Any) -> RodState:
-        """From the middle of the last step to its end."""
+        """Final state, from the carry in the middle of the last step."""
         return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))
 
     def evolving(self, scene: Scene, first: Array) -> EvolvingVerlet:

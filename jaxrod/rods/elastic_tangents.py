@@ -1,6 +1,6 @@
 r"""The elastic law's tangent stiffness, in closed form, block by block.
 
-How minus the internal loads change when nodes are displaced and elements turned by
+The change of minus the internal loads when nodes are displaced and elements turned by
 $\psi$ ($R \to e^{[\psi]} R$), everything in the world frame, where each element and
 each joint has just one force or couple, of opposite sign on its two sides.
 
@@ -45,22 +45,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class ElementTangent:
-    """What an element of a rod contributes."""
+    """Tangent stiffness of one element of a rod."""
 
     stretching: Matrix
-    """`D`: of the pull by the edge."""
+    """`D`: derivative of the pull by the edge."""
     coupling: Matrix
-    """`K`: of the pull by the turn."""
+    """`K`: derivative of the pull by the turn."""
     turning: Matrix
-    """Of the couple by the turn."""
+    """Derivative of the couple by the turn."""
 
 
 @pytree
 class JointTangent:
-    """What a joint contributes."""
+    """Tangent stiffness of one joint."""
 
     stiffness: Matrix
-    """`H`: of the couple by the relative turn."""
+    """`H`: derivative of the couple by the relative turn."""
     couple: Vec3
     """The couple [N m]: it turns with the element after the joint."""
 

@@ -37,21 +37,18 @@ from jaxrod.structure import pytree
 
 @pytree
 class ElasticLaw:
-    """What the internal loads need of a rod, worked out once per call.
-
-    Attributes:
-        inverse_lengths: One over the rest length, per element [1/m].
-        shear_stretch: Shear and axial stiffness, per element [N].
-        joint: Bend-twist stiffness over joint length, per joint [N m].
-        rest_strains: Shear-stretch strain at rest, per element [1].
-        rest_rotations: Joint rotation at rest, per joint [rad].
-    """
+    """Constants of the internal loads of a rod, computed once per call."""
 
     inverse_lengths: Array
+    """One over the rest length, per element [1/m]."""
     shear_stretch: Vec3
+    """Shear and axial stiffness, per element [N]."""
     joint: Vec3
+    """Bend-twist stiffness over joint length, per joint [N m]."""
     rest_strains: Vec3
+    """Shear-stretch strain at rest, per element [1]."""
     rest_rotations: Vec3
+    """Joint rotation at rest, per joint [rad]."""
 
 
 def elastic_law(rod: Rod) -> ElasticLaw:
@@ -84,7 +81,7 @@ def joint_rotations(orientation: Quaternion) -> tuple[Vec3, Array]:
 
 
 def joint_couples(rotation: Vec3, coupling: Array, moment: Vec3) -> tuple[Vec3, Vec3]:
-    r"""How a joint's moment acts on the two elements it joins.
+    r"""Couples of a joint's moment on the two elements it joins.
 
     For the energy $E(\phi)$ with $\tau = \partial E/\partial\phi$ the couple on the
     element before is $a + b$, on the element after $-a + b$, each in its own

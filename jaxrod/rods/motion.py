@@ -36,7 +36,7 @@ from jaxrod.structure import pytree, static
 class Motion:
     """Positions, orientations and their rates as tuples of component arrays.
 
-    What the integrators carry from step to step and what effects see. Taking the
+    The integrators carry it from step to step, and effects see it. Taking the
     state apart once per call instead of once per step keeps stacking and slicing
     out of the compiled loop.
     """
@@ -54,7 +54,8 @@ class Motion:
     angular velocity, material frame [rad/s].
     """
     remainder: Vec3 | None = None
-    """What rounding has added to the positions [m], where that is kept count of."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` without
+    compensation."""
     spin_is_velocity: bool = static(default=False)
     """Whether `spin` is angular velocity, as in PyElastica mode, or momentum."""
 
@@ -72,7 +73,7 @@ class Motion:
         return safe_norm(self.edges)
 
     def angular_velocities(self, rod: Rod) -> Vec3:
-        """Of the elements, world frame [rad/s]."""
+        """Angular velocity of the elements, world frame [rad/s]."""
         frame = directors(self.orientation)
         if self.spin_is_velocity:
             return to_world(frame, self.spin)
@@ -127,9 +128,9 @@ class Loads:
     """Forces on nodes and couples on elements. `None` where there are none."""
 
     forces: Vec3 | None = None
-    """On the `n + 1` nodes, world frame [N]."""
+    """Forces on the `n + 1` nodes, world frame [N]."""
     couples: Vec3 | None = None
-    """On the `n` elements, material frame [N m]."""
+    """Couples on the `n` elements, material frame [N m]."""
 
 
 def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:

@@ -95,7 +95,7 @@ class Rod:
 
 @pytree
 class RodState:
-    """What changes in time. Minimal: nothing derived is stored."""
+    """State of a rod: all that changes in time, and nothing derived from it."""
 
     positions: Float[Array, "3 n+1"]
     """Node positions, world frame [m]."""
@@ -106,10 +106,11 @@ class RodState:
     angular_momenta: Float[Array, "3 n"]
     """Angular momentum of each element about its centre, world frame [kg m^2/s]."""
     remainders: Float[Array, "3 n+1"] | None = None
-    """What rounding has added to the positions [m]; `None` unless `compensated`."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` unless
+    `compensated`."""
     memory: tuple[tuple[Any, ...], ...] | None = None
-    """What the effects of a scene remember: see `jaxrod.memory`; `None` if nothing, or
-    if that is what the scene begins with."""
+    """Memory of the effects of a scene, see `jaxrod.memory`; `None` without, or as long
+    as it is what the scene begins with."""
 
     @property
     def directors(self) -> Float[Array, "3 3 n"]:
@@ -169,7 +170,7 @@ def compensated(state: RodState) -> RodState:
     gone, for six operations per node and component. For float32; in float64 rounding
     is far below what discretisation does.
 
-    Angular momentum gains nothing: what it loses in a free rod is rounding of the loads
+    Angular momentum gains nothing: its drift in a free rod is rounding of the loads
     themselves, about `u sqrt(steps)` of the sum of `m |x| |v|` over the nodes, with `u`
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
     """

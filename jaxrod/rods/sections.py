@@ -1,4 +1,4 @@
-"""Rods of round section: what radius and material make of masses and stiffnesses."""
+"""Rods of round section: masses and stiffnesses from radius and material."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def round_rod(
         check(formula, value, unit)
         return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
 
-    # What the type cannot hold is said in words, not in NumPy's warnings.
+    # Numbers that the type cannot hold are refused in words, not NumPy's warnings.
     with np.errstate(all="ignore"):
         area = np.pi * radii**2
         second_moment = area**2 / (4 * np.pi)

@@ -1,4 +1,4 @@
-r"""Block-tridiagonal linear systems: what a chain of elements makes of Newton's method.
+r"""Block-tridiagonal linear systems: those of Newton's method on a chain of elements.
 
 Row $k$ couples the unknowns of block $k$ with those of its two neighbours,
 

@@ -83,7 +83,7 @@ def columns(
     function: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
 ) -> Dense:
-    """The matrix of a linear function, whatever it does: `n m` directions."""
+    """The matrix of any linear function, by `n m` directions."""
     seeds = jnp.eye(like.size, dtype=like.dtype).reshape(like.size, *like.shape)
     if like.size <= _COLUMNS_AT_ONCE:
         answers = jax.vmap(function)(seeds)

@@ -1,4 +1,4 @@
-"""How the loads of effects change with the configuration: their part of the tangent.
+"""Tangent stiffness of effects: derivatives of their loads by the configuration.
 
 An effect may know it in closed form (`Effect.turning_tangent`). Any other is
 differentiated: in as many directions as tell neighbours apart where it promises to see
@@ -26,7 +26,7 @@ from jaxrod.statics.blocks import blocks, unblocked
 from jaxrod.statics.dense import Dense, columns, dense
 
 Tangent = BlockTridiagonal | Dense
-"""Of a chain, or of one with effects that couple distant parts of it."""
+"""Tangent of a chain, or of one with effects that couple distant parts of it."""
 
 
 def has_closed_form(effect: Effect) -> bool:
@@ -53,7 +53,7 @@ def with_differentiated(
     momentum: Matrix,
     free: Float[Array, "n+1 6"],
 ) -> Tangent:
-    """A tangent with that of the effects that do not know theirs, whatever they are.
+    """A tangent with that of the effects that have no closed form.
 
     Args:
         chain: The tangent without them.

@@ -28,7 +28,7 @@ class Equilibrium:
     """A rod at rest under its loads, if `converged`."""
 
     state: RodState
-    """Where the iteration ended, at rest."""
+    """State at the end of the iteration, at rest."""
     converged: Bool[Array, ""]
     """Whether all loads balance there, to the tolerance."""
     stable: Bool[Array, ""]
@@ -76,13 +76,13 @@ def equilibrium(
             do not matter.
         tolerance: Iteration ends after a correction below this many element lengths
             and radians; by default 1e-7, or 3e-4 in single precision.
-        max_iterations: How many corrections to allow.
+        max_iterations: Largest number of corrections.
 
     Returns:
         The state at rest, and how well the loads balance there.
 
     Raises:
-        ValueError: If the mode is not "consistent", if nothing holds the rod, or if
+        ValueError: If the law is not "consistent", if nothing holds the rod, or if
             an argument is out of range.
         TypeError: If `scene` or `state` is something else.
     """
@@ -132,7 +132,7 @@ def _equilibrium(
         max_iterations,
     )
     found = _at_rest(scene, end.base).motion(end.moves)
-    # What is held is where the state and the scene have it, with their derivatives.
+    # Held components are as the state and the scene have them, derivatives included.
     balance = _at_rest(scene, _keep_held(scene, found, start))
     moves = balanced(balance, _no_moves(found))
     force, couple = unblocked(balance.residual(moves))

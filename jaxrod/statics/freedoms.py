@@ -1,7 +1,7 @@
-"""What the constraints of a scene leave free, component by component.
+"""Free components of positions and rates under the constraints of a scene.
 
-A component is held if `Effect.constrain_rates` gives it the same rate whatever rate it
-had, or if `Effect.constrain` gives it the same place whatever place it had.
+A component is held if `Effect.constrain_rates` gives it the same rate for any rate it
+had, or if `Effect.constrain` gives it the same place for any place it had.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxrod.rods.motion import Motion
 from jaxrod.scene import Scene, constrain, constrain_rates
 
 _TURN = (0.8, 0.36, 0.48, 0.0)
-"""Of 74 degrees: what an element is turned by to see whether it is held."""
+"""Rotation of 74 degrees, by which an element is turned to see whether it is held."""
 
 
 def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
@@ -40,7 +40,7 @@ def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
-    """As `freedoms`, but only what `Effect.constrain_rates` holds is held."""
+    """The `freedoms` under `Effect.constrain_rates` alone."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
@@ -55,7 +55,7 @@ def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """As `freedoms`, but only what `Effect.constrain` holds; `None` for nothing."""
+    """The `freedoms` under `Effect.constrain` alone; `None` if it holds nothing."""
     here = constrain(scene, motion)
     if here is motion:
         return None

@@ -33,8 +33,9 @@ from jaxrod.statics.blocks import blocks
 from jaxrod.statics.dense import Dense
 
 _ROUNDINGS = 16
-"""Resistance of at most so many roundings is none. Of modes that nothing resists 3 are
-left; what pins resist has 3000 of float32's even where n = 100 and L/r = 1000."""
+"""Multiple of rounding up to which a resistance counts as none. Modes that nothing
+resists have 3; those that pins resist have 3000 in float32 even for n = 100 and
+L/r = 1000."""
 
 
 def loose_modes(
@@ -58,7 +59,7 @@ def loose_modes(
     modes, units = _modes_of_the_whole(rod, motion), _units(rod)
     steps = units[None] * modes
     resisted = jax.vmap(tangent.multiply)(free[None] * steps)
-    # What rows would be without cancellation.
+    # The size of rows without cancellation.
     sizes = jax.tree.map(jnp.abs, tangent)
     whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(steps)), axis=0)
     resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
@@ -120,7 +121,7 @@ def _middle(rod: Rod) -> int:
 
 
 def _units(rod: Rod) -> Float[Array, "1 6"]:
-    """Of displacements and turns: the length of the rod [m], and one [rad]."""
+    """Units of displacements and turns: the length of the rod [m], and one [rad]."""
     length = jnp.sum(rod.rest_lengths)
     one = jnp.ones_like(length)
     return jnp.stack([length, length, length, one, one, one])[None]

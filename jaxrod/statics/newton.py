@@ -24,7 +24,7 @@ from jaxrod.structure import pytree
 LARGEST_TURN = 1.0
 """No correction turns an element by more than this at once [rad]."""
 LARGEST_GROWTH = 4.0
-"""Of the correction that follows over the one before, with inertia. Some growth is
+"""Largest ratio of a correction to the one before, with inertia. Some growth is
 harmless: the first correction has to do away with the guess's stretch."""
 SMALLEST_SHARE = 1e-4
 """Less than this of a correction is not worth taking: there is nothing to find."""
@@ -32,18 +32,18 @@ SMALLEST_SHARE = 1e-4
 
 @pytree
 class Search:
-    """Where Newton's method is: moves from a base, and what to try next."""
+    """State of Newton's method: moves from a base, and the correction to try next."""
 
     base: Motion
     moves: Moves
     tangent: Tangent
-    """At the moves."""
+    """Tangent at the moves."""
     loose: Bool[Array, ""]
     """Whether the rod could move as a whole there and nothing would resist."""
     step: Float[Array, "n+1 6"]
     """The whole correction of the moves."""
     share: Float[Array, ""]
-    """How much of it to try."""
+    """Share of the correction to try [1]."""
     trials: Int[Array, ""]
     iterations: Int[Array, ""]
     """Corrections taken."""
@@ -60,11 +60,11 @@ def newton(
     """Searches for moves that balance.
 
     Args:
-        balance: What to balance.
+        balance: The balance of loads.
         guess: The first step from the base, taken as it is.
         tolerance: The search ends at a correction of less than this many element
             lengths and radians; it is still added.
-        max_iterations: How many trials to allow.
+        max_iterations: Largest number of trials.
 
     At rest every configuration taken becomes the new base, so that elements can turn
     any number of times; and without inertia, which makes any tangent definite, progress
@@ -77,7 +77,7 @@ def newton(
     units = jnp.concatenate([jnp.full(3, whole), jnp.ones(3, whole.dtype)])
 
     def size(step: Array) -> Array:
-        """Of a step, in lengths of the rod and radians."""
+        """Size of a step, in lengths of the rod and radians."""
         return jnp.sqrt(jnp.sum((step / units[None, :]) ** 2))
 
     def unfinished(search: Search) -> Array:

@@ -1,7 +1,7 @@
-"""Whether effects are what implicit steps and equilibria take them for, in words.
+"""Checks that effects keep the promises implicit steps and equilibria rely on.
 
-Those methods know how an effect's loads change from what it says of itself, and what
-it holds from a few trials. What is not so would be a wrong derivative, or a rod held
+Those methods take the derivative of an effect's loads from what it promises, and what
+it holds from a few trials. A broken promise would be a wrong derivative, or a rod held
 where it is free, without any sign.
 """
 
@@ -37,7 +37,7 @@ def check_promises(scene: Scene) -> None:
     """Checks what implicit steps and equilibria rely on; nothing where it is traced.
 
     Effects are tried out on a rod of no particular shape, and on the same rod crumpled
-    up. What they do elsewhere alone is not seen.
+    up. Deviations elsewhere alone are not seen.
 
     Raises:
         ValueError: If loads change otherwise than an effect's `turning_tangent` or
@@ -91,7 +91,7 @@ def _holds(effect: Effect) -> bool:
 
 @jax.jit
 def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
-    """How far each effect is from what it says, and from holding whole components."""
+    """Deviation of each effect from its promises, and from holding whole components."""
     zero = jnp.zeros((), rod.rest_lengths.dtype)
     return [
         (
@@ -103,7 +103,7 @@ def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
 
 
 def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
-    """Between how loads change and how they are said to, of the loads' size."""
+    """Gap between the true and the promised change of loads, relative to the loads."""
     step = _any_step(rod)
     nodes, turns = unblocked(step)
     transverse, polar = rod.inertias
@@ -158,7 +158,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
 
 def _mixing(effect: Effect, rod: Rod) -> Array:
-    """How far an effect is from holding whole components, of what it is given."""
+    """Deviation from holding whole components, relative to the given ones."""
     alone, motion = Scene(rod, (effect,), Method()), trial_motion(rod)
     nodes, turns = unblocked(_any_step(rod))
 
@@ -198,7 +198,7 @@ def _expected(
     given: Sequence[Array],
     found: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """What an effect makes of components, and what it should: all or nothing."""
+    """Components as an effect holds them, and as it should: wholly or not at all."""
     parts = zip(free, held, given, found, strict=True)
     return [(d, jnp.where(a == 1, c, b)) for a, b, c, d in parts]
 

@@ -60,14 +60,14 @@ class Moves:
 
 @pytree
 class Balance:
-    """What is to be balanced."""
+    """Balance of loads (and inertia) of a scene, as a function of moves from a base."""
 
     scene: Scene
     """The scene."""
     law: ElasticLaw
     """Constants of the elastic law."""
     base: Motion
-    """Where moves start from, and the rates that inertia would keep."""
+    """Configuration from which moves start, and the rates that inertia would keep."""
     pace: Float[Array, ""]
     """Rates per move [1/s]; zero in statics."""
     damping: tuple[Array, Array] | None
@@ -76,7 +76,7 @@ class Balance:
     """Whether there is no inertia."""
 
     def motion(self, moves: Moves) -> Motion:
-        """Where the rod is, and its rates."""
+        """Motion after moves: the configuration and its rates."""
         orientation = normalise(
             multiply_quaternions(self.base.orientation, rotation_exp(moves.turn))
         )
@@ -112,7 +112,7 @@ class Balance:
     def tangent(self, moves: Moves) -> Tangent:
         """Derivative of the residual by a step: see `moved`.
 
-        What the scene holds keeps the identity for its rows and columns.
+        Held components keep the identity for their rows and columns.
         """
         motion = self.motion(moves)
         node_rate, element_rate = self._rates
@@ -157,7 +157,7 @@ class Balance:
         )
 
     def followed(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """As `moved`, to first order, but with strains that change in proportion.
+        """`moved` to first order, but with strains that change in proportion.
 
         Turned elements of a slender rod would otherwise find their nodes off by the
         square of the turn, and be stretched: far stiffer than bending, this is what
@@ -177,7 +177,7 @@ class Balance:
         return replace(moved, displacement=vectors.add(moved.displacement, (x, y, z)))
 
     def change(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """How moves change with a step."""
+        """Change of the moves by a step."""
         displacement, turn = unblocked(step)
         own = to_material(directors(self.base.orientation), turn)
         once = vectors.cross(moves.turn, own)

@@ -1,4 +1,4 @@
-"""Speed for accuracy, measured: what a setting costs and how wrong it is.
+"""Speed for accuracy, measured: the cost and the error of a setting.
 
 `tune` finds the cheapest setting of a scene that keeps a tolerance; `measure_grid`
 and `jaxrod tradeoff` lay out the whole trade, PyElastica beside it.

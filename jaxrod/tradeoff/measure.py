@@ -1,4 +1,4 @@
-"""How wrong a setting is, against a converged reference, and what it costs."""
+"""Error of a setting against a converged reference, and its cost."""
 
 from __future__ import annotations
 
@@ -28,40 +28,34 @@ TIMED_PERIODS = 1280
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The path of the tip that settings are compared with.
-
-    Attributes:
-        tips: Tip at the end of every control period `(periods, 3)` [m].
-        length: Length of the rod [m].
-        error: By how much a reference of half the resolution differs from this one,
-            over four, as the next refinement would differ (second order): root mean
-            square over time, in lengths of the rod.
-        n_elements: Its number of elements.
-        dt: Its step [s].
-    """
+    """The path of the tip that settings are compared with."""
 
     tips: np.ndarray
+    """Tip at the end of every control period `(periods, 3)` [m]."""
     length: float
+    """Length of the rod [m]."""
     error: float
+    """Difference of this one from a reference of half the resolution, over four, as the
+    next refinement would differ (second order): root mean square over time, in lengths
+    of the rod."""
     n_elements: int
+    """Its number of elements."""
     dt: float
+    """Its step [s]."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One point of the trade.
-
-    Attributes:
-        setting: The setting, with the step that was taken.
-        error: Root mean square over time of the tip's distance from the reference,
-            in lengths of the rod; infinite if the run was not finite.
-        wall_s_per_sim_s: Wall-clock time per simulated second and rod [1], for every
-            batch size that was timed.
-    """
+    """One point of the trade."""
 
     setting: Setting
+    """The setting, with the step that was taken."""
     error: float
+    """Root mean square over time of the tip's distance from the reference, in lengths
+    of the rod; infinite if the run was not finite."""
     wall_s_per_sim_s: dict[int, float]
+    """Wall-clock time per simulated second and rod [1], for every batch size that was
+    timed."""
 
 
 def reference(problem: Problem, n_elements: int = REFERENCE_ELEMENTS) -> Reference:
@@ -120,10 +114,10 @@ def measure(
         problem: The problem.
         setting: The setting.
         exact: The problem's reference.
-        batches: How many rods at once to time it with, each under controls of its
+        batches: Batch sizes to time it with, each rod under controls of its
             own; on one core if JAX has one device.
-        seconds: How long to time each batch [s]; the median of five windows counts, or
-            a single run that takes longer.
+        seconds: Time spent on timing each batch [s]; the median of five windows
+            counts, or a single run that takes longer.
     """
     prepared = prepare(problem, setting)
     error = tip_error(tips_of(problem, prepared), exact.tips, exact.length)

@@ -1,4 +1,4 @@
-"""A problem: a scene that can be built at any resolution, and what happens to it."""
+"""A problem: a scene that can be built at any resolution, and its controls."""
 
 from __future__ import annotations
 
@@ -26,29 +26,27 @@ def _unchanged(scene: Scene) -> Callable[[jax.Array], Scene]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """What is simulated to find out how wrong and how fast a setting is.
+    """Simulation on which the error and the cost of settings are measured.
 
     Time is cut into control periods. In each the scene is what `act` makes of it,
     and at the end of each the tip is recorded; steps are whole fractions of a period.
-
-    Attributes:
-        name: What it is called.
-        build: The scene and its initial state, in float64, given the number of
-            elements and the law.
-        period: Length of a control period [s].
-        controls: What acts during each period `(periods, controls)`; empty columns
-            where nothing changes.
-        act: Given the scene, once: a function from a period's controls to the scene
-            during that period.
-        plane: The plane in which everything happens, if it does.
     """
 
     name: str
+    """Name."""
     build: Build
+    """The scene and its initial state, in float64, given the number of elements and the
+    law."""
     period: float
+    """Length of a control period [s]."""
     controls: np.ndarray
+    """Controls of each period `(periods, controls)`; empty columns where nothing
+    changes."""
     act: Act = _unchanged
+    """Function of the scene, called once, that gives the function from a period's
+    controls to the scene during that period."""
     plane: PlaneName | None = None
+    """Plane of all motion and loads; `None` if they are in space."""
 
     @property
     def duration(self) -> float:
@@ -64,15 +62,15 @@ def problem_of(
     periods: int = 50,
     name: str = "scene",
 ) -> Problem:
-    """The problem of letting a scene go on by itself for a while.
+    """The problem of a scene moving by itself, without controls.
 
     Args:
         scene: The scene; it is resampled to other numbers of elements, so numbers
             that vary along the rod are interpolated.
         state: Its initial state.
-        duration: How long to look at it [s].
-        periods: How often to look at its tip; no step is longer than the time between.
-        name: What to call it.
+        duration: Simulated time [s].
+        periods: Number of records of the tip; no step is longer than the time between.
+        name: Name.
 
     Raises:
         ValueError: If `duration` is not positive, `scene` is not of the consistent law,

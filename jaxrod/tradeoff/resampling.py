@@ -27,10 +27,10 @@ from jaxrod.validation import check_count, is_traced
 def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
     """A scene and its state with another number of equally long elements.
 
-    What varies along the rod is interpolated in rest arc length: properties between
-    the middles of elements (their logarithms, linearly), rest curvatures between
-    joints, positions and velocities between nodes, orientations along the rotation
-    from each element to the next. Effects say themselves what they are on the new rod
+    Interpolation is in rest arc length: of properties between the middles of elements
+    (their logarithms, linearly), of rest curvatures between joints, of
+    positions and velocities between nodes, of orientations along the rotation from each
+    element to the next. Effects say themselves what they are on the new rod
     (`Effect.resampled`).
 
     Exact for uniform straight rods; otherwise right to second order in the element

@@ -117,7 +117,7 @@ SCENES: dict[str, Callable[[], Problem]] = {
     "rope": rope,
     "slam": slam,
 }
-"""The named problems: what makes each of them."""
+"""Factories of the named problems."""
 
 
 def _arm(

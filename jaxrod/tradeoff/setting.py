@@ -27,28 +27,24 @@ Reduction = Literal["planar", "untwisted", "inertia", "compensated"]
 
 @dataclass(frozen=True)
 class Setting:
-    """How a problem is simulated.
-
-    Attributes:
-        n_elements: Number of elements.
-        dt: Step [s]; `None` for the largest stable one that divides the control
-            period, with the safety factor below.
-        dtype: "float32" or "float64".
-        mode: the law, "consistent" or "pyelastica".
-        integrator: "explicit" or "implicit".
-        reductions: "planar" (motion in a plane), "untwisted" (without twist),
-            "inertia" (enlarged transverse inertia), "compensated" (compensated
-            positions).
-        safety: Fraction of the stability limit, where `dt` is `None`.
-    """
+    """Number of elements, step, precision, law, integrator and reductions of a run."""
 
     n_elements: int
+    """Number of elements."""
     dt: float | None = None
+    """Step [s]; `None` for the largest stable one that divides the control period, with
+    the safety factor below."""
     dtype: str = "float32"
+    """Floating-point type, "float32" or "float64"."""
     mode: Law = "consistent"
+    """Elastic law, "consistent" or "pyelastica"."""
     integrator: Integrator = "explicit"
+    """Integrator, "explicit" or "implicit"."""
     reductions: tuple[Reduction, ...] = ()
+    """Any of "planar" (motion in a plane), "untwisted" (without twist), "inertia"
+    (enlarged transverse inertia), "compensated" (compensated positions)."""
     safety: float = 0.9
+    """Fraction of the stability limit, where `dt` is `None`."""
 
     def __str__(self) -> str:
         """In words."""
@@ -60,19 +56,16 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A problem under a setting, ready to run.
-
-    Attributes:
-        setting: The setting, its step worked out.
-        scene: The scene, in the setting's type.
-        state: The initial state.
-        substeps: Steps per control period.
-    """
+    """A problem under a setting, ready to run."""
 
     setting: Setting
+    """The setting, its step worked out."""
     scene: Scene
+    """The scene, in the setting's type."""
     state: RodState
+    """The initial state."""
     substeps: int
+    """Steps per control period."""
 
 
 def prepare(problem: Problem, setting: Setting) -> Prepared:

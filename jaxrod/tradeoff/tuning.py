@@ -35,40 +35,37 @@ from jaxrod.validation import check_array, check_count, is_traced
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
 """Numbers of elements that are tried, in this order."""
 STEPS_FOR_IMPLICIT = 100
-"""Explicit steps that an implicit one has to replace to be worth trying."""
+"""Explicit steps that an implicit one has to replace to be tried."""
 TRUSTED = 0.2
 """The reference's own error may be this share of the tolerance."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What `tune` found.
-
-    Attributes:
-        met: Whether the setting keeps the tolerance. If nothing does, the setting is
-            the most accurate one that was tried.
-        setting: The cheapest setting that does.
-        error: Its measured error: root mean square over time of the tip's distance
-            from the reference, in lengths of the rod.
-        wall_s_per_sim_s: Its measured cost: wall-clock time per simulated second and
-            rod, at the batch size asked for.
-        tolerance: What was asked for.
-        batch: The batch size it was timed with.
-        reference_error: How far the reference itself is from convergence.
-        tried: Everything that was measured, in the order in which it was; what was
-            not accurate enough was not timed.
-        prepared: The scene and the state under the setting, ready to step.
-    """
+    """Result of `tune`."""
 
     met: bool
+    """Whether the setting is within the tolerance. If none is, it is the most accurate
+    one that was tried."""
     setting: Setting
+    """The cheapest setting within the tolerance."""
     error: float
+    """Its measured error: root mean square over time of the tip's distance from the
+    reference, in lengths of the rod."""
     wall_s_per_sim_s: float
+    """Its measured cost: wall-clock time per simulated second and rod, at the batch
+    size asked for."""
     tolerance: float
+    """Tolerance asked for, in lengths of the rod."""
     batch: int
+    """The batch size it was timed with."""
     reference_error: float
+    """Error of the reference itself, in lengths of the rod."""
     tried: tuple[Measurement, ...]
+    """All measurements in their order; settings that were not accurate enough were not
+    timed."""
     prepared: Prepared
+    """The scene and the state under the setting, ready to step."""
 
     def __str__(self) -> str:
         """In words."""
@@ -98,19 +95,19 @@ def tune(
     the tolerance. Then the ways of simulating with that many, or somewhat more:
     explicit steps, with enlarged inertia if the rod is slender, in the plane if the
     scene has one, and implicit steps where explicit ones are many; in float32, with
-    compensated positions where that needs it, in float64 where that needs it. All
-    that keep the tolerance are timed, and the cheapest is it. Errors are against a
-    converged reference of 160 elements. Takes a minute or two; not inside jit.
+    compensated positions where that needs it, in float64 where that needs it. Every
+    setting within the tolerance is timed; the fastest is returned. Errors are against
+    a converged reference of 160 elements. Takes a minute or two; not inside jit.
 
     Args:
-        scene: The scene, in consistent mode; or a `Problem` for what changes in time.
-        state: Where it starts.
+        scene: The scene, of the consistent law; or a `Problem`, with controls in time.
+        state: Its initial state.
         tolerance: Largest error allowed, in lengths of the rod: root mean square over
-            time of the tip's distance from where it should be.
-        duration: How long to simulate [s].
-        batch: How many rods at once it shall be fast for.
+            time of the tip's distance from the reference.
+        duration: Simulated time [s].
+        batch: Batch size to optimise the speed for.
         elements: Numbers of elements to choose from, increasing.
-        seconds: How long to time each setting [s].
+        seconds: Time spent on timing each setting [s].
         say: Called with a line of text after every measurement.
 
     Returns:

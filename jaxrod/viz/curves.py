@@ -1,4 +1,4 @@
-"""Learning curves: what a training run reached, after how long, against the paper."""
+"""Learning curves: the return of training runs over time, beside the paper's."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def learning_curve(
         paper: (algorithm, case) of the result to compare with, for example
             ("PPO", "Case1"), or the result itself.
         title: heading of the picture.
-        label: what the legend calls the runs.
+        label: name of the runs in the legend.
 
     Raises:
         ValueError: a file lacks the columns or has no finished episode, or the paper

@@ -33,7 +33,7 @@ def frame(
     """Draws one frame of a replay as an RGB picture.
 
     Args:
-        replay: what to draw.
+        replay: the replay to draw.
         index: which frame, 0 to T-1; negative counts from the end.
         width: width of the picture [pixels].
         height: height of the picture [pixels].
@@ -63,7 +63,7 @@ def animation(
     For looking at a motion prefer `html`: it is smaller, smoother and turns.
 
     Args:
-        replay: what to draw; frames beyond `frames_per_second` are thinned out.
+        replay: the replay to draw; frames beyond `frames_per_second` are thinned out.
         frames_per_second: pictures per second of simulated time [Hz].
         width: width of the picture [pixels].
         height: height of the picture [pixels].

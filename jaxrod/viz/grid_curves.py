@@ -38,7 +38,7 @@ def grid_curves(
     Args:
         curves: for every algorithm, such as "PPO", the curve of every seed: a CSV file
             with the columns env_steps, wall_s [s] and episode_return_mean.
-        papers: what the paper reached with it; None or missing where nothing compares.
+        papers: the paper's result with it; None or missing where nothing compares.
         out: the PNG file to write; its folder must exist.
         title: heading of the picture.
 

@@ -1,4 +1,4 @@
-"""What to say where matplotlib is not installed."""
+"""The message where matplotlib is not installed."""
 
 from __future__ import annotations
 

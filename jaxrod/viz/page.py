@@ -45,7 +45,7 @@ def html(
     """Returns a self-contained page that plays the replay in 3-D.
 
     Args:
-        replay: what to show.
+        replay: the replay to show.
         frames_per_second: frames recorded more often than this [Hz] are thinned out;
             the page interpolates between frames.
         autoplay: start playing on opening, unless the reader asked their system for
@@ -78,7 +78,7 @@ def save_html(
     """Writes the page of `html` to a file, which appears whole or not at all.
 
     Args:
-        replay: what to show.
+        replay: the replay to show.
         path: file to write; its folder must exist.
         frames_per_second: as in `html` [Hz].
         autoplay: as in `html`.

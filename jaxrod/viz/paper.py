@@ -10,39 +10,37 @@ from importlib import resources
 
 @dataclasses.dataclass(frozen=True)
 class PaperResult:
-    """How one algorithm did on one case in the paper.
+    """Result of one algorithm on one case in the paper.
 
     The paper is "Elastica: A compliant mechanics environment for soft robotic
     control" (Naughton et al. 2021); the numbers were recomputed from its published
     training logs, see jaxrod/data/README.md.
-
-    Attributes:
-        case: the paper's name of the case, "Case1" to "Case4".
-        algorithm: the paper's name of the algorithm, for example "PPO".
-        configuration: the setting that the paper varied, for example "batch=32000".
-        in_figure: whether the paper's figures show this configuration.
-        seeds: number of independent runs.
-        timesteps: control steps per run.
-        final_mean: final episode return, mean over seeds.
-        final_std: final episode return, standard deviation over seeds.
-        best: highest rolling mean of the episode return.
-        unstable_fraction: share of episodes in which the simulation blew up.
-        wall_hours: mean duration of a run [h].
-        steps_per_s: control steps per second of a run [1/s].
     """
 
     case: str
+    """The paper's name of the case, "Case1" to "Case4"."""
     algorithm: str
+    """The paper's name of the algorithm, for example "PPO"."""
     configuration: str
+    """The setting that the paper varied, for example "batch=32000"."""
     in_figure: bool
+    """Whether the paper's figures show this configuration."""
     seeds: int
+    """Number of independent runs."""
     timesteps: int
+    """Control steps per run."""
     final_mean: float
+    """Final episode return, mean over seeds."""
     final_std: float
+    """Final episode return, standard deviation over seeds."""
     best: float
+    """Highest rolling mean of the episode return."""
     unstable_fraction: float
+    """Share of episodes in which the simulation blew up."""
     wall_hours: float
+    """Mean duration of a run [h]."""
     steps_per_s: float
+    """Control steps per second of a run [1/s]."""
 
 
 def paper_result(

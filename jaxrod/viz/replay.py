@@ -23,30 +23,28 @@ class Replay:
     Make one with `Replay.from_rollout` (the component-first arrays the simulator
     returns) or `Replay.from_nodes` (one xyz triple per node): they check and convert.
     In a notebook a replay shows itself as a 3-D player.
-
-    Attributes:
-        times: time of each frame [s], increasing, shape (T,).
-        positions: node positions [m], shape (T, R, n+1, 3).
-        radii: element radii [m], shape (R, n).
-        spheres: spheres shown with the rods, their positions of shape (T, 3).
-        cylinders: cylinders shown with the rods.
-        readouts: name -> one number per frame, shape (T,), for example the reward.
-        rod_names: what the legend calls each rod; empty, or R names.
-        title: heading of the player.
-        up: the world axis drawn upwards.
     """
 
     times: Float[np.ndarray, "num_frames"]
+    """Time of each frame [s], increasing, shape (T,)."""
     positions: Float[np.ndarray, "num_frames num_rods num_nodes 3"]
+    """Node positions [m], shape (T, R, n+1, 3)."""
     radii: Float[np.ndarray, "num_rods num_elements"]
+    """Element radii [m], shape (R, n)."""
     spheres: tuple[Sphere, ...] = ()
+    """Spheres shown with the rods, their positions of shape (T, 3)."""
     cylinders: tuple[Cylinder, ...] = ()
+    """Cylinders shown with the rods."""
     readouts: Mapping[str, Float[np.ndarray, "num_frames"]] = dataclasses.field(
         default_factory=dict
     )
+    """Name -> one number per frame, shape (T,), for example the reward."""
     rod_names: tuple[str, ...] = ()
+    """Names of the rods in the legend; empty, or R names."""
     title: str = ""
+    """Heading of the player."""
     up: Axis = "z"
+    """The world axis drawn upwards."""
 
     @classmethod
     def from_rollout(
@@ -96,7 +94,7 @@ class Replay:
             spheres: spheres to show; positions (3,) or (T, 3).
             cylinders: cylinders to show.
             readouts: name -> one number per frame, shape (T,).
-            rod_names: what the legend calls each rod; empty, or R names.
+            rod_names: names of the rods in the legend; empty, or R names.
             title: heading of the player.
             up: the world axis drawn upwards: "x", "y" or "z".
 
@@ -194,7 +192,7 @@ class Replay:
         return low, high
 
     def __repr__(self) -> str:
-        """One line: what was recorded, not the numbers."""
+        """One line on what was recorded, without the numbers."""
         duration = float(self.times[-1] - self.times[0])
         return (
             f"Replay({self.title!r}: {self.num_rods} rods, {self.num_frames} frames, "

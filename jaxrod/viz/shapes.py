@@ -12,34 +12,28 @@ from jaxrod.viz.arrays import numbers, require_finite
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere:
-    """A sphere shown with the rods, such as a target.
-
-    Attributes:
-        positions: centre [m], shape (3,) if it stays put, (T, 3) if it moves.
-        radius: radius [m].
-        name: what the legend calls it.
-    """
+    """A sphere shown with the rods, such as a target."""
 
     positions: Any
+    """Centre [m], shape (3,) if it is at rest, (T, 3) if it moves."""
     radius: float
+    """Radius [m]."""
     name: str = "target"
+    """Name in the legend."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder that stays put, such as an obstacle.
-
-    Attributes:
-        start: centre of one end [m], shape (3,).
-        end: centre of the other end [m], shape (3,).
-        radius: radius [m].
-        name: what the legend calls it.
-    """
+    """A cylinder at rest, such as an obstacle."""
 
     start: Any
+    """Centre of one end [m], shape (3,)."""
     end: Any
+    """Centre of the other end [m], shape (3,)."""
     radius: float
+    """Radius [m]."""
     name: str = "obstacle"
+    """Name in the legend."""
 
 
 def checked_sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:

@@ -1,4 +1,4 @@
-"""Work-precision diagrams: what accuracy costs, and where the best settings lie."""
+"""Work-precision diagrams: error against cost, and the best settings."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def work_precision(
     that did not stay finite are left out. The file appears whole or not at all.
 
     Args:
-        rows: What was measured, from `jaxrod.tradeoff`.
+        rows: Measurements, from `jaxrod.tradeoff`.
         out: The PNG file to write; its folder must exist.
         title: Heading of the picture.
         floor: Error of the reference, below which errors mean nothing; shaded.

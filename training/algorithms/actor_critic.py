@@ -1,4 +1,4 @@
-"""A policy, its critics, and how a gradient step changes them."""
+"""A policy, its critics, and their gradient steps."""
 
 from __future__ import annotations
 
@@ -18,20 +18,17 @@ from jaxrod.training.networks import MultilayerPerceptron
 from jaxrod.training.settings import Scalar
 
 ACTIVATION = "relu"
-"""Of all hidden layers, as in the reference implementation."""
+"""Activation of all hidden layers, as in the reference implementation."""
 
 
 @pytree
 class Learner:
-    """What gradient steps change.
-
-    Attributes:
-        weights: of the networks and whatever else is learned, by name.
-        optimiser: states of the optimisers, by name.
-    """
+    """Weights and optimiser states that gradient steps change."""
 
     weights: dict[str, Any]
+    """Weights of the networks and other learned numbers, by name."""
     optimiser: dict[str, Any]
+    """States of the optimisers, by name."""
 
 
 def policy_network(
@@ -53,7 +50,7 @@ def critic_values(
     observation: Float[Array, "batch observation"],
     action: Float[Array, "batch action"],
 ) -> Float[Array, "critics batch"]:
-    """What every critic thinks of the actions."""
+    """Values of the actions by every critic."""
     inputs = jnp.concatenate([observation, action], axis=-1)
     network = _critic_network(hidden_sizes, inputs.dtype)
     return jnp.stack([network.apply({"params": w}, inputs)[:, 0] for w in weights])
@@ -81,8 +78,8 @@ def critic_loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
 
-    The target is r + gamma V', and V' is worth nothing only where the task ended: an
-    episode cut short is continued by the value of its final observation.
+    The target is r + gamma V', and V' is 0 only where the task ended: an episode cut
+    short is continued by the value of its final observation.
 
     Args:
         weights: of the critics.

@@ -1,4 +1,4 @@
-"""Generalised advantage estimation that tells truncation from termination."""
+"""Generalised advantage estimation that distinguishes truncation from termination."""
 
 from __future__ import annotations
 

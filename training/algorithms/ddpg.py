@@ -14,7 +14,7 @@ from jaxrod.training.settings import Scalar
 
 @pytree
 class DDPGConfig(TD3Config):
-    """Settings of DDPG: those of TD3 with one critic, no delay and no blur.
+    """Settings of DDPG: those of TD3 with one critic, no delay and no target smoothing.
 
     What the settings mean is said in `jaxrod.training.TD3Config`.
     """

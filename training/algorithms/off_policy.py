@@ -1,4 +1,4 @@
-"""What SAC, TD3 and DDPG share: everything but the gradient steps.
+"""Common parts of SAC, TD3 and DDPG: everything but the gradient steps.
 
 An update makes `rollout_steps` decisions in every environment, remembers them, and
 then makes `gradient_steps` gradient steps, each on a batch drawn from all that is
@@ -42,66 +42,61 @@ from jaxrod.training.short_episodes import restart_phase
 
 @pytree
 class OffPolicyConfig(LearnerConfig):
-    """What SAC, TD3 and DDPG can all be told, beside `LearnerConfig`.
+    """Settings common to SAC, TD3 and DDPG, beside those of `LearnerConfig`.
 
     There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
     by default one for every 16.
-
-    Attributes:
-        gradient_steps: gradient steps of one update, those of the critics.
-        batch_size: transitions of one gradient step, a multiple of `num_envs`.
-        buffer_size: transitions remembered, at most.
-        learning_starts: control steps acted at random before anything is learned.
-        noise_correlation: of the noise of actions from one decision to the next: at 0
-            white, near 1 slow, and then it explores further. Below 1.
-        policy_learning_rate: step size of Adam for the policy.
-        critic_learning_rate: step size of Adam for the critics.
-        target_rate: the targets go this part of the way to what they follow each
-            time they move.
     """
 
     rollout_steps: int = static(default=8)
     gradient_steps: int = static(default=64)
+    """Gradient steps of one update, those of the critics."""
     batch_size: int = static(default=256)
+    """Transitions of one gradient step, a multiple of `num_envs`."""
     buffer_size: int = static(default=1_000_000)
+    """Transitions remembered, at most."""
     learning_starts: Scalar = 10_000.0
+    """Control steps acted at random before anything is learned."""
     noise_correlation: Scalar = 0.0
+    """Correlation of the noise of actions from one decision to the next: white at 0,
+    slow near 1, where it explores further. Below 1."""
     policy_learning_rate: Scalar = 1e-3
+    """Step size of Adam for the policy."""
     critic_learning_rate: Scalar = 1e-3
+    """Step size of Adam for the critics."""
     target_rate: Scalar = 0.005
+    """Polyak rate: share of the way by which targets move to the weights they
+    follow."""
 
 
 @pytree
 class OffPolicyState:
-    """Everything an off-policy run is: save it, and it continues bit by bit.
-
-    Attributes:
-        env: the environment.
-        config: numbers and sizes of the learner.
-        env_params: parameters of the environment.
-        learner: weights and optimisers.
-        moments: of all observations acted on.
-        environments: the batch.
-        replay: what is remembered.
-        action_keys: one key for every environment, for the noise of its actions.
-        action_noise: that of the last decision, standard normal.
-        replay_keys: one key for every environment, for what is recalled of it.
-        updates: updates done.
-        total_updates: updates of the whole run.
-    """
+    """Everything an off-policy run is: save it, and it continues bit by bit."""
 
     env: Environment = static()
+    """The environment."""
     config: Any
+    """Numbers and sizes of the learner."""
     env_params: Any
+    """Parameters of the environment."""
     learner: Learner
+    """Weights and optimisers."""
     moments: RunningMoments
+    """Moments of all observations acted on."""
     environments: VectorState
+    """State of the batch of environments."""
     replay: Replay
+    """Replay buffer."""
     action_keys: Key[Array, " num_envs"]
+    """One key for every environment, for the noise of its actions."""
     action_noise: Float[Array, "num_envs action"]
+    """Noise of the last decision, standard normal."""
     replay_keys: Key[Array, " num_envs"]
+    """One key for every environment, for the samples drawn from its ring."""
     updates: Int[Array, ""]
+    """Updates done."""
     total_updates: Int[Array, ""]
+    """Updates of the whole run."""
 
 
 def start(

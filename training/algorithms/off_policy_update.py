@@ -30,15 +30,12 @@ from jaxrod.training.short_episodes import restart_phase
 
 @pytree
 class Batch:
-    """What one gradient step learns from.
-
-    Attributes:
-        transition: observations normalised, rewards scaled.
-        noise: standard normal, as many arrays as were asked for.
-    """
+    """Transitions and noise of one gradient step."""
 
     transition: Transition
+    """Observations normalised, rewards scaled."""
     noise: tuple[Float[Array, "batch action"], ...]
+    """Standard normal noise, as many arrays as the gradient step takes."""
 
 
 def act_and_remember(
@@ -124,7 +121,7 @@ def learn(
     Args:
         state: the train state, its memory up to date.
         gradient_step: `(learner, batches) -> (learner, report)`.
-        acted: what acting brought.
+        acted: results of acting.
         batches_per_step: batches of one call; divides `gradient_steps`.
         noises: arrays of noise, of the shape of the actions, that a batch brings.
         axis_name: mapped axis over which the environments are spread, if any.

@@ -1,4 +1,4 @@
-"""What PPO and its relatives share: everything but the policy step.
+"""Common parts of PPO and TRPO: everything but the policy step.
 
 A train state, its start, and the experience of one update: a rollout with the
 newest policy, its advantages, and the observations normalised by the moments
@@ -44,69 +44,60 @@ from jaxrod.training.short_episodes import restart_phase
 
 @pytree
 class OnPolicyConfig(LearnerConfig):
-    """What PPO and TRPO can both be told, beside `LearnerConfig`.
-
-    Attributes:
-        trace_decay: lambda of the advantage estimate.
-        entropy_weight: weight of the entropy bonus.
-        initial_log_std: log of the standard deviation of the first actions.
-    """
+    """Settings common to PPO and TRPO, beside those of `LearnerConfig`."""
 
     trace_decay: Scalar = 0.95
+    """Lambda of the advantage estimate."""
     entropy_weight: Scalar = 0.0
+    """Weight of the entropy bonus."""
     initial_log_std: Scalar = 0.0
+    """Log of the standard deviation of the first actions."""
 
 
 @pytree
 class OnPolicyState:
-    """Everything an on-policy run is: save it, and it continues bit by bit.
-
-    Attributes:
-        env: the environment.
-        config: numbers and sizes of the learner.
-        env_params: parameters of the environment.
-        weights: weights of the networks, under "policy" and "value".
-        optimiser: state of the optimiser.
-        moments: of the observations before the running update.
-        environments: the batch.
-        action_keys: one key for every environment, for the noise of its actions.
-        shuffle_key: for the order of the minibatches.
-        updates: updates done.
-        total_updates: updates after which schedules have run out.
-    """
+    """Everything an on-policy run is: save it, and it continues bit by bit."""
 
     env: Environment = static()
+    """The environment."""
     config: Any
+    """Numbers and sizes of the learner."""
     env_params: Any
+    """Parameters of the environment."""
     weights: dict[str, Any]
+    """Weights of the networks, under "policy" and "value"."""
     optimiser: Any
+    """State of the optimiser."""
     moments: RunningMoments
+    """Moments of the observations before the running update."""
     environments: VectorState
+    """State of the batch of environments."""
     action_keys: Key[Array, " num_envs"]
+    """One key for every environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
+    """Key for the order of the minibatches."""
     updates: Int[Array, ""]
+    """Updates done."""
     total_updates: Int[Array, ""]
+    """Updates after which schedules have run out."""
 
 
 @pytree
 class Experience:
-    """What an update learns from; shapes (rollout_steps, num_envs, ...).
-
-    Attributes:
-        observation: normalised.
-        action: as drawn, before clipping.
-        log_prob: logarithm of the density it was drawn with.
-        advantage: of the action, not normalised.
-        value_target: scaled return that the value network should predict.
-        value: what it did predict.
-    """
+    """Experience of one update; shapes (rollout_steps, num_envs, ...)."""
 
     observation: Float[Array, "steps num_envs observation"]
+    """Normalised observation."""
     action: Float[Array, "steps num_envs action"]
+    """Action as drawn, before clipping."""
     log_prob: Float[Array, "steps num_envs"]
+    """Logarithm of the density it was drawn with."""
     advantage: Float[Array, "steps num_envs"]
+    """Advantage of the action, not normalised."""
     value_target: Float[Array, "steps num_envs"]
+    """Scaled return that the value network should predict."""
     value: Float[Array, "steps num_envs"]
+    """Scaled return that the value network predicted."""
 
 
 def policy_network(
@@ -183,7 +174,7 @@ def start(
 def gather_experience(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Experience, EpisodeRecord]:
-    """Acts with the newest policy and judges what came of it.
+    """Acts with the newest policy and estimates the advantages.
 
     Returns:
         The state with environments and moments moved on (the experience is

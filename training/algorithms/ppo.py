@@ -44,26 +44,23 @@ from jaxrod.training.settings import (
 
 @pytree
 class PPOConfig(OnPolicyConfig):
-    """Settings of PPO: these, those of `OnPolicyConfig` and those of `LearnerConfig`.
-
-    Attributes:
-        epochs: passes over the experience of one update.
-        minibatches: gradient steps of one pass; divides `rollout_steps`.
-        learning_rate: step size of Adam at the start.
-        final_learning_rate: step size at the end, reached linearly.
-        clip: the probability ratio is of no more use outside 1 +- this.
-        value_weight: weight of the value loss.
-        gradient_norm: the gradient is scaled down to this norm.
-    """
+    """Settings of PPO, beside those of `OnPolicyConfig` and `LearnerConfig`."""
 
     epochs: int = static(default=8)
+    """Passes over the experience of one update."""
     minibatches: int = static(default=8)
+    """Gradient steps of one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 1e-3
+    """Step size of Adam at the start."""
     final_learning_rate: Scalar = 5e-5
+    """Step size at the end, reached linearly."""
     clip: Scalar = 0.2
+    """Clipping range epsilon of the probability ratio."""
     discount: Scalar = 0.98
     value_weight: Scalar = 0.5
+    """Weight of the value loss."""
     gradient_norm: Scalar = 0.5
+    """Largest norm of the gradient, which is scaled down to it."""
 
 
 def validate(config: PPOConfig, num_devices: int = 1) -> None:
@@ -179,7 +176,7 @@ def _loss(
     env: Environment,
     config: PPOConfig,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
-    """The clipped objective, turned to be minimised, and what to report of it."""
+    """Minus the clipped objective, and its terms to report."""
     batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
     dtype = batch.observation.dtype
     mean, log_std = policy_network(env, config, dtype).apply(

@@ -1,4 +1,4 @@
-"""Numbers of definite type: what a train state is made of."""
+"""Numbers of definite type, of which a train state is made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A ring of transitions in device memory: what off-policy learners learn from.
+"""A replay buffer of off-policy learners: a ring of transitions in device memory.
 
 Every environment has a ring of its own, all of the same length and written in step.
 Every environment gives the same number of samples to a batch, at times drawn from its
@@ -17,50 +17,44 @@ from jaxrod.structure import pytree
 
 @pytree
 class Transition:
-    """What was seen, done and earned; leading axes as the context says.
-
-    Attributes:
-        observation: what was acted on.
-        action: in [-1, 1].
-        reward: as the environment pays it.
-        following: the observation after the step, before any restart.
-        terminated: the task ended in this step: `following` is worth nothing.
-    """
+    """Observations, actions, rewards and ends; leading axes as the context says."""
 
     observation: Float[Array, "*batch observation"]
+    """Observation that the action answers."""
     action: Float[Array, "*batch action"]
+    """Action, in [-1, 1]."""
     reward: Float[Array, "*batch"]
+    """Reward, not scaled."""
     following: Float[Array, "*batch observation"]
+    """Observation after the step, before any restart."""
     terminated: Bool[Array, "*batch"]
+    """The task ended in this step: the value of `following` is 0."""
 
 
 @pytree
 class Replay:
-    """The last transitions of every environment.
-
-    Attributes:
-        transitions: one array per field, of shape (slots, num_envs, ...).
-        written: time steps written since the beginning.
-    """
+    """The last transitions of every environment."""
 
     transitions: Transition
+    """One array per field, of shape (slots, num_envs, ...)."""
     written: Int[Array, ""]
+    """Time steps written since the beginning."""
 
     @property
     def slots(self) -> int:
-        """Time steps there is room for."""
+        """Capacity in time steps."""
         return self.transitions.reward.shape[0]
 
     @property
     def filled(self) -> Int[Array, ""]:
-        """Time steps there are."""
+        """Time steps stored."""
         return jnp.minimum(self.written, self.slots)
 
 
 def empty_replay(
     slots: int, num_envs: int, observation_size: int, action_size: int, dtype: DTypeLike
 ) -> Replay:
-    """Room for `slots` time steps of `num_envs` environments."""
+    """An empty ring for `slots` time steps of `num_envs` environments."""
     shape = (slots, num_envs)
     return Replay(
         Transition(

@@ -15,26 +15,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class Rollout:
-    """What happened in `steps` steps of `num_envs` environments.
-
-    Attributes:
-        observation: what was acted on.
-        action: what the policy drew, before clipping to [-1, 1].
-        reward: as the environment pays it.
-        terminated: the task ended in this step.
-        done: the episode ended in this step, for whatever reason.
-        final_value: value of the final observation where an episode was cut
-            short, else 0.
-        episodes: the complete episodes that ended in each step.
-    """
+    """Experience of `steps` steps of `num_envs` environments."""
 
     observation: Float[Array, "steps num_envs observation"]
+    """Observation that the action answers."""
     action: Float[Array, "steps num_envs action"]
+    """Action as the policy drew it, before clipping to [-1, 1]."""
     reward: Float[Array, "steps num_envs"]
+    """Reward, not scaled."""
     terminated: Bool[Array, "steps num_envs"]
+    """The task ended in this step."""
     done: Bool[Array, "steps num_envs"]
+    """The episode ended in this step, for whatever reason."""
     final_value: Float[Array, "steps num_envs"]
+    """Value of the final observation where an episode was cut short, else 0."""
     episodes: EpisodeRecord
+    """The complete episodes that ended in each step."""
 
 
 def collect(

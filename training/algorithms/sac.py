@@ -43,18 +43,15 @@ from jaxrod.training.settings import Scalar, check_finite, check_positive
 
 @pytree
 class SACConfig(OffPolicyConfig):
-    """Settings of SAC: these, those of `OffPolicyConfig` and those of `LearnerConfig`.
-
-    Attributes:
-        temperature_learning_rate: step size of Adam for the temperature.
-        initial_temperature: weight of the entropy at the start.
-        entropy_per_action: the temperature is moved until the policy's entropy is
-            this number times the number of actions. Below log 2.
-    """
+    """Settings of SAC, beside those of `OffPolicyConfig` and `LearnerConfig`."""
 
     temperature_learning_rate: Scalar = 3e-3
+    """Step size of Adam for the temperature."""
     initial_temperature: Scalar = 0.02
+    """Weight of the entropy at the start."""
     entropy_per_action: Scalar = -1.0
+    """Target entropy of the policy per action, towards which the temperature moves.
+    Below log 2."""
 
 
 def validate(config: SACConfig, num_devices: int = 1) -> None:
@@ -87,7 +84,7 @@ def init(
         env: the environment.
         config: settings; `vmap` over their numbers works too.
         env_params: parameters of the environment, None for its own.
-        total_steps: of no consequence: nothing follows a schedule.
+        total_steps: without effect: nothing follows a schedule.
     """
 
     def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:

@@ -26,6 +26,6 @@ class Underway(Protocol):
 def along_the_run(
     state: Underway, first: Scalar, last: Scalar, dtype: DTypeLike
 ) -> Float[Array, ""]:
-    """What a number has come to on its straight way from `first` to `last`."""
+    """Linear interpolation from `first` to `last` over the run."""
     remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
     return last + (first - last) * jnp.clip(remaining, 0, 1).astype(dtype)

@@ -1,4 +1,4 @@
-"""A normal distribution bent into (-1, 1) by tanh: how SAC acts."""
+"""The tanh-Gaussian distribution of SAC's actions, in (-1, 1)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 LOG_STD_LIMITS = (-20.0, 2.0)
 """Bounds of the logarithm of the standard deviation, those of the reference."""
 LARGEST_ENTROPY = math.log(2)
-"""Of an action: what lies in [-1, 1] has no more."""
+"""Largest entropy of an action in [-1, 1], that of the uniform density."""
 
 
 def split_output(

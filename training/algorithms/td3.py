@@ -1,8 +1,9 @@
 """Twin delayed deep deterministic policy gradients.
 
 A deterministic policy climbs the first of its critics. Three things keep it from
-climbing their errors: the smaller of two critics is believed, the actions that judge
-what follows are blurred, and the policy waits until the critics have moved.
+climbing their errors: targets take the smaller of two critics, their actions carry
+clipped noise (target policy smoothing), and the policy is updated less often than the
+critics.
 
 Source: Fujimoto et al., "Addressing function approximation error in actor-critic
 methods", 2018.
@@ -49,24 +50,20 @@ from jaxrod.training.settings import (
 
 @pytree
 class TD3Config(OffPolicyConfig):
-    """Settings of TD3: these, those of `OffPolicyConfig` and those of `LearnerConfig`.
-
-    Attributes:
-        policy_delay: critic steps for one of the policy and the targets; divides
-            `gradient_steps`.
-        critics: number of critics; the smallest value is believed.
-        exploration_noise: standard deviation of what is added to actions.
-        exploration_decay: share of it that is gone at the end of the run, linearly.
-        target_noise: standard deviation of the blur of the actions that follow.
-        target_noise_limit: that blur is clipped to +- this.
-    """
+    """Settings of TD3, beside those of `OffPolicyConfig` and `LearnerConfig`."""
 
     policy_delay: int = static(default=2)
+    """Critic steps for one of the policy and the targets; divides `gradient_steps`."""
     critics: int = static(default=2)
+    """Number of critics, the smallest of whose values is used."""
     exploration_noise: Scalar = 0.1
+    """Standard deviation of the noise added to actions."""
     exploration_decay: Scalar = 0.0
+    """Share by which that noise decays over the run, linearly."""
     target_noise: Scalar = 0.2
+    """Standard deviation of the target policy smoothing noise."""
     target_noise_limit: Scalar = 0.5
+    """Bound to which that noise is clipped."""
 
 
 def validate(config: TD3Config, num_devices: int = 1) -> None:
@@ -128,7 +125,7 @@ def blurred(
     spread: Scalar,
     limit: Scalar,
 ) -> Float[Array, "*batch action"]:
-    """Actions in [-1, 1] with clipped noise on them: similar ones are worth the same.
+    """Actions in [-1, 1] with clipped noise: target policy smoothing.
 
     Args:
         action: in [-1, 1].

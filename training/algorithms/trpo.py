@@ -51,34 +51,31 @@ from jaxrod.training.settings import (
 
 @pytree
 class TRPOConfig(OnPolicyConfig):
-    """Settings of TRPO: these, those of `OnPolicyConfig` and those of `LearnerConfig`.
-
-    Attributes:
-        conjugate_iterations: products with the Fisher matrix in one update.
-        fisher_stride: the Fisher matrix is that of every so many-th time step.
-        line_search_tries: lengths of the step tried before it is given up.
-        value_epochs: passes of the value network over the experience of one update.
-        value_minibatches: gradient steps of one pass; divides `rollout_steps`.
-        max_kl: the policy changes at most this much in the first update, as mean KL
-            divergence of the old from the new one.
-        final_max_kl: and this much in the last one; in between the bound goes linearly.
-        damping: added to the Fisher matrix times the identity.
-        line_search_shrink: factor between one length of the step and the next.
-        value_learning_rate: step size of Adam for the value network.
-    """
+    """Settings of TRPO, beside those of `OnPolicyConfig` and `LearnerConfig`."""
 
     rollout_steps: int = static(default=64)
     conjugate_iterations: int = static(default=10)
+    """Products with the Fisher matrix in one update."""
     fisher_stride: int = static(default=5)
+    """Stride of the time steps that the Fisher matrix is computed from."""
     line_search_tries: int = static(default=10)
+    """Largest number of step lengths tried by the line search."""
     value_epochs: int = static(default=8)
+    """Passes of the value network over the experience of one update."""
     value_minibatches: int = static(default=8)
+    """Gradient steps of one pass; divides `rollout_steps`."""
     max_kl: Scalar = 0.01
+    """Bound on the policy's change in the first update: mean KL divergence of the old
+    from the new one."""
     final_max_kl: Scalar = 0.01
+    """That bound in the last update; linear in between."""
     damping: Scalar = 0.01
+    """Multiple of the identity added to the Fisher matrix."""
     line_search_shrink: Scalar = 0.5
+    """Factor between one length of the step and the next."""
     trace_decay: Scalar = 0.98
     value_learning_rate: Scalar = 1e-3
+    """Step size of Adam for the value network."""
 
 
 def validate(config: TRPOConfig, num_devices: int = 1) -> None:
@@ -154,7 +151,7 @@ def update(
 def _improve_policy(
     state: OnPolicyState, experience: Experience, axis_name: str | None
 ) -> tuple[Any, dict[str, Array]]:
-    """The policy's new weights, and what to report of them."""
+    """The policy's new weights, and numbers to report."""
     config: TRPOConfig = state.config
     advantage = standardised(experience.advantage, (0, 1), axis_name)
     experience = dataclasses.replace(experience, advantage=advantage)
@@ -170,7 +167,7 @@ def _improve_policy(
     old_mean, old_log_std = outputs(start, batch.observation)
 
     def objective(parameters: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """What is to grow, and the mean KL divergence of the old from the new."""
+        """The surrogate objective, and the mean KL divergence, old from new."""
         mean, log_std = outputs(parameters, batch.observation)
         noise = (batch.action - mean) * jnp.exp(-log_std)[None]
         ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)

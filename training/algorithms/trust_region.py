@@ -95,17 +95,14 @@ def longest_step(
 
 @pytree
 class LineSearch:
-    """Where a backtracking line search ended.
-
-    Attributes:
-        point: the accepted point; the start if none was.
-        accepted: whether one was.
-        backtracks: how often the step was shortened.
-    """
+    """Result of a backtracking line search."""
 
     point: Vector
+    """The accepted point; the start if none was."""
     accepted: Bool[Array, ""]
+    """Whether a point was accepted."""
     backtracks: Int[Array, ""]
+    """Number of times the step was shortened."""
 
 
 def backtrack(

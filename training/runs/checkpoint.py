@@ -41,7 +41,7 @@ class Checkpoints:
 
         Args:
             folder: made with the first checkpoint if missing.
-            keep: how many checkpoints to keep.
+            keep: number of checkpoints to keep.
         """
         self.folder, self._keep = folder, keep
         self._latest: int | None = None
@@ -65,7 +65,7 @@ class Checkpoints:
             step: number of the checkpoint, growing along the run. Nothing is
                 written if it is the one that was saved or restored last.
             state: the train state.
-            facts: what else to remember; anything JSON can hold.
+            facts: further facts to store; anything JSON can hold.
 
         Raises:
             OSError: it cannot be written; with the name of the file.
@@ -167,7 +167,7 @@ def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) 
 
 
 def _hint(apart: list[str]) -> str:
-    """What mostly makes every number another one."""
+    """The usual cause of numbers that all differ."""
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (is JAX_ENABLE_X64 as it was?)" if double else ""
 

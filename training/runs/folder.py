@@ -1,4 +1,4 @@
-"""The folder of a run: what lies where, written so that it is never half there.
+"""The folder of a run: its files, each written whole or not at all.
 
 config.json     what was asked for: enough to run it again; marks the folder
 progress.csv    one row per chunk: env_steps, wall_s, episode_return_mean, ...
@@ -42,7 +42,7 @@ from jaxrod.training.runs.table import Table
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 REPLAY = "replay.html"
-"""What the command line draws of a run."""
+"""Files that the command line draws of a run."""
 
 _CONFIG_KINDS = {
     "case": TEXT,

@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Interruption:
-    """Turns SIGINT and SIGTERM into a wish, for as long as the context lasts.
+    """Turns SIGINT and SIGTERM into a request to stop, while the context lasts.
 
     The first signal sets `asked`; a second one raises KeyboardInterrupt. Outside
     the main thread, where Python allows no handlers, nothing is changed.

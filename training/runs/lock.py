@@ -4,7 +4,7 @@ The operating system holds the lock and gives it back when the process ends, how
 it ends: a killed run leaves nothing behind that would have to be cleared away. On
 network file systems that pass locks on (NFS does, Lustre where it is mounted so) it
 holds between machines, too. Where a file system knows no locks there is a warning,
-and `jaxrod.training.runs.table.Table` notices when somebody else has written.
+and `jaxrod.training.runs.table.Table` notices when another process has written.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _is_still(lock: int, file: Path) -> bool:
 
 
 def _holder(lock: int) -> str:
-    """Who holds the lock, in words."""
+    """The process that holds the lock, in words."""
     words = os.pread(lock, 200, 0) if hasattr(os, "pread") else os.read(lock, 200)
     pid, _, host = words.decode(errors="replace").strip().partition(" ")
     return f"process {pid} on {host}" if pid and host else "another process"
@@ -108,7 +108,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _lock(handle: int) -> None:
-        """Locks a byte that nobody reads: locks of Windows keep readers out."""
+        """Locks a byte that is never read: locks of Windows keep readers out."""
         os.lseek(handle, 2**30, os.SEEK_SET)
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         os.lseek(handle, 0, os.SEEK_SET)

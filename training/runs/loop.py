@@ -57,11 +57,11 @@ def train(
             nothing.
         config: settings of the algorithm, None for its defaults.
         env_params: parameters of the environment, None for its own.
-        env_options: how the environment was made, `make(env.name,
+        env_options: options the environment was made with, `make(env.name,
             **env_options)`; recorded. "variant" among them is repeated in the
             summary. None for what distinguishes `env` from `make(env.name)`.
         resume: continue the run in `out`.
-        overwrite: replace the run in `out`; what else lies there stays.
+        overwrite: replace the run in `out`; other files there stay.
         score_window: `final_score` is the mean return of this many last
             complete training episodes.
         evaluation_episodes: episodes of the evaluation at the end, 0 for none.
@@ -152,7 +152,7 @@ def _describe(
     env_options: Mapping[str, Any] | None,
     score_window: int,
 ) -> dict[str, Any]:
-    """What was asked for, as `config.json` keeps it."""
+    """The request, as `config.json` keeps it."""
     options = _options(env) if env_options is None else dict(env_options)
     return {
         "case": env.name,
@@ -167,7 +167,7 @@ def _describe(
 
 
 def _options(env: Any) -> dict[str, Any]:
-    """What `make` needs to be told beside the name to make this environment.
+    """Options that `make` needs beside the name to make this environment.
 
     The fields of the library's tasks are called like the options they are made with.
     """

@@ -1,8 +1,8 @@
 """A folder of results that knows which of its files jaxrod has written.
 
-Its `config.json` carries a mark. Where the mark is missing, nothing that lies in the
-folder is replaced or removed, whatever was asked for; where it is there, only the
-files that such a folder is known to hold are, one by one.
+Its `config.json` carries a mark. Where the mark is missing, nothing in the folder is
+replaced or removed, on any request; where it is there, only the files that such a
+folder is known to hold are, one by one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxrod.files import (
 from jaxrod.training.runs.lock import only_process
 
 CONFIG = "config.json"
-"""What was asked for, and the mark."""
+"""File of the configuration and the mark."""
 
 
 class OwnedFolder:
@@ -43,7 +43,7 @@ class OwnedFolder:
 
         Args:
             path: the folder.
-            kind: what it holds, such as "training run".
+            kind: kind of its content, such as "training run".
             files: names of the files in it, beside `config.json`.
             folders: names of the folders in it, and as a regular expression the
                 names of the files in each.
@@ -106,7 +106,7 @@ class OwnedFolder:
                 raise ValueError(f"{self.path / name} was not written by jaxrod")
 
     def _there(self) -> list[str]:
-        """Which of the names that are written here something has already."""
+        """Names written here that exist already."""
         return [name for name in self._files if os.path.lexists(self.path / name)] + [
             name
             for name in self._folders
@@ -115,7 +115,7 @@ class OwnedFolder:
         ]
 
     def _strange(self) -> str | None:
-        """Why the folder is not known as jaxrod's; None where it is."""
+        """The reason why the folder is not known as jaxrod's; None where it is."""
         file = self.path / CONFIG
         if not os.path.lexists(file):
             return f"no {CONFIG} that says that they are of a {self.kind} of jaxrod"

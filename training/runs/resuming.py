@@ -36,7 +36,7 @@ _FACTS = {
     "progress": OBJECT,
     "episodes": OBJECT,
 }
-"""What a checkpoint remembers beside the train state."""
+"""Facts that a checkpoint holds beside the train state."""
 
 
 class DamagedCheckpointWarning(UserWarning):
@@ -46,7 +46,7 @@ class DamagedCheckpointWarning(UserWarning):
 def facts_of(
     folder: RunFolder, asked: dict[str, Any], updates: int, wall_s: float
 ) -> dict[str, Any]:
-    """What a checkpoint has to remember; what it counts on is on the disk."""
+    """Facts of a checkpoint, after all that they count is on the disk."""
     return {
         "config": asked,
         "updates": updates,

@@ -1,4 +1,4 @@
-"""One run on the host: chunks of compiled updates, and between them the world.
+"""One run on the host: chunks of compiled updates, and the records between them.
 
 After every chunk the run logs, shows progress, and now and then saves; it never
 looks inside an algorithm, see `jaxrod.training.algorithm`.
@@ -32,25 +32,22 @@ from jaxrod.training.settings import check_steps
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What a run leaves.
-
-    Attributes:
-        summary: as in `summary.json`.
-        policy: the deterministic policy.
-        progress: one row per chunk of this call, as in `progress.csv`.
-        episodes: every complete training episode of the run.
-        evaluation: of `policy`; None if interrupted or not asked for.
-        state: the final train state.
-        folder: the run's folder, None if nothing was written.
-    """
+    """Result of a run."""
 
     summary: dict[str, Any]
+    """Summary, as in `summary.json`."""
     policy: Policy
+    """The deterministic policy."""
     progress: list[dict[str, Any]]
+    """One row per chunk of this call, as in `progress.csv`."""
     episodes: EpisodeLog
+    """Every complete training episode of the run."""
     evaluation: Evaluation | None
+    """Evaluation of `policy`; None if interrupted or not asked for."""
     state: Any
+    """The final train state."""
     folder: RunFolder | None
+    """The run's folder, None if nothing was written."""
 
 
 class Run:

@@ -21,7 +21,7 @@ from jaxrod.files import (
 )
 
 Mark = dict[str, Any]
-"""How far a table was written: its rows, bytes, and the SHA-256 of these bytes."""
+"""Mark in a table: the number of its rows and bytes, and the SHA-256 of these bytes."""
 
 
 class Table:
@@ -105,7 +105,7 @@ class Table:
             )
 
     def cut(self, mark: Mark | None = None) -> None:
-        """Keeps what was marked: what came later was not checkpointed.
+        """Cuts the table back to a mark: later rows were not checkpointed.
 
         Raises:
             ValueError: see `check`.

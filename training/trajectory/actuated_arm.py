@@ -1,4 +1,4 @@
-"""An arm with muscles: what a trajectory optimiser moves."""
+"""An arm with muscles, for trajectory optimisation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class ActuatedArm:
-    """A scene, where it starts, and the muscles that are added to it.
+    """A scene, its initial state, and the muscles that are added to it.
 
     Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
     couple_density)`, or take the benchmark's with `actuated_arm`.
@@ -34,7 +34,7 @@ class ActuatedArm:
     scene: Scene
     """The rod and everything that acts on it but its muscles."""
     state: RodState
-    """Where it starts."""
+    """Initial state."""
     spline: ControlSpline | ElementAverages
     """Shape of the muscle couples along the rod, from `control_spline`."""
     couple_density: Float[Array, ""]

@@ -1,4 +1,4 @@
-r"""What a trajectory optimiser minimises, as a differentiable function of its knots.
+r"""The cost of a trajectory, as a differentiable function of its knots.
 
 Control values $u(t)$ run linearly between knots. They are held over a control
 interval at their value in its middle, while the rod is stepped many times. With $d$
@@ -29,9 +29,9 @@ class TrajectoryProblem:
     """An arm, a target, and what a trajectory costs. Numbers traced, counts static."""
 
     arm: ActuatedArm
-    """What moves."""
+    """The arm."""
     target: Float[Array, "3"]
-    """Where the tip should be at the end [m]."""
+    """Target position of the tip at the end [m]."""
     dt: Float[Array, ""]
     """Step of the simulation [s]."""
     speed_weight: Float[Array, ""]
@@ -53,14 +53,14 @@ class TrajectoryProblem:
 
 @pytree
 class TrajectoryCost:
-    """What a trajectory costs and how it ends."""
+    """Cost of a trajectory, and the tip at its end."""
 
     loss: Float[Array, ""]
     """The sum that is minimised [m^2]."""
     tip_distance: Float[Array, ""]
-    """Of the tip from the target at the end [m]."""
+    """Distance of the tip from the target at the end [m]."""
     tip_speed: Float[Array, ""]
-    """At the end [m/s]."""
+    """Speed of the tip at the end [m/s]."""
 
 
 _MOST_STEPS = 2**30

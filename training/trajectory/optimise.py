@@ -75,7 +75,7 @@ def optimise_trajectory(
 
     Args:
         target: Where the tip should be at the end `(3,)` [m].
-        arm: What moves; the benchmark's arm (`actuated_arm()`) if None.
+        arm: The arm; the benchmark's (`actuated_arm()`) if None.
         duration: Time from start to end [s].
         n_knots: Knots in time, at least 2.
         directions: 2 bends about d1 and d2; 3 also twists about d3.

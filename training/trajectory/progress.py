@@ -80,7 +80,7 @@ def progress_line(
     Args:
         done: Gradient steps done.
         total: The most there will be.
-        loss: What is minimised [m^2].
+        loss: Loss, which is minimised [m^2].
         tip_distance: Of the tip from the target [m].
         each: Time per gradient step [s], None before it is known.
     """

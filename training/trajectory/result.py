@@ -1,4 +1,4 @@
-"""What a trajectory optimisation found, and how it got there."""
+"""Result and history of a trajectory optimisation."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ class TrajectoryHistory:
     """One entry per gradient step, each an array of shape (n_steps,)."""
 
     loss: np.ndarray
-    """What is minimised [m^2]."""
+    """Loss, which is minimised [m^2]."""
     tip_distance: np.ndarray
-    """Of the tip from the target at the end [m]."""
+    """Distance of the tip from the target at the end [m]."""
     tip_speed: np.ndarray
-    """At the end [m/s]."""
+    """Speed of the tip at the end [m/s]."""
     gradient_norm: np.ndarray
-    """Of the loss with respect to the knots, before clipping [m^2]."""
+    """Norm of the gradient of the loss by the knots, before clipping [m^2]."""
     wall_s: np.ndarray
     """Time since the start, compiling included [s]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """What an optimisation found, and how."""
+    """Result of an optimisation, with its history."""
 
     knots: Float[Array, "n_knots directions n_controls"]
     """Control values in [-1, 1], linear in time between knots."""
     knot_times: Float[np.ndarray, " n_knots"]
-    """[s]"""
+    """Times of the knots [s]."""
     controls: Float[Array, "n_intervals directions n_controls"]
     """Control values held over each control interval."""
     times: Float[np.ndarray, "n_intervals+1"]
@@ -45,19 +45,19 @@ class TrajectoryResult:
     states: RodState
     """The motion: a state for each of `times`, stacked in front."""
     tip_distance: float
-    """Of the tip from the target at the end of the recorded motion [m]."""
+    """Distance of the tip from the target at the end of the recorded motion [m]."""
     tip_speed: float
-    """At the end of the recorded motion [m/s]."""
+    """Speed of the tip at the end of the recorded motion [m/s]."""
     success: bool
     """Whether the recorded motion ends within the tolerances."""
     reason: Reason
-    """Why the optimisation stopped."""
+    """Reason why the optimisation stopped."""
     iterations: int
     """Gradient steps made."""
     history: TrajectoryHistory
-    """How it got there."""
+    """Losses and tips along the way."""
     problem: TrajectoryProblem
-    """What was optimised."""
+    """The problem that was optimised."""
     compile_s: float
     """Time to the first loss [s]: compiling, unless the program is in memory."""
     wall_s: float

@@ -1,0 +1,1 @@
+"""Training runs: the loop, their folder, checkpoints, resuming."""
