@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from jaxrod.cli import grid as grids
-from jaxrod.cli import grid_process
-from jaxrod.cli.grid_records import COLUMNS
+from benchmarks.paper import process
+from benchmarks.paper.plan import plan
+from benchmarks.paper.records import COLUMNS
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
 # score 100 seed + 1, diverges where seed is 7, is killed where seed is 9, and has no
@@ -63,14 +63,14 @@ summary = {"final_score": None if seed == 11 else 100.0 * seed + 1,
 @pytest.fixture
 def grid(run, monkeypatch, tmp_path):
     """Runs a grid of stand-ins; `called()` says which were started since."""
-    monkeypatch.setattr(grid_process, "LAUNCHER", (sys.executable, "-c", TRAIN))
-    monkeypatch.setattr(grid_process, "POLL_SECONDS", 0.02)
+    monkeypatch.setattr(process, "LAUNCHER", (sys.executable, "-c", TRAIN))
+    monkeypatch.setattr(process, "POLL_SECONDS", 0.02)
     out = tmp_path / "grid"
 
     def call(*seeds, words=(), algorithms=("ppo", "sac"), case="trivial"):
-        chosen = grids.plan([case], algorithms, seeds)
+        chosen = plan([case], algorithms, seeds)
         if "--steps" in words:
-            chosen = grids.plan([case], algorithms, seeds, steps=int(words[-1]))
+            chosen = plan([case], algorithms, seeds, steps=int(words[-1]))
         configs = {cell.name: cell.config for cell in chosen}
         monkeypatch.setenv("CONFIGS", json.dumps(configs))
         more = ["--algorithms", *algorithms, "--seeds", *seeds, "--out", out]
