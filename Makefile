@@ -64,7 +64,8 @@ typecheck: $(INSTALLED)
 	@ln -s $(CURDIR)/benchmarks build/typecheck/
 	cd build/typecheck && $(CURDIR)/$(BIN)/mypy \
 	    --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache -p jaxrod \
-	    -p benchmarks.paper -p benchmarks.rod_steps -p benchmarks.tradeoff
+	    -p benchmarks.paper -p benchmarks.rod_steps -p benchmarks.tradeoff \
+	    -m benchmarks.algorithms
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

@@ -194,10 +194,10 @@ def _grouped(grid: Mapping[str, Mapping[str, Planned]]) -> Iterator[tuple[str, .
             for setting, value in plan.settings.items():
                 by_case = users.setdefault((setting, _shown(value)), {})
                 by_case.setdefault(case, []).append(name)
-    for (setting, value), by_case in users.items():
+    for (setting, shown), by_case in users.items():
         for names in dict.fromkeys(", ".join(names) for names in by_case.values()):
             cases = [case for case, some in by_case.items() if ", ".join(some) == names]
-            yield ", ".join(cases), names, f"`{setting}`", value
+            yield ", ".join(cases), names, f"`{setting}`", shown
 
 
 def _listed(words: str, everything: Iterable[str]) -> list[str]:

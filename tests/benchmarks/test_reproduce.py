@@ -309,6 +309,7 @@ def test_a_dry_run_tells_steps_settings_and_the_time_measured(grid, run, run_jso
         (["trivial", "--algorithms", "luck"], "algorithm must be one of ppo"),
         (["trivial", "--seeds", "-1"], "seeds must be an integer from 0"),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
+        (["trivial", "--variant", "clean"], "'trivial' has no option 'variant'"),
         (["trivial", "--jobs", "0"], "jobs must be at least 1"),
         (["trivial", "--steps", "3"], "needs at least one update"),
         (["trivial", "--steps-fraction", "2"], "steps-fraction must be in (0, 1]"),
