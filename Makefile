@@ -56,12 +56,16 @@ lint: $(INSTALLED) typecheck
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# mypy sees the package as it is installed: envs/ and training/ inside jaxrod.
+# mypy sees the package as it is installed, envs/ and training/ inside jaxrod, and the
+# programs behind its commands.
 typecheck: $(INSTALLED)
 	@rm -rf build/typecheck && mkdir -p build/typecheck/jaxrod
 	@ln -s $(CURDIR)/jaxrod/* $(CURDIR)/envs $(CURDIR)/training build/typecheck/jaxrod/
+	@ln -s $(CURDIR)/benchmarks build/typecheck/
 	cd build/typecheck && $(CURDIR)/$(BIN)/mypy \
-	    --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache -p jaxrod
+	    --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache -p jaxrod \
+	    -p benchmarks.paper -p benchmarks.rod_steps -p benchmarks.tradeoff \
+	    -m benchmarks.algorithms
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jaxrod
-from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import make, names
 from jaxrod.envs.tasks.clean_problem import CleanTask, clean_problem, recorded_actions
 from jaxrod.files import write_atomically
+from jaxrod.installation.machine import processor_and_versions
 from jaxrod.tradeoff import Reference, Setting, measure, reference, tune
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,9 +21,9 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
 import jaxrod
-from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.envs import VectorEnvironment, VectorState, make
 from jaxrod.files import write_atomically
+from jaxrod.installation.machine import processor_and_versions
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.runs.devices import device_mesh, place
 

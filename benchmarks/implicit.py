@@ -19,8 +19,8 @@ import jax
 import numpy as np
 
 import jaxrod
-from jaxrod.cli.benchmark import processor_and_versions
 from jaxrod.files import write_atomically
+from jaxrod.installation.machine import processor_and_versions
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 

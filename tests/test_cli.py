@@ -1,8 +1,10 @@
 """The command line's manners: help that teaches, one sentence per error, exit codes."""
 
+import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -42,6 +44,22 @@ def test_help_lists_every_command_with_its_summary(capsys):
     for name, summary in cli.COMMANDS.items():
         assert name in text
         assert summary in text
+
+
+def test_programs_are_those_of_the_checkout_not_of_the_current_folder(tmp_path):
+    other = tmp_path / "benchmarks" / "__init__.py"
+    other.parent.mkdir()
+    other.write_text("raise SystemExit('somebody else')")
+    root = Path(cli.__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxrod", "benchmark", "--help"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "rod-steps per second" in done.stdout
 
 
 def test_help_of_a_command_explains_it_with_examples(capsys):

@@ -1,6 +1,7 @@
 """What is installed, under which names, and what importing it loads."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -74,7 +75,7 @@ def test_constraints_pin_one_version_for_each_supported_python():
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The names of the files in a freshly built wheel."""
+    """A freshly built wheel."""
     out = tmp_path_factory.mktemp("wheel")
     # Built from a copy, so that nothing is left in the repository, and without an
     # isolated environment, so that nothing is downloaded.
@@ -93,11 +94,11 @@ def wheel(tmp_path_factory):
     assert done.returncode == 0, done.stderr
     (built,) = out.glob("*.whl")
     with zipfile.ZipFile(built) as archive:
-        return archive.namelist()
+        yield archive
 
 
 def test_wheel_installs_one_top_level_name(wheel):
-    tops = {name.partition("/")[0] for name in wheel}
+    tops = {name.partition("/")[0] for name in wheel.namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"jaxrod"}
 
 
@@ -105,8 +106,28 @@ def test_wheel_holds_every_file_of_the_packages(wheel):
     expected = {
         f"{import_name(file.parent).replace('.', '/')}/{file.name}" for file in files()
     }
-    missing = expected - set(wheel)
+    missing = expected - set(wheel.namelist())
     assert not missing
+
+
+@pytest.mark.parametrize("command", ["reproduce", "tradeoff", "benchmark"])
+def test_wheel_says_where_the_programs_of_a_checkout_are(command, wheel, tmp_path):
+    wheel.extractall(tmp_path / "site")
+    # Somebody's own are not taken for ours.
+    (tmp_path / "benchmarks" / "paper").mkdir(parents=True)
+    for words in ([], ["--dry-run", "--json"], ["--help"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "jaxrod", command, *words],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path / "site")},
+            capture_output=True,
+            text=True,
+        )
+        assert (done.returncode, done.stdout) == (1, "")
+        assert f"`jaxrod {command}` is a program of the folder benchmarks/" in (
+            done.stderr
+        )
+        assert done.stderr.count("\n") == 1
 
 
 def test_importing_jaxrod_loads_only_what_jax_numpy_and_jaxtyping_load():

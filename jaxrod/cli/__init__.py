@@ -1,6 +1,7 @@
 """The command line: `jaxrod COMMAND ...`.
 
-Each command is one module of this package, named after it, with
+Each command is one module of this package, named after it, or a program of the
+checkout (`jaxrod.cli.checkout`), with
 
 - a docstring: what the command does, shown by `jaxrod COMMAND --help`;
 - `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
@@ -10,8 +11,8 @@ Each command is one module of this package, named after it, with
 Only the module of the command that was asked for is imported.
 
 Exit codes: 0 done, 1 done and the answer is bad (such as a machine that fails
-`jaxrod doctor`), 2 the request cannot be carried out, 70 a fault of jaxrod (with its
-traceback), 130 interrupted.
+`jaxrod doctor`) or the installation has not got what is asked for, 2 the request cannot
+be carried out, 70 a fault of jaxrod (with its traceback), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from types import ModuleType
 from typing import TextIO
 
 from jaxrod import __version__
+from jaxrod.cli import checkout
 from jaxrod.cli.text import printable
 from jaxrod.installation.jax_version import UnsoundJaxError
 
@@ -35,11 +38,11 @@ COMMANDS = {
     "train": "train a policy on a task",
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
-    "reproduce": "run the published benchmark: cases, algorithms, seeds",
     "optimise": "find actuation by gradients through the simulation",
-    "tradeoff": "measure what accuracy costs, and find the cheapest setting",
-    "benchmark": "measure rod-steps per second on this machine",
     "doctor": "check that this machine computes right",
+    "reproduce": "run the published benchmark: cases, algorithms, seeds *",
+    "tradeoff": "measure what accuracy costs, and find the cheapest setting *",
+    "benchmark": "measure rod-steps per second on this machine *",
 }
 
 EXTRAS = {
@@ -54,6 +57,8 @@ BROKEN = 70
 """Exit code after an error that nobody foresaw."""
 
 EPILOG = """\
+* in a checkout of the repository, installed with `pip install -e .`
+
 a first run:
   jaxrod doctor
   jaxrod train tracking --variant paper --algorithm ppo --out runs/first
@@ -95,7 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if os.environ.get("JAXROD_TRACEBACK"):
             raise
         print(f"{command}: {printable(_sentence(error))}", file=sys.stderr)
-        return 1 if isinstance(error, UnsoundJaxError) else 2
+        unfit = isinstance(error, UnsoundJaxError | checkout.NoCheckoutError)
+        return 1 if unfit else 2
     except Exception as error:
         # What a file of a run holds is checked where it is read. This is a fault of
         # ours, which only its traceback explains.
@@ -150,11 +156,22 @@ def _parser(
             name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         if name == chosen:
-            module = importlib.import_module(f"jaxrod.cli.{name}")
+            module = module_of(name)
             subparser.description = (module.__doc__ or summary).strip()
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
     return parser, chosen if chosen in COMMANDS else None
+
+
+def module_of(command: str) -> ModuleType:
+    """Imports the module of a command.
+
+    Raises:
+        NoCheckoutError: it is one of a checkout, and there is none.
+    """
+    if command in checkout.PROGRAMS:
+        return checkout.program(command)
+    return importlib.import_module(f"jaxrod.cli.{command}")
 
 
 def _sentence(error: ValueError | OSError | ImportError) -> str:

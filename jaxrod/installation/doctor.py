@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxrod.installation import jax_version
+from jaxrod.installation.machine import processor
 
 if TYPE_CHECKING:
     import jax
@@ -221,13 +222,13 @@ def check_default_precision() -> Check:
 
 
 def check_processors() -> Check:
-    """Says how many processors may be used and which XLA options are set."""
+    """Says what the processor is, how many cores may be used, and XLA's options."""
     if hasattr(os, "sched_getaffinity"):
         usable = len(os.sched_getaffinity(0))
     else:
         usable = os.cpu_count() or 1
     flags = os.environ.get("XLA_FLAGS", "").strip() or "none"
-    detail = f"{usable} of {os.cpu_count()} usable; XLA_FLAGS: {flags}"
+    detail = f"{processor()}, {usable} of {os.cpu_count()} usable; XLA_FLAGS: {flags}"
     fast_math = "xla_cpu_enable_fast_math" in flags and "fast_math=false" not in flags
     advice = "Remove the fast-math option from XLA_FLAGS." if fast_math else ""
     return Check("processors", not fast_math, detail, advice)

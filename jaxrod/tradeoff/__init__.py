@@ -1,7 +1,8 @@
 """Speed for accuracy, measured: the cost and the error of a setting.
 
-`tune` finds the cheapest setting of a scene that keeps a tolerance; `measure_grid`
-and `jaxrod tradeoff` lay out the whole trade, PyElastica beside it.
+`tune` finds the cheapest setting of a scene that keeps a tolerance, `measure` says what
+one setting costs. In a checkout `jaxrod tradeoff` lays out the whole trade of one of
+`SCENES`, PyElastica beside it.
 """
 
 from jaxrod.tradeoff.measure import Measurement, Reference, measure, reference

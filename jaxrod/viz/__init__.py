@@ -5,12 +5,10 @@ Imports NumPy only; matplotlib is imported by the functions that draw with it.
 
 from jaxrod.viz.curves import learning_curve
 from jaxrod.viz.drawing import animation, frame
-from jaxrod.viz.grid_curves import grid_curves
 from jaxrod.viz.page import html, save_html
 from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Replay
 from jaxrod.viz.shapes import Cylinder, Sphere
-from jaxrod.viz.work_precision import work_precision
 
 __all__ = [
     "Cylinder",
@@ -19,10 +17,8 @@ __all__ = [
     "Sphere",
     "animation",
     "frame",
-    "grid_curves",
     "html",
     "learning_curve",
     "paper_result",
     "save_html",
-    "work_precision",
 ]

@@ -1,13 +1,12 @@
-"""A finished run, made once by the command itself, and a way to call commands."""
+"""A finished run, made once by the command itself."""
 
-import json
 import subprocess
 import sys
 
 import pytest
 
-import jaxrod
-from jaxrod import cli
+from commands import run as run
+from commands import run_json as run_json
 
 TINY = ["--steps", "2k", "--num-envs", "8", "--set", "rollout_steps=32"]
 
@@ -26,31 +25,3 @@ def trained(tmp_path_factory):
     )
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Calls a command in this process: exit code, stdout and stderr."""
-    # JAX has long started here, too late for CPU settings.
-    monkeypatch.setattr(jaxrod, "configure_cpu", lambda devices=None: None)
-
-    def call(*words):
-        try:
-            code = cli.main([str(word) for word in words])
-        except SystemExit as stopped:
-            code = stopped.code
-        return code, *capsys.readouterr()
-
-    return call
-
-
-@pytest.fixture
-def run_json(run):
-    """Calls a command that must succeed and print one JSON object."""
-
-    def call(*words):
-        code, out, err = run(*words)
-        assert code == 0, err
-        return json.loads(out)
-
-    return call

@@ -1,22 +1,12 @@
 """Every command explains itself with examples that it understands."""
 
-import importlib
 import shlex
 
 import pytest
 
 from jaxrod import cli
 
-NAMES = [
-    "train",
-    "evaluate",
-    "render",
-    "optimise",
-    "reproduce",
-    "tradeoff",
-    "benchmark",
-    "doctor",
-]
+NAMES = list(cli.COMMANDS)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -24,12 +14,12 @@ def test_help_explains_and_gives_examples(name, run):
     code, out, err = run(name, "--help")
     assert (code, err) == (0, "")
     assert "examples:" in out
-    assert importlib.import_module(f"jaxrod.cli.{name}").__doc__.splitlines()[0] in out
+    assert cli.module_of(name).__doc__.splitlines()[0] in out
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_examples_parse(name):
-    module = importlib.import_module(f"jaxrod.cli.{name}")
+    module = cli.module_of(name)
     examples = [
         line.partition("jaxrod ")[2].partition("   ")[0].partition(" >")[0]
         for line in module.EXAMPLES.splitlines()

@@ -5,16 +5,20 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from jaxrod.cli import grid as grids
-from jaxrod.cli import grid_process
-from jaxrod.cli.grid_records import COLUMNS
+from benchmarks.paper import process
+from benchmarks.paper.plan import plan
+from benchmarks.paper.records import COLUMNS
+from jaxrod import __version__
+from jaxrod.training.runs.lock import only_process
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
 # score 100 seed + 1, diverges where seed is 7, is killed where seed is 9, and has no
@@ -63,14 +67,14 @@ summary = {"final_score": None if seed == 11 else 100.0 * seed + 1,
 @pytest.fixture
 def grid(run, monkeypatch, tmp_path):
     """Runs a grid of stand-ins; `called()` says which were started since."""
-    monkeypatch.setattr(grid_process, "LAUNCHER", (sys.executable, "-c", TRAIN))
-    monkeypatch.setattr(grid_process, "POLL_SECONDS", 0.02)
+    monkeypatch.setattr(process, "LAUNCHER", (sys.executable, "-c", TRAIN))
+    monkeypatch.setattr(process, "POLL_SECONDS", 0.02)
     out = tmp_path / "grid"
 
     def call(*seeds, words=(), algorithms=("ppo", "sac"), case="trivial"):
-        chosen = grids.plan([case], algorithms, seeds)
+        chosen = plan([case], algorithms, seeds)
         if "--steps" in words:
-            chosen = grids.plan([case], algorithms, seeds, steps=int(words[-1]))
+            chosen = plan([case], algorithms, seeds, steps=int(words[-1]))
         configs = {cell.name: cell.config for cell in chosen}
         monkeypatch.setenv("CONFIGS", json.dumps(configs))
         more = ["--algorithms", *algorithms, "--seeds", *seeds, "--out", out]
@@ -205,6 +209,53 @@ def test_ctrl_c_stops_all_cells_that_run_and_starts_no_other(grid):
     assert not (grid.out / "results.csv").exists()
 
 
+def test_two_grids_do_not_run_in_one_folder(grid):
+    with only_process(grid.out / "runs"):
+        code, out, err = grid(0)
+    assert (code, out) == (2, "")
+    assert f"{grid.out / 'runs'} is in use by process {os.getpid()}" in err
+    assert grid.called() == []
+
+
+def test_a_run_that_a_killed_grid_left_behind_is_waited_for(grid, monkeypatch):
+    sleep, left_behind = time.sleep, ExitStack()
+    folder = grid.out / "runs" / "trivial-PPO-0"
+    left_behind.enter_context(only_process(folder))
+
+    def until_it_has_saved(seconds):
+        left_behind.close()
+        sleep(seconds)
+
+    monkeypatch.setattr(time, "sleep", until_it_has_saved)
+    code, _, err = grid(0, algorithms=("ppo",))
+    assert code == 0, err
+    assert err.startswith(f"waiting for the process that trains in {folder}\n")
+    assert grid.called() == ["trivial-PPO-0"]
+
+
+def test_a_run_that_does_not_stop_is_not_waited_for_forever(grid, monkeypatch):
+    monkeypatch.setattr(process, "WAIT_SECONDS", 0.0)
+    with only_process(grid.out / "runs" / "trivial-PPO-0"):
+        code, _, err = grid(0, algorithms=("ppo",))
+    assert code == 2
+    assert "trivial-PPO-0 is in use by process" in err
+    assert grid.called() == []
+
+
+def test_runs_are_of_this_checkout_wherever_the_grid_is_started(tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    # Its standard input stays open: it would stop with it.
+    with subprocess.Popen(
+        [*process.LAUNCHER, "--version"],
+        cwd=tmp_path,
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as child:
+        assert child.stdout.read() == f"jaxrod {__version__}\n"
+
+
 def test_a_record_without_a_setting_that_came_later_is_still_good(grid):
     assert grid(0, algorithms=("ppo",))[0] == 0
     grid.called()
@@ -258,6 +309,7 @@ def test_a_dry_run_tells_steps_settings_and_the_time_measured(grid, run, run_jso
         (["trivial", "--algorithms", "luck"], "algorithm must be one of ppo"),
         (["trivial", "--seeds", "-1"], "seeds must be an integer from 0"),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
+        (["trivial", "--variant", "clean"], "'trivial' has no option 'variant'"),
         (["trivial", "--jobs", "0"], "jobs must be at least 1"),
         (["trivial", "--steps", "3"], "needs at least one update"),
         (["trivial", "--steps-fraction", "2"], "steps-fraction must be in (0, 1]"),

@@ -9,10 +9,10 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from benchmarks.tradeoff.mujoco_cable import measure_mujoco
+from benchmarks.tradeoff.pyelastica import measure_pyelastica
 from jaxrod.tradeoff.measure import Measurement, Reference, measure
-from jaxrod.tradeoff.mujoco_cable import measure_mujoco
 from jaxrod.tradeoff.problem import Problem
-from jaxrod.tradeoff.pyelastica import measure_pyelastica
 from jaxrod.tradeoff.setting import Reduction, Setting, may_be_untwisted
 
 BATCHES = (1, 256, 4096)

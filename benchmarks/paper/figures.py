@@ -1,13 +1,16 @@
-"""Learning curves of several algorithms on one case, beside the paper's results."""
+"""The figures of a grid: learning curves of a case, beside the paper's results."""
 
 from __future__ import annotations
 
 import io
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.paper.records import Record, Records
+from jaxrod.cli.runs import paper_result
 from jaxrod.files import write_atomically
 from jaxrod.viz.curves import FilePath, common_steps, read_curve
 from jaxrod.viz.matplotlib_needed import need_matplotlib
@@ -20,6 +23,30 @@ _COLOURS = {
     "TD3": "#a21caf",
     "DDPG": "#5a6676",
 }
+
+
+def draw_figures(records: Records) -> None:
+    """Draws a picture per case and variant: `OUT/Case1.png`, ...
+
+    Cells without a complete episode are left out; nothing is drawn without matplotlib.
+    """
+    figures: dict[str, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
+    for record in records:
+        if record["final_score"] is not None:
+            variant = record["variant"]
+            suffix = "" if variant in (None, "paper") else f"-{variant}"
+            figures[record["case"] + suffix][record["algorithm"]].append(record)
+    for name, groups in figures.items():
+        try:
+            grid_curves(
+                {k: [records.curve(r["name"]) for r in v] for k, v in groups.items()},
+                {k: paper_result(v[0]["config"]) for k, v in groups.items()},
+                records.out / f"{name}.png",
+                title=name,
+            )
+        except ModuleNotFoundError as missing:
+            if missing.name != "matplotlib":
+                raise
 
 
 def grid_curves(

@@ -1,8 +1,8 @@
-"""A command in a process of its own that does not outlive the one that started it.
+"""A command that does not outlive the process that started it.
 
-`python -m jaxrod.cli.child COMMAND ...` is `jaxrod COMMAND ...`, but when its standard
-input ends, because whoever holds the other end is gone (however it went), it saves
-and stops as after Ctrl-C.
+`python -P child.py WORDS` is `jaxrod WORDS`, but when its standard input ends, because
+whoever holds the other end is gone (however it went), it saves and stops as after
+Ctrl-C.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import traceback
+from pathlib import Path
 
 BROKEN = 70
 """Exit code after an error that the command did not foresee."""
@@ -27,9 +28,9 @@ def _follow() -> None:
 def main() -> int:
     """Runs the command."""
     threading.Thread(target=_follow, daemon=True).start()
-    from jaxrod import cli
-
     try:
+        from jaxrod import cli
+
         return cli.main(sys.argv[1:])
     except Exception:
         traceback.print_exc()
@@ -37,4 +38,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    # The package of this checkout, wherever the command was started.
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
     sys.exit(main())

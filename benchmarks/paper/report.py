@@ -6,14 +6,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from jaxrod.cli import runs
-from jaxrod.cli.grid_records import Record, Records
-from jaxrod.cli.grid_view import duration
-
-if TYPE_CHECKING:
-    from jaxrod.viz import PaperResult
+from benchmarks.paper.records import Record
+from benchmarks.paper.view import duration
+from jaxrod.cli.runs import paper_result
+from jaxrod.files import write_atomically
 
 _HEADS = (
     "cell",
@@ -72,42 +69,9 @@ def report(records: Iterable[Record]) -> str:
     return "\n".join([*lines, "```"]) + "\n"
 
 
-def paper_result(record: Record) -> PaperResult | None:
-    """What the paper reached; None where scores do not compare."""
-    return runs.paper_result(record["config"])
-
-
 def write_report(records: Iterable[Record], out: Path) -> None:
     """Writes `results.md` into a folder."""
-    from jaxrod.files import write_atomically
-
     write_atomically(out / "results.md", report(records).encode())
-
-
-def draw_figures(records: Records) -> None:
-    """Draws a picture per case and variant: `OUT/Case1.png`, ...
-
-    Cells without a complete episode are left out; nothing is drawn without matplotlib.
-    """
-    from jaxrod import viz
-
-    figures: dict[str, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
-    for record in records:
-        if record["final_score"] is not None:
-            variant = record["variant"]
-            suffix = "" if variant in (None, "paper") else f"-{variant}"
-            figures[record["case"] + suffix][record["algorithm"]].append(record)
-    for name, groups in figures.items():
-        try:
-            viz.grid_curves(
-                {k: [records.curve(r["name"]) for r in v] for k, v in groups.items()},
-                {k: paper_result(v[0]) for k, v in groups.items()},
-                records.out / f"{name}.png",
-                title=name,
-            )
-        except ModuleNotFoundError as missing:
-            if missing.name != "matplotlib":
-                raise
 
 
 def _line(group: Sequence[Record]) -> tuple[str, ...]:
@@ -116,7 +80,7 @@ def _line(group: Sequence[Record]) -> tuple[str, ...]:
     failed = any(record["status"] == "failed" for record in group)
     mean = None if None in scores else fmean(scores)
     wall = fmean(record["wall_s"] for record in group)
-    paper = paper_result(group[0])
+    paper = paper_result(group[0]["config"])
     return (
         _name(group[0]),
         " / ".join(sorted({f"{record['env_steps']:,}" for record in group})),

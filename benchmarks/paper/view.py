@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from typing import TextIO
 
-from jaxrod.cli.grid import Cell
+from benchmarks.paper.plan import Cell
 
 _BAR = 20
 

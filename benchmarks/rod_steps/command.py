@@ -14,16 +14,12 @@ import argparse
 import dataclasses
 import json
 import os
-import platform
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli.machine import processor
-
 if TYPE_CHECKING:
-    from jaxrod.benchmark import Report
+    from benchmarks.rod_steps.measuring import Report
 
 EXAMPLES = """\
 examples:
@@ -86,18 +82,20 @@ def run(args: argparse.Namespace) -> int:
     import jaxrod
 
     jaxrod.configure_cpu(args.devices)
-    from jaxrod import benchmark
-    from jaxrod.benchmark_arms import N_ELEMENTS
-    from jaxrod.benchmark_pyelastica import TIME_STEP
+    from benchmarks.rod_steps import measuring
+    from benchmarks.rod_steps.arms import N_ELEMENTS
+    from benchmarks.rod_steps.pyelastica import TIME_STEP
+    from jaxrod.files import write_atomically
+    from jaxrod.installation.machine import machine_facts
     from jaxrod.methods.laws import IN_SPACE
 
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
     try:
-        report = benchmark.run_benchmark(
-            args.batches or benchmark.BATCHES,
-            args.dtypes or benchmark.DTYPES,
+        report = measuring.run_benchmark(
+            args.batches or measuring.BATCHES,
+            args.dtypes or measuring.DTYPES,
             args.modes or tuple(IN_SPACE),
             seconds=args.seconds,
             say=lambda line: print(line, file=sys.stderr, flush=True),
@@ -116,42 +114,11 @@ def run(args: argparse.Namespace) -> int:
     }
     text = json.dumps(result, indent=2)
     if args.out is not None:
-        from jaxrod.files import write_atomically
-
         write_atomically(args.out / "rod_steps.json", f"{text}\n".encode())
         page = f"# Rod-steps per second\n\n{_table(report, machine)}"
         write_atomically(args.out / "rod_steps.md", page.encode())
     print(text if args.json else _table(report, machine).rstrip())
     return 0
-
-
-def machine_facts(load: float | None) -> dict[str, Any]:
-    """What the numbers depend on."""
-    import jax
-
-    from jaxrod.installation.backend import available_cores
-
-    versions = {"python": platform.python_version()}
-    for package in ("jax", "jaxlib", "numpy", "pyelastica", "mujoco"):
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return {
-        "processor": processor(),
-        "cores": available_cores(),
-        "load_average_before": load,
-        "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "versions": versions,
-    }
-
-
-def processor_and_versions() -> str:
-    """The processor and the releases in use, in one line."""
-    facts = machine_facts(None)
-    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
-    return f"{facts['processor']}; {versions}"
 
 
 def _table(report: Report, machine: dict[str, Any]) -> str:

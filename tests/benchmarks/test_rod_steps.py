@@ -6,7 +6,7 @@ import json
 import jax
 import pytest
 
-from jaxrod import benchmark, benchmark_arms
+from benchmarks.rod_steps import arms, measuring
 
 CONTRACT = {"batch", "dtype", "mode", "rod_steps_per_s", "times_pyelastica"}
 
@@ -16,7 +16,7 @@ def pyelastica(monkeypatch):
     """PyElastica at 100, 200, 300 ... steps per second."""
     rates = iter(range(100, 10_000, 100))
     monkeypatch.setattr(
-        benchmark, "pyelastica_steps_per_s", lambda n, seconds: float(next(rates))
+        measuring, "pyelastica_steps_per_s", lambda n, seconds: float(next(rates))
     )
 
 
@@ -25,7 +25,7 @@ def no_pyelastica(monkeypatch):
     def missing(n, seconds):
         raise ModuleNotFoundError("No module named 'elastica'", name="elastica")
 
-    monkeypatch.setattr(benchmark, "pyelastica_steps_per_s", missing)
+    monkeypatch.setattr(measuring, "pyelastica_steps_per_s", missing)
 
 
 @pytest.fixture
@@ -33,9 +33,9 @@ def instant(monkeypatch):
     """Every row is measured at 4000 rod-steps/s without measuring anything."""
 
     def measure(batch, dtype, mode, *, seconds, devices):
-        return benchmark.Row(batch, dtype, mode, 4000.0, 3000.0, 5000.0, 1, 0.5)
+        return measuring.Row(batch, dtype, mode, 4000.0, 3000.0, 5000.0, 1, 0.5)
 
-    monkeypatch.setattr(benchmark, "measure", measure)
+    monkeypatch.setattr(measuring, "measure", measure)
 
 
 def test_json_keeps_the_contract_for_every_combination(
@@ -87,19 +87,19 @@ def test_a_busy_machine_is_mentioned(load, pyelastica, instant, run, monkeypatch
     ],
 )
 def test_a_row_is_measured_in_the_precision_it_names(batch, dtype, mode):
-    row = benchmark.measure(batch, dtype, mode, seconds=0.02)
+    row = measuring.measure(batch, dtype, mode, seconds=0.02)
     assert (row.batch, row.dtype, row.mode) == (batch, dtype, mode)
     assert 0 < row.slowest <= row.rod_steps_per_s <= row.fastest
     assert row.compile_s > 0
 
 
 def test_a_faster_program_that_is_wrong_is_caught(monkeypatch, no_pyelastica, run):
-    right = benchmark_arms.advance_arms
+    right = arms.advance_arms
 
     def skips_a_step(scene, couples, states, dt, n_steps):
         return right(scene, couples, states, dt, n_steps - 1)
 
-    monkeypatch.setattr(benchmark_arms, "advance_arms", skips_a_step)
+    monkeypatch.setattr(arms, "advance_arms", skips_a_step)
     code, out, err = run(
         "benchmark", "--batches", 2, "--dtypes", "float64", "--seconds", 0.02
     )
@@ -109,21 +109,21 @@ def test_a_faster_program_that_is_wrong_is_caught(monkeypatch, no_pyelastica, ru
 
 @pytest.mark.parametrize("wrong", [1e-3, float("nan")])
 def test_arms_that_drift_apart_are_caught(wrong):
-    _, _, states = benchmark_arms.arms(3, "consistent")
-    benchmark._check_equal(states)
+    _, _, states = arms.arms(3, "consistent")
+    measuring._check_equal(states)
     positions = states.positions.at[-1].add(wrong)
     with pytest.raises(FloatingPointError, match="positions of an arm differ"):
-        benchmark._check_equal(dataclasses.replace(states, positions=positions))
+        measuring._check_equal(dataclasses.replace(states, positions=positions))
 
 
 def test_a_batch_is_spread_evenly():
     for batch in (1, 6, 64, 100, 4096):
         for n_devices in (1, 2, 3, 8, 96):
-            used = benchmark_arms.even_share(batch, n_devices)
+            used = arms.even_share(batch, n_devices)
             assert 1 <= used <= n_devices
             assert batch % used == 0
-    assert benchmark_arms.even_share(1, 8) == 1
-    assert benchmark_arms.even_share(4096, 2) == 2
+    assert arms.even_share(1, 8) == 1
+    assert arms.even_share(4096, 2) == 2
 
 
 @pytest.mark.parametrize(

@@ -13,13 +13,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from benchmarks.tradeoff.pyelastica import uniform_radius
 from jaxrod.effects.clamps import Clamp, FixedEnd
 from jaxrod.effects.loads import ExponentialDamping, Gravity
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
 from jaxrod.tradeoff.measure import Measurement, Reference, tip_error
 from jaxrod.tradeoff.problem import Problem
-from jaxrod.tradeoff.pyelastica import uniform_radius
 from jaxrod.tradeoff.setting import Setting
 
 SUBSTEPS = tuple(m * 2**k for k in range(12) for m in (2, 3))

@@ -5,8 +5,8 @@ import csv
 import numpy as np
 import pytest
 
+from benchmarks.tradeoff import grid
 from jaxrod import tradeoff
-from jaxrod.tradeoff import grid
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 CASES are `tracking`, `reaching`, `structured` and `unstructured`, or as in the paper
 Case1 to Case4 (default: all four); `trivial` tries things out in a minute. Every cell
 is trained by `jaxrod train` with its control steps and settings of
-training/grid_settings.py, in a process of its own: one after the other on all cores,
+benchmarks/paper/settings.py, in a process of its own: one after the other on all cores,
 or with --jobs a few side by side, each on its share of them.
 
 OUT gets results.csv (a row per seed), results.md (beside the paper), a figure per
@@ -21,7 +21,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from jaxrod.cli import settings
+from jaxrod.cli.settings import count
 
 EXAMPLES = """\
 examples:
@@ -57,10 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--steps",
-        type=settings.count,
+        type=count,
         metavar="N",
         help="control steps of every cell (default: those of "
-        "training/grid_settings.py; of --variant paper the paper's or fewer)",
+        "benchmarks/paper/settings.py; of --variant paper the paper's or fewer)",
     )
     length.add_argument(
         "--steps-fraction",
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--jobs",
-        type=settings.count,
+        type=count,
         default=1,
         metavar="N",
         help="cells that run side by side, each on its share of the cores (default: 1)",
@@ -99,11 +99,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the grid, or says what it would run."""
-    from jaxrod.cli import grid, grid_records, grid_report
+    from benchmarks.paper.plan import plan
+    from benchmarks.paper.records import Records
+    from benchmarks.paper.report import report
 
     if args.jobs < 1:
         raise ValueError(f"jobs must be at least 1, got {args.jobs}")
-    cells = grid.plan(
+    cells = plan(
         args.cases,
         args.algorithms,
         args.seeds,
@@ -113,11 +115,11 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.out.exists() and not args.out.is_dir():
         raise ValueError(f"out must be a folder, {args.out} is a file")
-    records = grid_records.Records(args.out)
+    records = Records(args.out)
     if args.dry_run:
         _describe(cells, records, args.overwrite, args.json)
         return 0
-    from jaxrod.cli.grid_run import run_grid
+    from benchmarks.paper.running import run_grid
 
     code = run_grid(
         cells,
@@ -130,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
         ended = [record for cell in cells if (record := records.get(cell))]
         print(json.dumps(ended, indent=2))
     elif code != 130:
-        print(grid_report.report(records).partition("Settings that")[0].rstrip())
+        print(report(records).partition("Settings that")[0].rstrip())
         for name in ("results.csv", "results.md"):
             print(args.out / name)
     return code
@@ -138,8 +140,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) -> None:
     """Prints what would run, and for how long as far as is known."""
-    from jaxrod.cli.grid_run import changed_since
-    from jaxrod.cli.grid_view import against, duration
+    from benchmarks.paper.running import changed_since
+    from benchmarks.paper.view import against, duration
 
     rows = []
     for cell in cells:

@@ -12,14 +12,14 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.benchmark_arms import (
+from benchmarks.rod_steps.arms import (
     N_ELEMENTS,
     AdvanceArms,
     arms,
     compile_arms,
     even_share,
 )
-from jaxrod.benchmark_pyelastica import TIME_STEP, pyelastica_steps_per_s
+from benchmarks.rod_steps.pyelastica import TIME_STEP, pyelastica_steps_per_s
 from jaxrod.effects.actuation import ElementCouples
 from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rods.rod import RodState

@@ -1,6 +1,6 @@
 """The arms that `jaxrod benchmark` steps, and the program that steps them.
 
-The arm is that of `jaxrod.benchmark_pyelastica`: 20 elements, clamped, damped, bent
+The arm is that of `benchmarks.rod_steps.pyelastica`: 20 elements, clamped, damped, bent
 by a couple on every element. Every arm of a batch has couples of its own, as in
 reinforcement learning; here they are equal, so that the arms must stay equal.
 """
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from jaxrod.benchmark_pyelastica import DAMPING_RATE, ELEMENT_COUPLE, TIME_STEP
+from benchmarks.rod_steps.pyelastica import DAMPING_RATE, ELEMENT_COUPLE, TIME_STEP
 from jaxrod.composition import make_scene
 from jaxrod.effects.actuation import ElementCouples
 from jaxrod.effects.clamps import clamp, fixed_end

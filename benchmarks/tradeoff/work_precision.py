@@ -10,7 +10,7 @@ from jaxrod.files import write_atomically
 from jaxrod.viz.matplotlib_needed import need_matplotlib
 
 if TYPE_CHECKING:
-    from jaxrod.tradeoff.grid import Row
+    from benchmarks.tradeoff.grid import Row
     from jaxrod.viz.curves import FilePath
 
 _QUIET = "#5a6676"
@@ -81,7 +81,7 @@ def _draw(rows: list[Row], title: str, floor: float) -> bytes:
 
 
 def _panel(axes: Any, rows: list[Row], floor: float) -> None:
-    from jaxrod.tradeoff.grid import pareto
+    from benchmarks.tradeoff.grid import pareto
 
     for key, label, colour, marker in _KINDS:
         ours = [

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from benchmarks.tradeoff.grid import Row
     from jaxrod.tradeoff import Reference, Tuned
-    from jaxrod.tradeoff.grid import Row
 
 OTHERS = {"pyelastica": "PyElastica", "mujoco": "MuJoCo's cable"}
 EXAMPLES = """\
@@ -93,11 +93,11 @@ def run(args: argparse.Namespace) -> int:
 
     # One core each: what is compared is work, not machines.
     jaxrod.configure_cpu(1)
+    from benchmarks.tradeoff import grid
+    from benchmarks.tradeoff.work_precision import work_precision
     from jaxrod import tradeoff
-    from jaxrod.cli.benchmark import machine_facts
     from jaxrod.files import write_atomically
-    from jaxrod.tradeoff import grid
-    from jaxrod.viz.work_precision import work_precision
+    from jaxrod.installation.machine import machine_facts
 
     if args.scene not in tradeoff.SCENES:
         known = ", ".join(tradeoff.SCENES)
@@ -171,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _compared(rows: list[Row], tuned: Tuned) -> dict[str, Any]:
     """A tuned setting beside the cheapest of the others that is as accurate."""
-    from jaxrod.tradeoff.grid import cheapest
+    from benchmarks.tradeoff.grid import cheapest
 
     result: dict[str, Any] = {
         "batch": tuned.batch,

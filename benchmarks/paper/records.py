@@ -18,7 +18,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxrod.cli.grid import Cell
+from benchmarks.paper.plan import Cell
+from jaxrod.files import write_atomically
 
 COLUMNS = (
     "case",
@@ -78,8 +79,6 @@ class Records:
             record: has all of `COLUMNS`; the final score is None if it diverged.
             progress: the rows of its progress.csv.
         """
-        from jaxrod.files import write_atomically
-
         for folder in ("cells", "curves"):
             (self.out / folder).mkdir(parents=True, exist_ok=True)
         rows = [{k: row[k] for k in CURVE} for row in thinned(progress)]
@@ -91,8 +90,6 @@ class Records:
 
     def write_results(self) -> None:
         """Writes results.csv anew, keeping the rows of cells without a record."""
-        from jaxrod.files import write_atomically
-
         rows = self._stored_rows()
         for record in self:
             row = _row(record)

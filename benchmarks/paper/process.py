@@ -7,65 +7,55 @@ out of memory then takes nothing else with it.
 
 from __future__ import annotations
 
-import csv
-import fcntl
 import os
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
+from jaxrod.training import RunFolder
+from jaxrod.training.runs.lock import FolderInUseError
+
 POLL_SECONDS = 0.5
-LOCK_SECONDS = 300.0
-"""How long to wait for a cell whose grid was killed to save and stop [s]."""
+WAIT_SECONDS = 300.0
+"""How long to wait for runs whose grid was killed to save and stop [s]."""
 
-LAUNCHER = (sys.executable, "-m", "jaxrod.cli.child")
+LAUNCHER = (sys.executable, "-P", str(Path(__file__).with_name("child.py")))
 
 
-@contextmanager
-def only_one(folder: Path, say: Callable[[str], None]) -> Iterator[int]:
-    """Holds the lock of a folder of runs; yields it, for children to hold it too.
+def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
+    """Waits until nobody trains in any of the folders.
 
     Raises:
-        ValueError: another grid, or a cell it left behind, holds it.
+        FolderInUseError: somebody still does after `WAIT_SECONDS`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        began, waiting = time.monotonic(), False
-        while True:
+    until = time.monotonic() + WAIT_SECONDS
+    for folder in folders:
+        told = False
+        while folder.path.exists():
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() - began > LOCK_SECONDS:
-                    raise ValueError(
-                        f"another `jaxrod reproduce` runs in {folder.parent}"
-                    ) from None
-                if not waiting:
-                    say(f"waiting for another `jaxrod reproduce` in {folder.parent}")
-                    waiting = True
+                with folder.only_process():
+                    break
+            except FolderInUseError:
+                if time.monotonic() > until:
+                    raise
+                if not told:
+                    say(f"waiting for the process that trains in {folder.path}")
+                    told = True
                 time.sleep(POLL_SECONDS)
-        yield lock
-    finally:
-        os.close(lock)
 
 
 class Child:
     """`jaxrod WORDS` in a process of its own, beside others."""
 
-    def __init__(
-        self, words: Sequence[str], log: Path, *, lock: int, cores: Collection[int]
-    ) -> None:
+    def __init__(self, words: Sequence[str], log: Path, cores: Collection[int]) -> None:
         """Starts it.
 
         Args:
             words: the command.
             log: file that what it says is added to.
-            lock: as `only_one` yields it.
             cores: the processor's cores it may use; all if empty.
         """
         with log.open("a", encoding="utf-8") as said:
@@ -78,7 +68,6 @@ class Child:
                 stdout=said,
                 stderr=said,
                 start_new_session=True,
-                pass_fds=(lock,),
             )
         if cores:
             # Python takes longer to start than this: JAX will see these cores only.
@@ -120,16 +109,10 @@ def last_words(log: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
-def last_row(progress: Path) -> dict[str, str] | None:
-    """The last complete row of a progress.csv, None before any."""
+def last_row(folder: RunFolder) -> dict[str, str] | None:
+    """The last row of a run's progress.csv, None before any."""
     try:
-        with progress.open("rb") as file:
-            head = file.readline().decode()
-            file.seek(max(file.tell(), file.seek(0, os.SEEK_END) - 8192))
-            lines = file.read().decode(errors="replace").split("\n")
-    except FileNotFoundError:
+        rows = folder.progress.read()
+    except FileNotFoundError:  # Taken away by a run that begins anew.
         return None
-    if len(lines) < 2 or not lines[-2]:
-        return None
-    names, values = next(csv.reader([head])), next(csv.reader([lines[-2]]))
-    return dict(zip(names, values, strict=True)) if len(names) == len(values) else None
+    return rows[-1] if rows else None

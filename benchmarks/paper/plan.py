@@ -7,41 +7,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli import runs, settings
+from benchmarks.paper.settings import GRID, planned
+from jaxrod.cli.runs import PAPER_CASES, paper_result
 
 if TYPE_CHECKING:
     from jaxrod.viz import PaperResult
 
-CHECKPOINT_SECONDS = 300
-"""Time between checkpoints [s]: off-policy learners save all that they remember."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """One run of the grid.
-
-    Attributes:
-        task: name of the task, such as "tracking".
-        algorithm: name of the learner, such as "ppo".
-        variant: of the task; None where it has none.
-        seed: of all randomness.
-        steps: control steps, whole updates.
-        changed: settings that differ from the learner's defaults, as NAME=VALUE.
-        settings: all settings, as `config.json` keeps them.
-    """
+    """One run of the grid."""
 
     task: str
+    """Name of the task, such as "tracking"."""
     algorithm: str
+    """Name of the learner, such as "ppo"."""
     variant: str | None
+    """Variant of the task; None where it has none."""
     seed: int
+    """Seed of all randomness."""
     steps: int
+    """Control steps, whole updates."""
     changed: tuple[str, ...]
+    """Settings that differ from the learner's defaults, as NAME=VALUE."""
     settings: Mapping[str, Any]
+    """All settings, as `config.json` keeps them."""
 
     @property
     def case(self) -> str:
         """The paper's name of the case; the task's own where it is not the paper's."""
-        return runs.PAPER_CASES.get(self.task, self.task)
+        return PAPER_CASES.get(self.task, self.task)
 
     @property
     def name(self) -> str:
@@ -65,7 +60,7 @@ class Cell:
     @property
     def paper(self) -> PaperResult | None:
         """What the paper reached; None where scores do not compare."""
-        return runs.paper_result(self.config)
+        return paper_result(self.config)
 
     def command(self, out: Path) -> list[str]:
         """The words that run it, after `jaxrod`."""
@@ -101,10 +96,9 @@ def plan(
     Raises:
         ValueError: something is not known or makes no sense.
     """
-    from jaxrod.training.grid_settings import GRID
     from jaxrod.validation import check_seed
 
-    tasks = _unique([_task(case) for case in cases] or list(runs.PAPER_CASES))
+    tasks = _unique([_task(case) for case in cases] or list(PAPER_CASES))
     known = [*GRID["tracking"]]
     chosen = _unique([word.lower() for word in algorithms] or known)
     for word in chosen:
@@ -132,27 +126,28 @@ def _cell(
     steps: int | None,
     fraction: float | None,
 ) -> Cell:
-    from jaxrod.training import find_algorithm, grid_settings
+    from jaxrod.envs import make
+    from jaxrod.training import find_algorithm
     from jaxrod.training.runs.folder import recorded
 
-    env = runs.make_case(task, {"variant": variant} if variant else {})
+    env = make(task, variant=variant) if variant else make(task)
+    variant = getattr(env, "variant", None)
     learner = find_algorithm(algorithm)
-    planned = grid_settings.planned(task, algorithm, getattr(env, "variant", None))
-    wanted = steps if steps is not None else int(planned.steps * (fraction or 1.0))
-    different: dict[str, Any] = dict(planned.settings)
-    if "short_steps" in different and wanted < planned.steps:
+    cell_plan = planned(task, algorithm, variant)
+    wanted = steps if steps is not None else int(cell_plan.steps * (fraction or 1.0))
+    different: dict[str, Any] = dict(cell_plan.settings)
+    if "short_steps" in different and wanted < cell_plan.steps:
         # The same part of a shorter run: an episode must have time to be complete.
-        different["short_steps"] *= wanted / planned.steps
-    changed = tuple(f"{name}={_word(value)}" for name, value in different.items())
-    config = settings.configure(learner.config_type(), {}, changed)
+        different["short_steps"] *= wanted / cell_plan.steps
+    config = dataclasses.replace(learner.config_type(), **different)
     learner.validate(config, 1)
     cell = Cell(
         task=task,
         algorithm=algorithm,
-        variant=getattr(env, "variant", None),
+        variant=variant,
         seed=seed,
-        steps=planned.steps,
-        changed=changed,
+        steps=cell_plan.steps,
+        changed=tuple(f"{name}={_word(value)}" for name, value in different.items()),
         settings=recorded(config),
     )
     per_update = learner.steps_per_update(config)
@@ -169,12 +164,10 @@ def _cell(
 
 def _task(word: str) -> str:
     """The task of that name, its own or the paper's."""
-    from jaxrod.training.grid_settings import GRID
-
-    papers = {case.lower(): task for task, case in runs.PAPER_CASES.items()}
+    papers = {case.lower(): task for task, case in PAPER_CASES.items()}
     task = papers.get(word.lower(), word)
     if task not in GRID:
-        known = ", ".join((*GRID, *runs.PAPER_CASES.values()))
+        known = ", ".join((*GRID, *PAPER_CASES.values()))
         raise ValueError(f"case must be one of {known}; got {word!r}")
     return task
 
@@ -184,7 +177,7 @@ def _unique(values: Sequence[Any]) -> list[Any]:
 
 
 def _word(value: Any) -> str:
-    """A value as `settings.configure` reads it."""
+    """A value as `jaxrod train --set` reads it."""
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -10,16 +10,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
-from jaxrod.cli import grid_process
-from jaxrod.cli.grid import CHECKPOINT_SECONDS, Cell
-from jaxrod.cli.grid_records import Record, Records
-from jaxrod.cli.grid_report import draw_figures, write_report
-from jaxrod.cli.grid_view import GridView
-from jaxrod.cli.machine import processor
-from jaxrod.training import find_algorithm
-from jaxrod.training.runs.folder import RunFolder, differences, recorded
+from benchmarks.paper import process
+from benchmarks.paper.figures import draw_figures
+from benchmarks.paper.plan import Cell
+from benchmarks.paper.records import Record, Records
+from benchmarks.paper.report import write_report
+from benchmarks.paper.view import GridView
+from jaxrod.installation.machine import processor
+from jaxrod.training import RunFolder, find_algorithm
+from jaxrod.training.runs.folder import differences, recorded
 from jaxrod.training.runs.interruption import Interruption
+from jaxrod.training.runs.lock import only_process
 
+CHECKPOINT_SECONDS = 300
+"""Time between checkpoints [s]: off-policy learners save all that they remember."""
 DIVERGED = 1
 """Exit code of `jaxrod train` when learning diverged."""
 
@@ -58,10 +62,9 @@ def run_grid(
                     "run such cells again with --overwrite, or choose another folder "
                     "with --out"
                 )
-    runs = records.out / "runs"
     view = GridView(cells, stream)
-    with grid_process.only_one(runs, view.say) as lock:
-        (runs / ".gitignore").write_text("*\n")
+    with only_process(records.out / "runs"):
+        (records.out / "runs" / ".gitignore").write_text("*\n")
         waiting = []
         for cell in cells:
             record = records.get(cell)
@@ -71,8 +74,9 @@ def run_grid(
                 _show(view, cell, record, quiet=True)
         failed = [c for c in cells if (r := records.get(c)) and r["error"]]
         broken = [cell for cell in failed if cell not in waiting]
+        process.wait_for((_folder(cell, records) for cell in waiting), view.say)
         with Interruption(view.say) as interruption:
-            for cell, good in _run(waiting, records, view, lock, interruption, jobs):
+            for cell, good in _run(waiting, records, view, interruption, jobs):
                 if not good:
                     broken.append(cell)
         if interruption.asked:
@@ -84,7 +88,7 @@ def run_grid(
 def changed_since(cell: Cell, records: Records) -> list[str]:
     """How what was run of a cell, to its end or not, differs from what is asked."""
     record = records.get(cell)
-    folder = RunFolder(records.out / "runs" / cell.name)
+    folder = _folder(cell, records)
     if record is not None:
         return differences(_completed(record["config"]), cell.config, _UNASKED)
     if folder.exists:
@@ -107,7 +111,7 @@ class _Running:
 
     cell: Cell
     folder: RunFolder
-    child: grid_process.Child
+    child: process.Child
     cores: tuple[int, ...]
 
 
@@ -115,23 +119,22 @@ def _run(
     waiting: list[Cell],
     records: Records,
     view: GridView,
-    lock: int,
     interruption: Interruption,
     jobs: int,
 ) -> Iterator[tuple[Cell, bool]]:
     """Runs cells to their ends; yields each as it ends, and whether it is sound."""
     waiting, told = list(waiting), False
     running: list[_Running] = []
-    idle = grid_process.shares(jobs)
+    idle = process.shares(jobs)
     try:
         while running or (waiting and not interruption.asked):
             while waiting and idle and not interruption.asked:
                 cell = waiting.pop(0)
-                folder = RunFolder(records.out / "runs" / cell.name)
+                folder = _folder(cell, records)
                 if _ready(cell, folder):
                     yield cell, _ended(cell, folder, 0, records, view, False)
                     continue
-                child = _start(cell, folder, view, lock, idle[0])
+                child = _start(cell, folder, view, idle[0])
                 running.append(_Running(cell, folder, child, idle.pop(0)))
             if interruption.asked and not told:
                 told = True
@@ -150,7 +153,7 @@ def _run(
                     run.cell,
                     _ended(run.cell, run.folder, code, records, view, stopped),
                 )
-            time.sleep(grid_process.POLL_SECONDS)
+            time.sleep(process.POLL_SECONDS)
     finally:
         for run in running:
             run.child.end()
@@ -165,21 +168,21 @@ def _ready(cell: Cell, folder: RunFolder) -> bool:
 
 
 def _start(
-    cell: Cell, folder: RunFolder, view: GridView, lock: int, cores: tuple[int, ...]
-) -> grid_process.Child:
+    cell: Cell, folder: RunFolder, view: GridView, cores: tuple[int, ...]
+) -> process.Child:
     """Starts a cell, or goes on with it from wherever it is."""
-    row = grid_process.last_row(folder.progress.path)
+    row = process.last_row(folder)
     view.start(cell, int(row["env_steps"]) if row and folder.exists else 0)
     words = cell.command(folder.path)
     words += ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"]
     if folder.exists:
         words.append("--resume")
-    return grid_process.Child(words, _log(folder), lock=lock, cores=cores)
+    return process.Child(words, _log(folder), cores)
 
 
 def _look(run: _Running, view: GridView) -> None:
     """Shows how far a cell is."""
-    row = grid_process.last_row(run.folder.progress.path)
+    row = process.last_row(run.folder)
     if row:
         score = row["episode_return_mean"]
         view.running(run.cell, int(row["env_steps"]), float(score) if score else None)
@@ -194,11 +197,11 @@ def _ended(
     stopped: bool,
 ) -> bool:
     """Records a cell whose process has ended; whether the cell is not broken."""
-    row = grid_process.last_row(folder.progress.path)
+    row = process.last_row(folder)
     if folder.finished:
         _record(cell, folder, records, folder.summary(), None)
     elif code == DIVERGED and not stopped:
-        said = grid_process.last_words(_log(folder))
+        said = process.last_words(_log(folder))
         _record(cell, folder, records, _so_far(row or {}), said)
     elif stopped:
         view.stopped(cell, int(row["env_steps"]) if row else 0)
@@ -207,13 +210,18 @@ def _ended(
         # Not recorded: the next call tries again, from the last checkpoint.
         how = f"killed by signal {-code}"
         if code >= 0:
-            how = grid_process.last_words(_log(folder))
+            how = process.last_words(_log(folder))
         view.failed(cell, f"{how} (see {_log(folder)})")
         return False
     record = records.get(cell)
     assert record is not None
     _show(view, cell, record)
     return not record["error"]
+
+
+def _folder(cell: Cell, records: Records) -> RunFolder:
+    """Where a cell is trained."""
+    return RunFolder(records.out / "runs" / cell.name)
 
 
 def _log(folder: RunFolder) -> Path:

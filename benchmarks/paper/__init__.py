@@ -1,0 +1,1 @@
+"""`jaxrod reproduce`: the published grid of cases, algorithms and seeds."""

@@ -1,0 +1,1 @@
+"""`jaxrod benchmark`: rod-steps per second, PyElastica beside it."""

@@ -1,0 +1,1 @@
+"""`jaxrod tradeoff`: error against cost, PyElastica and MuJoCo's cable beside it."""

@@ -1,0 +1,52 @@
+"""The machine and the releases that measurements depend on."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+
+def processor() -> str:
+    """The processor's name, as well as it can be found out."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def machine_facts(load: float | None) -> dict[str, Any]:
+    """Processor, cores, devices, XLA's flags and releases, as JSON holds them.
+
+    Args:
+        load: the load average before anything was measured; None where there is none.
+    """
+    import jax
+
+    from jaxrod.installation.backend import available_cores
+
+    versions = {"python": platform.python_version()}
+    for package in ("jax", "jaxlib", "numpy", "pyelastica", "mujoco"):
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "processor": processor(),
+        "cores": available_cores(),
+        "load_average_before": load,
+        "devices": f"{jax.device_count()} x {jax.devices()[0].device_kind}",
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "versions": versions,
+    }
+
+
+def processor_and_versions() -> str:
+    """The processor and the releases in use, in one line."""
+    facts = machine_facts(None)
+    versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
+    return f"{facts['processor']}; {versions}"
