@@ -19,7 +19,6 @@ from jaxrod.files import (
     whole,
 )
 from jaxrod.training.runs.checkpoint import Checkpoints
-from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.folder import (
     LEARNING_CURVE,
     REPLAY,
@@ -27,6 +26,7 @@ from jaxrod.training.runs.folder import (
     differences,
     plain,
 )
+from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.table import check_mark
 
 _FACTS = {

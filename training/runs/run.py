@@ -18,14 +18,14 @@ import numpy as np
 
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
+from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.devices import compile_updates, device_mesh, place
-from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.interruption import Interruption
-from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.runs.progress import ProgressBar
 from jaxrod.training.runs.resuming import facts_of, restore
-from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
 

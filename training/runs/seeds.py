@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
-from jaxrod.validation import check_count, check_seed
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.settings import check_steps
+from jaxrod.validation import check_count, check_seed
 
 
 def train_seeds(
