@@ -210,7 +210,7 @@ def test_effects_see_what_rounding_has_added_to_the_positions(plane):
     remainders = 1e-8 * jnp.cos(jnp.arange(39.0, dtype=jnp.float32)).reshape(3, 13)
     state = replace(state, remainders=remainders)
     integrator = scene.method.stepper(scene, state, jnp.asarray(1e-4, jnp.float32))
-    seen = integrator.in_space(integrator.enter(state))
+    seen = integrator.view(integrator.enter(state))
     assert difference(seen.edges, motion_of(state).edges) == 0
     assert difference(seen.edges, motion_of(replace(state, remainders=None)).edges) > 0
     after = integrator.leave(integrator.enter(state))

@@ -62,6 +62,18 @@ FACTORIES = {
         {"translational_rate": 3.0, "rotational_rate": 2.0},
         {"translational_rate": 3.0},
     ],
+    "ramp": [{"first": (1.0, 2.0), "last": (3.0, 4.0), "duration": 2.0, "start": 0.5}],
+    "sine": [{"amplitude": 2.0, "period": 0.3, "mean": 1.0, "phase": 0.2}],
+    "table": [{"times": (0.0, 1.0), "values": ((1.0, 2.0), (3.0, 4.0))}],
+    "hinge": [{"state": STATE, "axis": (0.0, 2.0, 1.0)}],
+    "driven": [
+        {
+            "state": STATE,
+            "displacement": (0.0, 0.1, 0.0),
+            "axis": (0.0, 2.0, 1.0),
+            "angle": 0.3,
+        }
+    ],
     "sphere": [{"centre": (1.0, 2.0, 3.0), "radius": 0.5}],
     "capsule": [{"start": (1.0, 2.0, 3.0), "end": (0.0, 0.0, 1.0), "radius": 0.5}],
     "cylinder": [{"start": (1.0, 2.0, 3.0), "end": (0.0, 0.0, 1.0), "radius": 0.5}],
@@ -123,7 +135,7 @@ ELSEWHERE = {
 def numeric_arguments(name):
     """The arguments of a public function that are numbers or arrays of them."""
     parameters = inspect.signature(getattr(jaxrod, name)).parameters.values()
-    kinds = ("Numbers", "ArrayLike", "Float[")
+    kinds = ("Numbers", "ArrayLike", "Float[", "Timed")
     return [
         p.name
         for p in parameters
