@@ -4,6 +4,7 @@ if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
 from jaxrod.envs.action_repeat import ActionRepeat
+from jaxrod.envs.checking import check_environment
 from jaxrod.envs.protocol import Drawable, Environment
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.snapshot import Snapshot
@@ -23,6 +24,7 @@ __all__ = [
     "VectorEnvironment",
     "VectorState",
     "VectorStep",
+    "check_environment",
     "make",
     "names",
 ]

@@ -118,10 +118,9 @@ def picture(
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     reach = nodes[None, :, :, :1] + axes[:, None, :, None] * arcs[None, :, None, :]
     positions = np.concatenate([reach, nodes[None]])
-    still = dataclasses.replace(
-        seen, radii=np.broadcast_to(seen.radii, lengths.shape), readouts={}
-    )
-    moments: Snapshot = jax.tree.map(
+    radii: Any = np.broadcast_to(seen.radii, lengths.shape)
+    still = dataclasses.replace(seen, radii=radii, readouts={})
+    moments: Any = jax.tree.map(
         lambda leaf: np.repeat(np.asarray(leaf)[None], len(positions), axis=0), still
     )
     moments = dataclasses.replace(moments, positions=positions)
@@ -134,7 +133,7 @@ def _nodes(seen: Snapshot) -> Float[np.ndarray, "rods 3 n+1"]:
     return nodes if nodes.ndim == 3 else nodes[None]
 
 
-def _lasting(name: str, values: np.ndarray) -> np.ndarray:
+def _lasting(name: str, values: Any) -> np.ndarray:
     """What is the same in all frames."""
     if not np.array_equal(values, np.broadcast_to(values[:1], values.shape)):
         raise ValueError(f"{name} of a snapshot must not change during an episode")

@@ -46,7 +46,7 @@ class Batch:
         """Makes the environment; computes nothing yet.
 
         Args:
-            task: a name for `jaxrod.envs.make`, or an environment.
+            task: a task for `jaxrod.envs.make`, or an environment.
             num_envs: how many, at least 1.
             render_mode: None or "rgb_array".
             params: parameters; None for the environment's own.

@@ -35,8 +35,6 @@ def arm_and_target(
         radii=rod.radii,
         spheres=((target, radius),),
         cylinders=cylinders,
-        readouts={
-            "distance to target [m]": jnp.sqrt(jnp.sum((arm.tip - target) ** 2))
-        },
+        readouts={"distance to target [m]": jnp.sqrt(jnp.sum((arm.tip - target) ** 2))},
         up="y",
     )

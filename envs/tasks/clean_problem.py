@@ -52,8 +52,8 @@ class CleanTask(Drawable, Protocol):
 RECORDED = {"tracking": "tracking_actions.npy"}
 """Tasks with actions of a trained policy, and the file of them."""
 STRENGTHS = {"reaching": 1.0, "structured": 0.3, "unstructured": 0.3}
-"""The strongest actions that are drawn for the others. Full strength throws an arm about
-among obstacles, and where it is after a second then depends on details beyond any
+"""The strongest actions that are drawn for the others. Full strength throws an arm
+about among obstacles, and where it is after a second then depends on details beyond any
 resolution."""
 
 

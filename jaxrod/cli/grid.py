@@ -53,7 +53,7 @@ class Cell:
     def config(self) -> dict[str, Any]:
         """What decides how it ends, as in `config.json`."""
         return {
-            "case": self.task,
+            "task": self.task,
             "variant": self.variant,
             "env_options": {"variant": self.variant} if self.variant else {},
             "algorithm": self.algorithm,
@@ -135,7 +135,7 @@ def _cell(
     from jaxrod.training import find_algorithm, grid_settings
     from jaxrod.training.runs.folder import recorded
 
-    env = runs.make_case(task, {"variant": variant} if variant else {})
+    env = runs.make_task(task, {"variant": variant} if variant else {})
     learner = find_algorithm(algorithm)
     planned = grid_settings.planned(task, algorithm, getattr(env, "variant", None))
     wanted = steps if steps is not None else int(planned.steps * (fraction or 1.0))
