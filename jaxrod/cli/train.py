@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
     stored = None
     if args.resume:
-        stored = runs.open_run(_folder(args, None)).config
+        stored = runs.read_config(_folder(args, None))
         if stored["task"] != spelt_out(args.task):
             raise ValueError(
                 f"{_folder(args, None)} holds a run of {stored['task']}, "
@@ -164,6 +164,15 @@ def run(args: argparse.Namespace) -> int:
             config = settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
             check_steps(stored["steps"], learner.steps_per_update(config))
+    words = list(args.set)
+    if args.num_envs is not None:
+        words.append(f"num_envs={args.num_envs}")
+    config = settings.configure(config, {}, words)
+    wanted = getattr(config, "num_envs", 1)
+    # Before somebody's own task is imported, which may compute at once.
+    jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
+    if stored:
+        runs.open_run(_folder(args, None))
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
@@ -173,10 +182,6 @@ def run(args: argparse.Namespace) -> int:
         options["nest"] = None if args.nest == PUBLISHED else args.nest
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
-    words = list(args.set)
-    if args.num_envs is not None:
-        words.append(f"num_envs={args.num_envs}")
-    config = settings.configure(config, {}, words)
     out = _folder(args, getattr(env, "variant", None))
     if not args.resume:
         RunFolder(out).check_replaceable()
@@ -185,9 +190,6 @@ def run(args: argparse.Namespace) -> int:
                 f"{out} holds a run already: continue it with --resume, replace it "
                 "with --overwrite, or choose another folder with --out"
             )
-
-    wanted = getattr(config, "num_envs", 1)
-    jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
     import jax
 
     if args.task not in names():

@@ -48,11 +48,11 @@ class HalfDone:
 class Unhashable(Trivial):
     __hash__ = None
 
-class Endless(Trivial):
-    episode_length = 0
+def endless():
+    return Line(0)
 
-class Wide(Trivial):
-    observation_size = 2
+def wide():
+    return Line(observation_size=2)
 
 class Forgetful(Trivial):
     def step(self, *given):
@@ -167,9 +167,9 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
             "episode_length, default_params(), step()",
         ),
         ("{}:Unhashable", [], "trivial must be hashable, a frozen dataclass for one"),
-        ("{}:Endless", [], "episode_length of trivial must be a positive integer"),
+        ("{}:endless", [], "episode_length of trivial must be a positive integer"),
         (
-            "{}:Wide",
+            "{}:wide",
             [],
             "the observation of reset of trivial must be an array of floats of shape "
             "(2,), got float",
@@ -184,7 +184,7 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
 def test_what_is_no_task_is_one_sentence(task, options, sentence, mine, run):
     words = [word for option in options for word in ("--option", option)]
     task = task.format("package_of_mine.tasks")
-    code, out, err = run("train", task, *words, "--out", mine / "run")
+    code, out, err = run("train", task, *words, *TINY, "--out", mine / "run")
     assert (code, out) == (2, "")
     assert sentence in err
     assert err.startswith("jaxrod train: ") and err.count("\n") == 1
