@@ -7,14 +7,19 @@ import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from jaxrod import cli
 from jaxrod.cli import settings, train
+from jaxrod.envs import make
+from jaxrod.envs.gym import GymnasiumEnv
+from jaxrod.envs.registry import made
 from jaxrod.training.runs.progress import ProgressBar
 
 MODULE = """
 import dataclasses
+from typing import NamedTuple
 from jaxrod.envs.trivial import Trivial
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +76,15 @@ class Undrawn(Trivial):
     control_period = 0.1
     def snapshot(self, state, params):
         return state.position
+
+class Kept(NamedTuple):
+    name: str = "kept"
+    observation_size: int = 1
+    action_size: int = 1
+    episode_length: int = 2
+    def default_params(self): ...
+    def reset(self, key, params): ...
+    def step(self, key, state, action, params): ...
 
 number = 3
 """
@@ -189,6 +203,24 @@ def test_what_is_no_task_is_one_sentence(task, options, sentence, mine, run):
     assert sentence in err
     assert err.startswith("jaxrod train: ") and err.count("\n") == 1
     assert not (mine / "run").exists()
+
+
+@pytest.mark.default_precision
+def test_the_doors_to_other_libraries_take_an_import_path(mine, monkeypatch):
+    monkeypatch.syspath_prepend(mine)
+    env = GymnasiumEnv("package_of_mine.tasks:make_task", length=2)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(1, np.float32))[3] for _ in range(2)]
+    assert ends == [False, True]
+
+
+def test_how_an_environment_was_made_is_known_whatever_it_is(mine, monkeypatch):
+    monkeypatch.syspath_prepend(mine)
+    options = {"make_task": {"name": "x"}, "any_name": {"a": 1}, "Kept": {"name": "x"}}
+    for name, given in options.items():  # No weak reference to the last.
+        env = make(f"package_of_mine.tasks:{name}", **given)
+        assert made(env).task == f"package_of_mine.tasks:{name}"
+        assert made(env).options == given
 
 
 @pytest.mark.parametrize(

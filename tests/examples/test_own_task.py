@@ -39,6 +39,7 @@ def test_the_example_is_short_and_keeps_the_protocol(monkeypatch):
     env = make(TASK, height=0.2)
     check_environment(env)
     assert env.height == 0.2
+    assert make(TASK, height=0.2) == env
 
 
 def test_bending_up_lifts_the_tip(monkeypatch):
