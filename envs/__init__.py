@@ -4,8 +4,10 @@ if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
 from jaxrod.envs.action_repeat import ActionRepeat
-from jaxrod.envs.protocol import Environment
+from jaxrod.envs.checking import check_environment
+from jaxrod.envs.protocol import Drawable, Environment
 from jaxrod.envs.registry import make, names
+from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.wrappers import (
     EpisodeRecord,
     VectorEnvironment,
@@ -15,11 +17,14 @@ from jaxrod.envs.wrappers import (
 
 __all__ = [
     "ActionRepeat",
+    "Drawable",
     "Environment",
     "EpisodeRecord",
+    "Snapshot",
     "VectorEnvironment",
     "VectorState",
     "VectorStep",
+    "check_environment",
     "make",
     "names",
 ]

@@ -69,7 +69,7 @@ class BraxEnv(Env):
         """Makes the environment.
 
         Args:
-            task: a name for `jaxrod.envs.make`, or an environment.
+            task: a task for `jaxrod.envs.make`, or an environment.
             params: parameters of the environment; None for its own.
             **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
 

@@ -1,4 +1,4 @@
-"""The environment protocol: two pure functions and four facts.
+"""The environment protocol: two pure functions and four facts; what to draw besides.
 
 An environment is a *namespace*: static, without state, hashable. All that
 changes in time is in the state it returns, all its numbers are in its
@@ -16,6 +16,8 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from jaxtyping import Array, Bool, Float, Key
+
+from jaxrod.envs.snapshot import Snapshot
 
 Params = Any
 """Traced parameters of an environment: any pytree."""
@@ -36,7 +38,7 @@ class Environment(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the task, as in the registry."""
+        """Name of the task, for people; that of a built-in one as in the registry."""
 
     @property
     def observation_size(self) -> int:
@@ -97,4 +99,20 @@ class Environment(Protocol):
             `"flagged"` an environment may report that a numerical health flag
             rose, in which case the step is also truncated or terminated. What the
             tasks then report of the arm (`"distance"`) is of the last sound one.
+        """
+
+
+class Drawable(Environment, Protocol):
+    """An environment that says what to draw; the others train and evaluate as well."""
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+
+    def snapshot(self, state: State, params: Params) -> Snapshot:
+        """What there is to see.
+
+        Args:
+            state: of the moment.
+            params: traced parameters.
         """

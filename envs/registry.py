@@ -1,11 +1,15 @@
-"""Environments by name, imported only when asked for."""
+"""Environments by the name of their task, imported only when asked for."""
 
 from __future__ import annotations
 
-import importlib
+import dataclasses
 import inspect
+import weakref
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from jaxrod.envs.checking import check_facts
+from jaxrod.envs.importing import callable_at, spelt_out
 from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
@@ -17,32 +21,130 @@ _FACTORIES = {
 }
 
 
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """How an environment was made: `make(task, **options)` makes it again."""
+
+    task: str
+    """As `make` was told; the path of a file is an absolute one."""
+    options: Mapping[str, Any]
+    """Those that are not as by default, and the variant."""
+
+
 def names() -> tuple[str, ...]:
-    """Returns the names that `make` knows, sorted."""
+    """Returns the names of the built-in tasks, sorted."""
     return tuple(sorted(_FACTORIES))
 
 
-def make(name: str, /, **options: Any) -> Environment:
-    """Makes the environment called `name`.
+def make(task: str, /, **options: Any) -> Environment:
+    """Makes the environment of a task.
 
     Args:
-        name: one of `names()`.
-        **options: handed to the environment's factory, for example
-            `variant="paper"` for `"tracking"`.
+        task: one of `names()`, or where a callable of your own is that returns an
+            `Environment`: `"mypackage.mymodule:make_task"`, or
+            `"folder/file.py:make_task"` for a file that imports nothing from beside
+            it.
+        **options: handed to the task's callable, for example `variant="paper"` for
+            `"tracking"`.
 
     Raises:
-        ValueError: nothing is registered under this name, or what is has no such
-            option.
+        ValueError: there is no such task, it has no such option, it raises, or what
+            it makes is not an environment.
     """
-    if name not in _FACTORIES:
-        known = ", ".join(names())
-        raise ValueError(f"name must be one of {known}; got {name!r}")
-    module, factory = _FACTORIES[name].split(":")
-    build = getattr(importlib.import_module(module), factory)
-    known_options = inspect.signature(build).parameters
+    if task not in _FACTORIES and ":" not in task:
+        raise ValueError(
+            f"task must be one of {', '.join(names())}, or say where your own is made, "
+            f"such as mypackage.mymodule:make_task; got {task!r}"
+        )
+    build = callable_at(_FACTORIES.get(task, task))
+    chosen = _chosen(task, build, options)
+    env = build(**options) if task in _FACTORIES else _made_by(task, build, options)
+    _remember(env, Made(task if task in _FACTORIES else spelt_out(task), chosen))
+    return env
+
+
+def made(env: Environment) -> Made | None:
+    """How `make` made an environment; None for one that something else made."""
+    remembered, how = _MADE.get(id(env), (lambda: None, None))
+    return how if remembered() is env else None
+
+
+_MADE: dict[int, tuple[Callable[[], Any], Made]] = {}
+"""By the identity of an environment: itself, unless it is gone, and how it was made.
+
+By identity, because what is equal may have been made otherwise, or not by `make`.
+"""
+
+
+def _made_by(
+    task: str, build: Callable[..., Any], options: Mapping[str, Any]
+) -> Environment:
+    """What a callable of somebody's own makes, if that is an environment."""
+    try:
+        env = build(**options)
+        check_facts(env)
+    except (ValueError, OSError, ImportError):
+        raise
+    except Exception as error:
+        raise ValueError(f"{task} raised {type(error).__name__}: {error}") from error
+    return env
+
+
+def _remember(env: Environment, how: Made) -> None:
+    key = id(env)
+    try:
+        reference: Callable[[], Any] = weakref.ref(env, lambda _: _MADE.pop(key, None))
+    except TypeError:  # Some classes allow none: these few objects are kept.
+        reference = lambda: env
+    _MADE[key] = (reference, how)
+
+
+def _chosen(
+    task: str, build: Callable[..., Any], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Checks the names of options; returns those that are not as by default.
+
+    The variant is among them in any case: runs are told apart by it.
+
+    Raises:
+        ValueError: there is no such option, or one is missing.
+    """
+    try:
+        known = inspect.signature(build).parameters
+    except (TypeError, ValueError):  # Written in C: it says itself what it takes.
+        return dict(options)
+    any_name = any(one.kind is one.VAR_KEYWORD for one in known.values())
+    named = {
+        name: one
+        for name, one in known.items()
+        if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)
+    }
     for option in options:
-        if option not in known_options:
-            raise ValueError(
-                f"{name!r} has no option {option!r}, it has {', '.join(known_options)}"
-            )
-    return build(**options)
+        if option not in named and not any_name:
+            has = f"it has {', '.join(named)}" if named else "it has none"
+            raise ValueError(f"{task!r} has no option {option!r}, {has}")
+    missing = [
+        name
+        for name, one in known.items()
+        if one.default is one.empty
+        and one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL)
+        and name not in options
+    ]
+    if missing:
+        raise ValueError(f"{task!r} needs the option {' and '.join(missing)}")
+    usual = {
+        name: one.default for name, one in named.items() if one.default is not one.empty
+    }
+    return {
+        name: value
+        for name, value in (usual | dict(options)).items()
+        if name == "variant" or name not in usual or not _same(value, usual[name])
+    }
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two values of an option are one."""
+    try:
+        return a is b or (type(a) is type(b) and bool(a == b))
+    except (TypeError, ValueError):  # An array, say.
+        return False

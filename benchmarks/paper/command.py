@@ -148,7 +148,7 @@ def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) ->
         pace = [
             record["wall_s"] / record["env_steps"]
             for record in records
-            if (record["config"]["case"], record["config"]["algorithm"])
+            if (record["config"]["task"], record["config"]["algorithm"])
             == (cell.task, cell.algorithm)
             and record["variant"] == cell.variant
             and record["status"] == "finished"

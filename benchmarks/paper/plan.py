@@ -48,7 +48,7 @@ class Cell:
     def config(self) -> dict[str, Any]:
         """What decides how it ends, as in `config.json`."""
         return {
-            "case": self.task,
+            "task": self.task,
             "variant": self.variant,
             "env_options": {"variant": self.variant} if self.variant else {},
             "algorithm": self.algorithm,

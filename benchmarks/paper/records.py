@@ -47,12 +47,18 @@ class Records:
         Raises:
             ValueError: a record or results.csv is damaged.
         """
+        from jaxrod.training.runs.folder import renamed
+
         self.out = out
         self._records: dict[str, Record] = {}
         for file in sorted((out / "cells").glob("*.json")):
             try:
-                self._records[file.stem] = json.loads(file.read_text("utf-8"))
-                _row(self._records[file.stem])
+                record = json.loads(file.read_text("utf-8"))
+                _row(record)
+                self._records[file.stem] = {
+                    **record,
+                    "config": renamed(record["config"]),
+                }
             except (ValueError, KeyError, TypeError) as error:
                 raise ValueError(f"{file} is damaged: {error!r}") from error
         self._stored_rows()

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from jaxtyping import Array, Float, Key, UInt8
 
-from jaxrod.envs.arm.scenery import drawable, picture
+from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
@@ -46,7 +46,7 @@ class Batch:
         """Makes the environment; computes nothing yet.
 
         Args:
-            task: a name for `jaxrod.envs.make`, or an environment.
+            task: a task for `jaxrod.envs.make`, or an environment.
             num_envs: number of environments, at least 1.
             render_mode: None or "rgb_array".
             params: parameters; None for the environment's own.
@@ -81,6 +81,7 @@ class Batch:
                 f"got {render_mode!r}"
             )
         self.state: VectorState | None = None
+        self._lengths: np.ndarray | None = None
 
     def reset(self, seed: int) -> None:
         """Starts all episodes anew."""
@@ -118,14 +119,16 @@ class Batch:
         """A picture of environment number `index`.
 
         Raises:
-            ValueError: there is no arm to draw.
+            ValueError: the environment does not say what to draw.
         """
         env = self.env
         if not drawable(env):
-            raise ValueError(f"{env.name} has no arm to draw")
+            raise ValueError(missing(env))
+        if self._lengths is None:
+            self._lengths = edge_lengths(env, self.params)
         one = jax.tree.map(lambda leaf: leaf[index], state.states)
         seconds = int(state.elapsed[index]) * env.control_period
-        return picture(env, self.params, one, seconds)
+        return picture(env.snapshot(one, self.params), self._lengths, seconds)
 
 
 def observed(observation: Array) -> Float[np.ndarray, "..."]:

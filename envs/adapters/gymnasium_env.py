@@ -34,7 +34,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Makes the environment.
 
         Args:
-            task: a name for `jaxrod.envs.make`, or an environment.
+            task: a task for `jaxrod.envs.make`, or an environment.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
             params: parameters of the environment; None for its own.
             **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.

@@ -39,7 +39,7 @@ class GymnasiumVectorEnv(
         """Makes the batch.
 
         Args:
-            task: a name for `jaxrod.envs.make`, or an environment.
+            task: a task for `jaxrod.envs.make`, or an environment.
             num_envs: number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
             params: parameters shared by the batch; None for the environment's own.

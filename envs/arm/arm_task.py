@@ -13,7 +13,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_count
 
 CONTROL_PERIOD = 1.4e-3
-"""Time between actions, in every case [s]."""
+"""Time between actions, in every task [s]."""
 
 OBSERVED_NODES = 11
 """Points of the arm that are observed, base and tip included."""

@@ -106,12 +106,14 @@ class CleanArm:
         return freeze(flagged, state, after), muscles, flagged
 
     def scene(
-        self, controls: Float[Array, "3 n_controls"], near: RodState | None = None
+        self,
+        controls: Float[Array, "3 n_controls"] | None = None,
+        near: RodState | None = None,
     ) -> Scene:
         """Scene of the arm under these control values.
 
         Args:
-            controls: Control values [1].
+            controls: Control values [1]; `None` for the arm without its muscles.
             near: Where the arm is about to move from, if obstacles may be left out
                 that are not among the `nearest` ones there.
         """
@@ -120,12 +122,13 @@ class CleanArm:
             obstacles = tuple(
                 near_contact(touch, self.rod, near, self.nearest) for touch in obstacles
             )
-        effects: tuple[Effect, ...] = (
-            self.held,
-            viscous_damping(self.rod, self.viscosity),
-            spline_couples(self.rod, self.spline, controls, self.couple_density),
-            *obstacles,
-        )
+        muscles: tuple[Effect, ...] = ()
+        if controls is not None:
+            muscles = (
+                spline_couples(self.rod, self.spline, controls, self.couple_density),
+            )
+        damping = viscous_damping(self.rod, self.viscosity)
+        effects = (self.held, damping, *muscles, *obstacles)
         return Scene(self.rod, effects, self.method)
 
 

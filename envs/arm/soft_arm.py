@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from jaxrod import Rod, RodState, straight_rod
 
 LENGTH = 1.0
+"""[m]"""
 RADIUS = 0.05
+"""[m]"""
 DENSITY = 1000.0
+"""[kg/m^3]"""
 YOUNGS_MODULUS = 1e7
+"""[Pa]"""
 VISCOSITY = 30.0
+"""Viscous force per length and speed [kg/(m s)]; likewise for rotation [kg m/s]."""
 TORQUE_PER_ELEMENT = 75.0
+"""Couple on an element for a control value of one [N m]."""
 REFERENCE_ELEMENTS = 20
+"""Elements of the published arm in Cases 1 and 2."""
+COUPLE_DENSITY = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
+"""The same couples, spread over the length [N m/m]."""
 
 
 def published_rod(
@@ -37,7 +48,10 @@ def published_rod(
 
 
 def clean_rod(
-    n_elements: int, start: tuple[float, float, float], axis: str
+    n_elements: int,
+    start: tuple[float, float, float],
+    axis: str,
+    dtype: Any = None,
 ) -> tuple[Rod, RodState]:
     """The same arm of incompressible material: G = E/3, shear correction 27/28."""
     return straight_rod(
@@ -47,6 +61,7 @@ def clean_rod(
         density=DENSITY,
         youngs_modulus=YOUNGS_MODULUS,
         start=start,
+        dtype=dtype,
         **_frame(axis),
     )
 

@@ -26,6 +26,7 @@ from jaxrod import (
     Rod,
     RodState,
     Scene,
+    advance,
     fixed_end,
     planar,
     pyelastica,
@@ -86,15 +87,16 @@ class PublishedArm:
         Returns:
             The arm, the muscles, and whether a node is no longer anywhere.
         """
-        effects: tuple[Effect, ...] = (self.held, self.drag)
-        if self.contact is not None:
-            effects = (*effects, self.contact)
-        scene = Scene(self.rod, effects, self.method)
-        stepper = self.method.stepper(scene, state, dt)
+        stepper = self.method.stepper(self.scene(), state, dt)
+        if self.muscles.largest_change is None:
+            # What they do in the first step they do in all.
+            lengths, new = stepper.begin(state).lengths, jnp.ones((), bool)
+            muscles = contract(muscles, controls, lengths, new, self.muscles)
+            state = advance(self.scene(muscles.couples), state, dt, n_steps)
+            return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
         def driven_by(couples: Array) -> Verlet:
-            acting = (*effects, ElementCouples(couples))
-            return replace(stepper, scene=replace(scene, effects=acting))
+            return replace(stepper, scene=self.scene(couples))
 
         def cycle(
             carry: tuple[Any, Muscles], given: tuple[Array, Array]
@@ -114,6 +116,20 @@ class PublishedArm:
         state = stepper.leave(motion)
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
+    def scene(self, couples: Float[Array, "3 n"] | None = None) -> Scene:
+        """What acts on the arm.
+
+        Args:
+            couples: Of the muscles on the elements, material frame [N m]; `None` for
+                the arm without its muscles.
+        """
+        effects: tuple[Effect, ...] = (self.held, self.drag)
+        if self.contact is not None:
+            effects = (*effects, self.contact)
+        if couples is not None:
+            effects = (*effects, ElementCouples(couples))
+        return Scene(self.rod, effects, self.method)
+
 
 def published_arm(
     n_elements: int,
@@ -121,7 +137,7 @@ def published_arm(
     axis: str,
     spline: ControlSpline,
     *,
-    largest_change: float = float("inf"),
+    largest_change: float | None = None,
     obstacles: Cylinders | None = None,
     plane: PlaneName | None = None,
 ) -> PublishedArm:
@@ -132,7 +148,8 @@ def published_arm(
         start: Where it is clamped [m].
         axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
         spline: Spline through the control points, in rest arc length.
-        largest_change: Largest change of a control value in a simulation step.
+        largest_change: Largest change of a control value in a simulation step; `None`
+            where they jump.
         obstacles: Cylinders that it may touch.
         plane: The plane of motion, where there is one: obstacles are perpendicular to
             it.
@@ -153,7 +170,9 @@ def published_arm(
         held=fixed_end(rest),
         drag=ViscousDrag(number(VISCOSITY)),
         muscles=MuscleParams(
-            spline, number(TORQUE_PER_ELEMENT), number(largest_change)
+            spline,
+            number(TORQUE_PER_ELEMENT),
+            None if largest_change is None else number(largest_change),
         ),
         contact=contact,
         method=pyelastica() if plane is None else planar(plane, pyelastica()),

@@ -1,27 +1,15 @@
-r"""The soft arm of the published benchmark, its first Elastica's settings included.
+r"""The drag of the published benchmark's first Elastica.
 
-What differs from PyElastica 1.0: shear modulus E/1.5 and shear correction 4/3;
-explicit viscous forces and couples per current length,
-$f = -\nu\, \bar v\, \ell$ and $c = -\nu\, \omega\, \ell$; muscles that add a couple to
-every element, whatever its length, read off a spline at the element's far end in
-current arc length. These belong to the benchmark and are kept out of the simulator.
+Explicit viscous forces and couples per current length, $f = -\nu\, \bar v\, \ell$ and
+$c = -\nu\, \omega\, \ell$. PyElastica 1.0 has none; it belongs to the benchmark and is
+kept out of the simulator.
 """
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod import (
-    ControlSpline,
-    Effect,
-    ElementCouples,
-    Loads,
-    Motion,
-    Rod,
-    RodState,
-    StabilityBound,
-)
+from jaxrod import Effect, Loads, Motion, Rod, StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
 
@@ -49,30 +37,3 @@ class ViscousDrag(Effect):
         drag = self.viscosity * rod.rest_lengths
         nodes = 0.5 * (vectors.pad(drag, 0, 1) + vectors.pad(drag, 1, 0))
         return StabilityBound(node_drag=nodes, element_drag=drag)
-
-
-def muscle_couples(
-    rod: Rod,
-    state: RodState,
-    spline: ControlSpline,
-    controls: Float[Array, "3 n_controls"],
-    torque_per_element: Array,
-    dt: Array,
-) -> ElementCouples:
-    """Couples of the published muscles during one control step.
-
-    The spline is read at the far ends of the elements in current arc length, as it
-    is in the middle of the first step after the controls changed.
-
-    Args:
-        rod: The arm.
-        state: Its state when the controls change.
-        spline: Through the control points, in rest arc length.
-        controls: Control values [1] about d1, d2 and d3.
-        torque_per_element: Couple for a control value of one [N m].
-        dt: Step size [s].
-    """
-    positions = state.positions + 0.5 * dt * state.velocities
-    edges = positions[:, 1:] - positions[:, :-1]
-    lengths = jnp.sqrt(jnp.sum(edges**2, axis=0))
-    return ElementCouples(torque_per_element * spline(controls, jnp.cumsum(lengths)))

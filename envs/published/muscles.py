@@ -2,9 +2,10 @@
 
 Every direction (bending about d1, about d2, twist) is a muscle of its own. In a
 simulation step in which its control values are not yet the commanded ones, they move
-towards them, by no more than a given change, and the couples are read off the spline
-through them at the elements' far ends, in the arc length of that moment. Once the
-commanded values are reached the couples stay as they are, whatever the arm does.
+towards them, by no more than a given change if there is one, and the couples are read
+off the spline through them at the elements' far ends, in the arc length of that moment.
+Once the commanded values are reached the couples stay as they are, whatever the arm
+does.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ class MuscleParams:
     """Spline through the control points, in rest arc length."""
     torque: Float[Array, ""]
     """Couple on an element for a control value of one [N m]."""
-    largest_change: Float[Array, ""]
-    """Largest change of a control value in a simulation step; may be infinite."""
+    largest_change: Float[Array, ""] | None
+    """Largest change of a control value in a simulation step; `None` where they
+    jump."""
 
 
 @pytree
@@ -68,11 +70,13 @@ def contract(
     """
     missing = commanded - muscles.applied
     bound = params.largest_change
-    applied = jnp.where(
-        jnp.abs(missing) <= bound,
-        commanded,
-        muscles.applied + jnp.clip(missing, -bound, bound),
-    )
+    applied = commanded
+    if bound is not None:
+        applied = jnp.where(
+            jnp.abs(missing) <= bound,
+            commanded,
+            muscles.applied + jnp.clip(missing, -bound, bound),
+        )
     couples = params.torque * params.spline(applied, jnp.cumsum(lengths))
     changing = jnp.any(missing != 0, axis=1, keepdims=True)
     still = lax.stop_gradient(muscles.couples) + (couples - lax.stop_gradient(couples))

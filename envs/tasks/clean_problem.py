@@ -9,31 +9,52 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from importlib import resources
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod import (
-    ElementAverages,
-    RodState,
-    Scene,
-    clamp,
-    consistent,
-    control_spline,
-    spline_couples,
-)
-from jaxrod.effects.actuation import ElementCouples
+from jaxrod import RodState, Scene, consistent, control_spline, spline_couples
 from jaxrod.envs.arm.clean import CleanArm
 from jaxrod.envs.arm.soft_arm import LENGTH
-from jaxrod.envs.tasks.obstacle_task import ObstacleTask
-from jaxrod.envs.tasks.reaching import Reaching
-from jaxrod.envs.tasks.tracking import Tracking
+from jaxrod.envs.protocol import Drawable
+from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.scene import Law
 from jaxrod.tradeoff import Problem
+from jaxrod.validation import Numbers
 
-CleanTask = Tracking | Reaching | ObstacleTask
+
+class CleanTask(Drawable, Protocol):
+    """What is asked of a task of the benchmark: all four have it."""
+
+    @property
+    def variant(self) -> str:
+        """Which physics: "paper" or "clean"."""
+
+    @property
+    def n_elements(self) -> int:
+        """Elements of the arm."""
+
+    @property
+    def substeps(self) -> int:
+        """Simulation steps per control step."""
+
+    @property
+    def plane(self) -> PlaneName | None:
+        """The plane of motion, where there is one."""
+
+    def control_points(self) -> int | Numbers:
+        """Their number, or their arc lengths [m]."""
+
+
+RECORDED = {"tracking": "tracking_actions.npy"}
+"""Tasks with actions of a trained policy, and the file of them."""
+STRENGTHS = {"reaching": 1.0, "structured": 0.3, "unstructured": 0.3}
+"""The strongest actions that are drawn for the others. Full strength throws an arm
+about among obstacles, and where it is after a second then depends on details beyond any
+resolution."""
 
 
 def clean_problem(
@@ -60,26 +81,21 @@ def clean_problem(
     if not np.all(np.isfinite(actions)):
         raise ValueError("actions must be finite")
     with jax.enable_x64(True):
-        arm = _arm(task)
+        arm: CleanArm = task.default_params().arm
         controls = _controls(arm, np.asarray(actions, np.float64))
-        plane = task.plane if isinstance(task, ObstacleTask) else None
         couple_density = float(arm.couple_density)
-    points = task.control_points() if isinstance(task, ObstacleTask) else None
     n_controls = arm.spline.n_controls
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         if law != "consistent":
             raise ValueError("the clean variants have the consistent law only")
-        arm = _arm(dataclasses.replace(task, n_elements=n_elements))
-        scene = arm.scene(jnp.zeros((3, n_controls), arm.rod.radii.dtype))
-        return dataclasses.replace(scene, method=consistent()), arm.rest
+        finer = dataclasses.replace(task, n_elements=n_elements)  # type: ignore[type-var]
+        arm: CleanArm = finer.default_params().arm
+        return dataclasses.replace(arm.scene(), method=consistent()), arm.rest
 
     def act(scene: Scene) -> Callable[[Array], Scene]:
-        spline = control_spline(
-            n_controls if points is None else points,
-            LENGTH,
-            scene.rod.rest_lengths.dtype,
-        )
+        kind = scene.rod.rest_lengths.dtype
+        spline = control_spline(task.control_points(), LENGTH, kind)
         averages = spline.averaged(scene.rod)
 
         def during(control: Array) -> Scene:
@@ -89,58 +105,34 @@ def clean_problem(
                 jnp.reshape(control, (3, n_controls)),
                 jnp.asarray(couple_density, control.dtype),
             )
-            effects = tuple(
-                couples if isinstance(effect, ElementCouples) else effect
-                for effect in scene.effects
-            )
-            return dataclasses.replace(scene, effects=effects)
+            return dataclasses.replace(scene, effects=(*scene.effects, couples))
 
         return during
 
-    return Problem(task.name, build, task.control_period, controls, act, plane)
+    period = task.control_period
+    return Problem(task.name, build, period, controls, act, task.plane)
 
 
 def recorded_actions(task: CleanTask, seed: int = 0) -> np.ndarray:
     """Actions of one second `(periods, actions)` to judge a task's settings by.
 
-    Tracking: those of a trained policy, a third of them at their limits. Reaching:
-    drawn anew every 0.1 s, up to full strength. Among obstacles: likewise, up to 0.3
-    of full strength; full strength throws the arm about among them, and where it is
-    after a second then depends on details beyond any resolution.
+    Tracking: those of a trained policy, a third of them at their limits. The others:
+    drawn anew every 0.1 s, up to `STRENGTHS`.
 
     Args:
         task: The task.
         seed: Of what is drawn.
     """
-    if isinstance(task, Tracking):
-        name = "tracking_actions.npy"
-        with resources.as_file(resources.files("jaxrod.data") / name) as path:
+    if task.name in RECORDED:
+        file = resources.files("jaxrod.data") / RECORDED[task.name]
+        with resources.as_file(file) as path:
             return np.load(path)[:714] / 127
     periods, held = 714, 72
-    strength = 0.3 if isinstance(task, ObstacleTask) else 1.0
+    strength = STRENGTHS[task.name]
     draws = np.random.default_rng(seed).uniform(
         -strength, strength, (-(-periods // held), task.action_size)
     )
     return np.repeat(draws, held, axis=0)[:periods]
-
-
-def _arm(task: CleanTask) -> CleanArm:
-    """The arm of a task and all that acts on it, in JAX's default precision."""
-    if isinstance(task, Tracking):
-        params = task.default_params()
-        assert isinstance(params.spline, ElementAverages)
-        return CleanArm(
-            rod=params.rod,
-            rest=params.rest,
-            held=clamp(params.rest),
-            viscosity=params.viscosity,
-            spline=params.spline,
-            couple_density=params.torque,
-            largest_change=None,
-        )
-    arm = task.default_params().arm
-    assert isinstance(arm, CleanArm)
-    return arm
 
 
 def _controls(arm: CleanArm, actions: np.ndarray) -> np.ndarray:

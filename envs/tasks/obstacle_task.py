@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Rod, RodState, contact, control_spline, freeze
+from jaxrod import RodState, contact, control_spline, freeze
 from jaxrod.contacts.bodies import Body
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
@@ -33,8 +33,10 @@ from jaxrod.envs.arm.arm_task import (
 )
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
+from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.published.arm import published_arm
+from jaxrod.envs.snapshot import Snapshot
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers
@@ -101,11 +103,6 @@ class ObstacleParams:
     """Distances within which the bonuses are paid."""
     crash_reward: Float[Array, ""]
     """Reward of a step after which something observed is not finite ("paper")."""
-
-    @property
-    def rod(self) -> Rod:
-        """The arm's parameters."""
-        return self.arm.rod
 
 
 @pytree
@@ -288,6 +285,13 @@ class ObstacleTask:
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
+
+    def snapshot(self, state: ObstacleState, params: ObstacleParams) -> Snapshot:
+        """The arm, the target and the obstacles."""
+        target, radius = state.target.position, state.target.radius
+        return arm_and_target(
+            params.arm.rod, state.arm, target, radius, self.obstacles()
+        )
 
     def observe(
         self, state: ObstacleState, params: ObstacleParams

@@ -29,13 +29,13 @@ from the world to the material frame.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Rod, RodState, control_spline, freeze
+from jaxrod import RodState, control_spline, freeze
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -49,8 +49,11 @@ from jaxrod.envs.arm.arm_task import (
     speed_and_direction,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.published.arm import published_arm
+from jaxrod.envs.snapshot import Snapshot
+from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 
 Variant = Literal["paper", "clean"]
@@ -103,11 +106,6 @@ class ReachingParams:
     crash_reward: Float[Array, ""]
     """Reward of a step after which the arm is not finite ("paper")."""
 
-    @property
-    def rod(self) -> Rod:
-        """The arm's parameters."""
-        return self.arm.rod
-
 
 @pytree
 class ReachingState:
@@ -133,6 +131,9 @@ class Reaching:
     episode_length: int = 1428
     name: str = "reaching"
 
+    plane: ClassVar[PlaneName | None] = None
+    """The plane of motion: there is none."""
+
     @property
     def observation_size(self) -> int:
         """Eleven points, velocity and frame of the tip, and of the goal: 52 numbers."""
@@ -148,9 +149,13 @@ class Reaching:
         """Time between actions [s]."""
         return CONTROL_PERIOD
 
+    def control_points(self) -> int:
+        """Their number."""
+        return N_CONTROLS
+
     def default_params(self) -> ReachingParams:
         """The task's numbers; in JAX's default precision."""
-        spline = control_spline(N_CONTROLS, LENGTH)
+        spline = control_spline(self.control_points(), LENGTH)
         arm: Arm
         if self.variant == "paper":
             arm = published_arm(self.n_elements, BASE, AXIS, spline)
@@ -233,6 +238,11 @@ class Reaching:
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
+
+    def snapshot(self, state: ReachingState, params: ReachingParams) -> Snapshot:
+        """The arm and a sphere in the place of the goal."""
+        target, radius = state.target.position, params.target.radius
+        return arm_and_target(params.arm.rod, state.arm, target, radius)
 
     def observe(self, state: ReachingState) -> Float[Array, " observation"]:
         """Points of the arm, velocity and frame of the tip, then of the goal."""

@@ -12,56 +12,40 @@ Variants:
 - `"clean"`: the same arm with the library's own physics: consistent elastic law, a
   wall-accurate clamp, damping integrated exactly, actuation per metre instead of per
   element, and as few elements and steps as keep the tip within 1 % of the length under
-  the actions of a trained policy (docs/clean_settings.md). When a numerical health flag
-  rises the arm is frozen at its last sound state and the episode truncated.
+  the actions of a trained policy (docs/clean_settings.md), see `jaxrod.envs.arm.clean`.
+  When a numerical health flag rises the arm is frozen at its last sound state and the
+  episode truncated.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import (
-    ControlSpline,
-    Effect,
-    ElementAverages,
-    FixedEnd,
-    Rod,
-    RodState,
-    Scene,
-    advance,
-    clamp,
-    consistent,
-    control_spline,
-    freeze,
-    health,
-    pyelastica,
-    spline_couples,
-)
+from jaxrod import RodState, control_spline, freeze
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
+    Arm,
+    Bonus,
     check_sizes,
     check_variant,
+    distance_reward,
     observed_points,
     shown_distance,
     speed_and_direction,
-    viscous_damping,
 )
+from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.moving_target import Target, TargetParams
-from jaxrod.envs.arm.soft_arm import (
-    LENGTH,
-    REFERENCE_ELEMENTS,
-    TORQUE_PER_ELEMENT,
-    VISCOSITY,
-    clean_rod,
-    published_rod,
-)
-from jaxrod.envs.published.law import ViscousDrag, muscle_couples
+from jaxrod.envs.arm.scenery import arm_and_target
+from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
+from jaxrod.envs.published.arm import published_arm
+from jaxrod.envs.snapshot import Snapshot
+from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 
 Variant = Literal["paper", "clean"]
@@ -75,31 +59,21 @@ SIZES: dict[Variant, tuple[int, int]] = {
 N_CONTROLS = 6
 HEADING_STEPS = 500
 BASE = (0.0, 0.0, 0.0)
+AXIS = "y"
 
 
 @pytree
 class TrackingParams:
     """Numbers of the task; every one a traced leaf."""
 
-    rod: Rod
-    """The arm."""
-    rest: RodState
-    """The arm at the start of an episode."""
-    spline: ControlSpline | ElementAverages
-    """Through the control points; in "clean", averaged over the arm's elements."""
-    viscosity: Float[Array, ""]
-    """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
-    torque: Float[Array, ""]
-    """Couple for a control value of one: [N m] per element in "paper", [N m/m] in
-    "clean"."""
+    arm: Arm
+    """The arm and all that acts on it."""
     dt: Float[Array, ""]
     """Step of the simulation [s]."""
     target: TargetParams
     """How the target moves."""
-    near: Float[Array, ""]
-    """Distance within which the first bonus is paid [m]."""
-    touching: Float[Array, ""]
-    """Distance within which the second bonus is paid [m]."""
+    bonus: Bonus
+    """Where the bonuses are paid."""
     crash_reward: Float[Array, ""]
     """Reward of a step after which the arm is not finite ("paper")."""
 
@@ -126,6 +100,9 @@ class Tracking:
     episode_length: int = 7142
     name: str = "tracking"
 
+    plane: ClassVar[PlaneName | None] = None
+    """The plane of motion: there is none."""
+
     @property
     def observation_size(self) -> int:
         """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
@@ -141,34 +118,39 @@ class Tracking:
         """Time between actions [s]."""
         return CONTROL_PERIOD
 
+    def control_points(self) -> int:
+        """Their number."""
+        return N_CONTROLS
+
     def default_params(self) -> TrackingParams:
         """The task's numbers; in JAX's default precision."""
-        paper = self.variant == "paper"
-        make_arm = published_rod if paper else clean_rod
-        rod, rest = make_arm(self.n_elements, BASE, "y")
-        density = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
+        spline = control_spline(self.control_points(), LENGTH)
+        arm: Arm
+        if self.variant == "paper":
+            arm = published_arm(self.n_elements, BASE, AXIS, spline)
+        else:
+            arm = clean_arm(
+                self.n_elements,
+                BASE,
+                AXIS,
+                spline,
+                published_elements=REFERENCE_ELEMENTS,
+            )
 
-        spline = control_spline(N_CONTROLS, LENGTH)
-
-        def number(value: float) -> Array:
-            return jnp.asarray(value, rod.radii.dtype)
+        def numbers(value: float | list[float]) -> Array:
+            return jnp.asarray(value, arm.rod.radii.dtype)
 
         return TrackingParams(
-            rod=rod,
-            rest=rest,
-            spline=spline if paper else spline.averaged(rod),
-            viscosity=number(VISCOSITY),
-            torque=number(TORQUE_PER_ELEMENT if paper else density),
-            dt=number(CONTROL_PERIOD / self.substeps),
+            arm=arm,
+            dt=numbers(CONTROL_PERIOD / self.substeps),
             target=TargetParams(
-                lower=jnp.asarray([-0.6, 0.3, -0.6], rod.radii.dtype),
-                upper=jnp.asarray([0.6, 0.9, 0.6], rod.radii.dtype),
-                radius=number(0.05),
-                speed=number(0.5),
+                lower=numbers([-0.6, 0.3, -0.6]),
+                upper=numbers([0.6, 0.9, 0.6]),
+                radius=numbers(0.05),
+                speed=numbers(0.5),
             ),
-            near=number(0.10),
-            touching=number(0.05),
-            crash_reward=number(-1000.0),
+            bonus=Bonus(near=numbers(0.10), touching=numbers(0.05)),
+            crash_reward=numbers(-1000.0),
         )
 
     def reset(
@@ -176,7 +158,7 @@ class Tracking:
     ) -> tuple[Float[Array, " observation"], TrackingState]:
         """The arm straight and at rest, the target anywhere in its box."""
         target = moving_target.start(key, params.target)
-        state = TrackingState(params.rest, target, jnp.zeros((), jnp.int32))
+        state = TrackingState(params.arm.rest, target, jnp.zeros((), jnp.int32))
         return self.observe(state), state
 
     def step(
@@ -194,14 +176,14 @@ class Tracking:
         dict[str, Array],
     ]:
         """One control period: the couples set by the action act for 1.4 ms."""
-        scene = self.scene(state.arm, action, params)
+        bends = jnp.reshape(action, (2, N_CONTROLS))
+        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
         before = state.arm
-        arm = advance(scene, before, params.dt, self.substeps)
-        if self.variant == "paper":
-            crashed = ~jnp.all(jnp.isfinite(arm.positions))
-        else:
-            crashed = health(scene, arm, params.dt).flagged
-            arm = freeze(crashed, before, arm)
+        # Muscles that remember nothing: their spline is read again even where an
+        # action repeats the one before.
+        arm, _, crashed = params.arm.advance(
+            before, params.arm.relaxed(), controls, params.dt, self.substeps
+        )
         # The published walls are tested after every half step.
         target = moving_target.fly(
             state.target, params.target, 0.5 * params.dt, 2 * self.substeps
@@ -214,9 +196,7 @@ class Tracking:
         state = TrackingState(arm, Target(target.position, velocity), steps)
 
         distance_squared = jnp.sum((arm.tip - target.position) ** 2)
-        reward = -distance_squared
-        reward += 0.5 * (distance_squared <= params.near**2)
-        reward += 1.5 * (distance_squared <= params.touching**2)
+        reward = distance_reward(distance_squared, params.bonus)
         timeout = steps >= self.episode_length
         observation = self.observe(state)
         if self.variant == "paper":
@@ -232,33 +212,10 @@ class Tracking:
         }
         return observation, state, reward, terminated, truncated, info
 
-    def scene(
-        self, arm: RodState, action: Float[Array, " action"], params: TrackingParams
-    ) -> Scene:
-        """What acts on the arm during a control step that starts at `arm`."""
-        bends = jnp.reshape(action, (2, N_CONTROLS))
-        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
-        rod, rest = params.rod, params.rest
-        if self.variant == "paper":
-            assert isinstance(params.spline, ControlSpline)
-            couples = muscle_couples(
-                rod, arm, params.spline, controls, params.torque, params.dt
-            )
-            return Scene(
-                rod,
-                (
-                    FixedEnd(rest.positions[:, 0], rest.orientations[:, 0]),
-                    ViscousDrag(params.viscosity),
-                    couples,
-                ),
-                pyelastica(),
-            )
-        effects: tuple[Effect, ...] = (
-            clamp(rest),
-            viscous_damping(rod, params.viscosity),
-            spline_couples(rod, params.spline, controls, params.torque),
-        )
-        return Scene(rod, effects, consistent())
+    def snapshot(self, state: TrackingState, params: TrackingParams) -> Snapshot:
+        """The arm and the target."""
+        target, radius = state.target.position, params.target.radius
+        return arm_and_target(params.arm.rod, state.arm, target, radius)
 
     def observe(self, state: TrackingState) -> Float[Array, " observation"]:
         """Points of the arm, speed and direction of the tip, and of the target."""

@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         result = {
             "run": str(stored.path),
-            "case": stored.config["case"],
+            "task": stored.config["task"],
+            "case": stored.config["task"],
             "variant": stored.config.get("variant"),
             "algorithm": stored.config["algorithm"],
             "episodes": args.episodes,

@@ -3,7 +3,7 @@
 Takes the arm of a task, straight and at rest, and looks for muscle activity that
 brings its tip to a target at the end of a given time. The whole simulation is
 differentiated with respect to control values at knots in time, and Adam follows the
-gradient. CASE is `tracking`, whose arm is 1 m long, clamped at the origin and points
+gradient. TASK is `tracking`, whose arm is 1 m long, clamped at the origin and points
 along +y.
 
 The folder gets config.json (what was asked for), history.csv (a row per gradient
@@ -41,7 +41,7 @@ examples:
   jaxrod optimise tracking --json > result.json             for a script: summary.json
 """
 
-CASES = ("tracking",)
+TASKS = ("tracking",)
 
 FILES = (
     "history.csv",
@@ -53,7 +53,7 @@ FILES = (
 """What is written, beside config.json."""
 
 ASKED = (
-    "case",
+    "task",
     "target",
     "duration",
     "knots",
@@ -72,7 +72,7 @@ ASKED = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod optimise`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("case", metavar="CASE", help="whose arm: tracking")
+    parser.add_argument("task", metavar="TASK", help="whose arm: tracking")
     parser.add_argument(
         "--target",
         type=float,
@@ -157,8 +157,8 @@ def run(args: argparse.Namespace) -> int:
     import jaxrod
     from jaxrod.validation import check_seed
 
-    if args.case not in CASES:
-        raise ValueError(f"case must be one of {', '.join(CASES)}; got {args.case!r}")
+    if args.task not in TASKS:
+        raise ValueError(f"task must be one of {', '.join(TASKS)}; got {args.task!r}")
     check_seed(args.seed)
     if args.knots < 2:
         raise ValueError(f"knots must be at least 2, got {args.knots}")
@@ -179,7 +179,7 @@ def run(args: argparse.Namespace) -> int:
         _check_folder(folder, args.overwrite)
         stack.enter_context(jax.enable_x64(args.double))
         options = {} if args.elements is None else {"n_elements": args.elements}
-        env = envs.make(args.case, variant="clean", **options)
+        env = envs.make(args.task, variant="clean", **options)
         result = optimise_trajectory(
             args.target,
             arm_of(env),
@@ -192,7 +192,7 @@ def run(args: argparse.Namespace) -> int:
             learning_rate=args.learning_rate,
             seed=args.seed,
         )
-        summary = {"case": args.case, "seed": args.seed, **_summary(result)}
+        summary = {"task": args.task, "seed": args.seed, **_summary(result)}
         folder.begin({name: getattr(args, name) for name in ASKED})
         _write(out, result, summary)
     if args.json:
@@ -219,29 +219,12 @@ def _check_folder(folder: OwnedFolder, overwrite: bool) -> None:
 
 
 def arm_of(env: Environment) -> ActuatedArm:
-    """The arm of a task, straight and at rest, with the task's muscles."""
-    import dataclasses
-
-    import jax.numpy as jnp
-
-    import jaxrod
+    """The arm of a clean task, straight and at rest, with the task's muscles."""
+    from jaxrod.envs.arm.clean import CleanArm
     from jaxrod.training import ActuatedArm
 
-    params: Any = env.default_params()
-    # The environment protocol knows nothing of arms; the cases here have one.
-    task: Any = env
-    scene = task.scene(params.rest, jnp.zeros(env.action_size), params)
-    lasting = tuple(
-        effect
-        for effect in scene.effects
-        if not isinstance(effect, jaxrod.ElementCouples)
-    )
-    return ActuatedArm(
-        dataclasses.replace(scene, effects=lasting),
-        params.rest,
-        params.spline,
-        params.torque,
-    )
+    arm: CleanArm = env.default_params().arm
+    return ActuatedArm(arm.scene(), arm.rest, arm.spline, arm.couple_density)
 
 
 def _summary(result: TrajectoryResult) -> dict[str, Any]:

@@ -52,17 +52,17 @@ def write_replay(
     seconds: float | None = None,
     seed: int = 0,
 ) -> Path | None:
-    """Plays the policy and writes a page that shows it, where there is an arm.
+    """Plays the policy and writes a page that shows it, if the task says what to draw.
 
     The page is `out`; if that is None, `replay.html` in the run folder.
     """
     from jaxrod import viz
     from jaxrod.cli import recording
-    from jaxrod.envs.arm.scenery import drawable
+    from jaxrod.envs.drawing import missing
     from jaxrod.training.runs.folder import REPLAY
 
-    if not drawable(run.env):
-        _note(f"no replay: {run.env.name} has no arm to draw")
+    if lacks := missing(run.env):
+        _note(f"no replay: {lacks}")
         return None
     replay = recording.record(
         run.env, policy, seconds=seconds, seed=seed, title=run.title

@@ -12,22 +12,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from jaxrod.envs import Environment
-from jaxrod.envs.arm.scenery import drawable, obstacles
+from jaxrod.envs.drawing import drawable, missing, replay, snapshots
 from jaxrod.structure import pytree
 from jaxrod.training.policy import held_for
-from jaxrod.viz import Replay, Sphere
+from jaxrod.viz import Replay
 
 FRAMES_PER_SECOND = 60.0
 
 
 @pytree
 class Frame:
-    """What is drawn of one moment."""
+    """One moment of an episode."""
 
-    positions: Float[Array, "*frames 3 n+1"]
-    """Nodes of the arm [m]."""
-    target: Float[Array, "*frames 3"]
-    """Centre of the target [m]."""
+    state: Any
+    """State of the environment."""
     reward: Float[Array, "*frames"]
     """Mean reward of the control steps since the frame before."""
     running: Bool[Array, "*frames"]
@@ -42,7 +40,7 @@ def record(
     seed: int = 0,
     title: str = "",
 ) -> Replay:
-    """Plays an episode and records the arm and the target at up to 60 Hz.
+    """Plays an episode and records what there is to see at up to 60 Hz.
 
     Args:
         env: the environment.
@@ -53,10 +51,11 @@ def record(
         title: heading of the replay.
 
     Raises:
-        ValueError: the environment has no arm to draw, or `seconds` is not positive.
+        ValueError: the environment does not say what to draw, or `seconds` is not
+            positive.
     """
     if not drawable(env):
-        raise ValueError(f"{env.name} has no arm to draw")
+        raise ValueError(missing(env))
     if seconds is not None and not 0 < seconds < float("inf"):
         raise ValueError(f"seconds must be positive and finite, got {seconds} s")
     period = env.control_period
@@ -66,28 +65,23 @@ def record(
         steps = min(steps, max(1, round(seconds / period)))
     stride = min(steps, math.ceil(1 / (FRAMES_PER_SECOND * period)))
     play = _play(policy, params, jax.random.key(seed), env, steps // stride, stride)
-    first, later = jax.device_get(play)
     frames: Frame = jax.tree.map(
-        lambda a, b: np.concatenate([np.asarray(a)[None], b]), first, later
+        lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b]), *play
     )
-    # An arm that is no longer finite cannot be drawn; what led there can.
-    sound = frames.running & np.isfinite(frames.positions).all(axis=(1, 2))
+    seen = jax.device_get(snapshots(env, frames.state, params))
+    reward, running = np.asarray(frames.reward), np.asarray(frames.running)
+    # A rod that is no longer finite cannot be drawn; what led there can.
+    nodes = seen.positions.reshape(len(running), -1)
+    sound = running & np.isfinite(nodes).all(axis=1)
     count = len(sound) if sound.all() else int(np.argmin(sound))
-    frames = jax.tree.map(lambda leaf: leaf[:count], frames)
-    distance = np.linalg.norm(frames.positions[..., -1] - frames.target, axis=1)
-    return Replay.from_rollout(
-        frames.positions,
-        np.asarray(params.rod.radii),
+    return replay(
+        jax.tree.map(lambda leaf: leaf[:count], seen),
         np.arange(count) * stride * period,
-        spheres=[Sphere(frames.target, float(params.target.radius))],
-        cylinders=obstacles(env),
-        readouts={
-            "reward": frames.reward,
-            "return": np.cumsum(frames.reward, dtype=float) * stride,
-            "distance to target [m]": distance,
+        {
+            "reward": reward[:count],
+            "return": np.cumsum(reward[:count], dtype=float) * stride,
         },
-        title=title,
-        up="y",
+        title,
     )
 
 
@@ -124,13 +118,10 @@ def _play(
         running = carry[-1]
         indices = index * stride + jnp.arange(stride)
         carry, rewards = jax.lax.scan(step, carry, indices)
-        state = carry[1]
-        return carry, Frame(
-            state.arm.positions, state.target.position, jnp.mean(rewards), running
-        )
+        return carry, Frame(carry[1], jnp.mean(rewards), running)
 
     running = jnp.ones((), bool)
     carry = observation, start, policy(observation), running
     _, frames = jax.lax.scan(frame, carry, jnp.arange(count))
     reward = jnp.zeros_like(frames.reward[0])
-    return Frame(start.arm.positions, start.target.position, reward, running), frames
+    return Frame(start, reward, running), frames

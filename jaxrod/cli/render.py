@@ -2,8 +2,8 @@
 
 Writes RUN/learning_curve.png, with the paper's result where the run compares with
 it, and RUN/replay.html: one episode of the deterministic policy, as a page that
-plays in any browser without a network. Works while the run is still training, from
-its last checkpoint on.
+plays in any browser without a network, if the task says what to draw. Works while the
+run is still training, from its last checkpoint on.
 """
 
 from __future__ import annotations

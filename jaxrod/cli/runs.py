@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,19 +23,19 @@ PAPER_CASES = {
     "structured": "Case3",
     "unstructured": "Case4",
 }
-"""What the paper calls a case."""
+"""What the paper calls a task."""
 
 _SCORE_WINDOWS = {"structured": 10, "unstructured": 10}
 _SCORE_WINDOW = 50
 _COMPARABLE = ("variant", "controls")
 
 
-def score_window(case: str) -> int:
+def score_window(task: str) -> int:
     """Last training episodes of a seed whose mean return is the final score.
 
     As in the paper: 10 in Cases 3 and 4, 50 in the others.
     """
-    return _SCORE_WINDOWS.get(case, _SCORE_WINDOW)
+    return _SCORE_WINDOWS.get(task, _SCORE_WINDOW)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +64,7 @@ class StoredRun:
             ValueError: there is none yet, or it is damaged or of another task.
         """
         from jaxrod.training import load_policy
+        from jaxrod.training.runs.folder import renamed
 
         folder = self.path / "policy"
         if not (folder / "policy.json").exists():
@@ -73,7 +76,7 @@ class StoredRun:
         file = folder / "policy.json"
         others = [
             f"{name} is {value!r}"
-            for name, value in read_json(file).get("about", {}).items()
+            for name, value in renamed(read_json(file).get("about", {})).items()
             if name in self.config and value != self.config[name]
         ]
         if others:
@@ -99,23 +102,33 @@ def open_run(path: Path) -> StoredRun:
     """
     from jaxrod import envs
 
-    config = read_config(path)
-    case = config["case"]
-    if case not in envs.names():
+    config, file = read_config(path), path / "config.json"
+    task, options = config["task"], config["env_options"]
+    if options is None:
         raise ValueError(
-            f"{path / 'config.json'} is of a run of {case!r}, but the tasks are "
-            f"{', '.join(envs.names())}"
+            f"{file} is of a run in an environment that jaxrod.envs.make did not make "
+            f"and so cannot make again: {config.get('environment', task)}"
         )
-    with reading(path / "config.json"):
-        env = make_case(case, config["env_options"])
-        if env.name != case:
-            raise ValueError(f"its 'env_options' make {env.name!r}, not {case!r}")
+    if task not in envs.names():
+        return StoredRun(path, config, _made_again(file, task, options))
+    with reading(file):
+        env = make_task(task, options)
+        if env.name != task:
+            raise ValueError(f"its 'env_options' make {env.name!r}, not {task!r}")
         if config.get("variant") != getattr(env, "variant", None):
             raise ValueError(
                 f"'variant' is {config.get('variant')!r}, but what its 'env_options' "
                 f"make is {getattr(env, 'variant', None)!r}"
             )
     return StoredRun(path, config, env)
+
+
+def _made_again(file: Path, task: str, options: Mapping[str, Any]) -> Environment:
+    """The environment of somebody's own task, which may have changed since."""
+    try:
+        return make_task(task, options)
+    except ValueError as error:
+        raise ValueError(f"the task of {file} cannot be made again: {error}") from error
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -131,38 +144,44 @@ def read_config(path: Path) -> dict[str, Any]:
     if not (path / "config.json").exists():
         what = "holds no run (no config.json)" if path.is_dir() else "does not exist"
         raise ValueError(
-            f"{path} {what}; a run is made by: jaxrod train CASE --out {path}"
+            f"{path} {what}; a run is made by: jaxrod train TASK --out {path}"
         )
     return RunFolder(path).config()
 
 
-def make_case(case: str, options: Mapping[str, Any]) -> Environment:
-    """Makes the environment of a case.
+def make_task(task: str, options: Mapping[str, Any]) -> Environment:
+    """Makes the environment of a task; one's own is looked for in this folder, too.
+
+    Args:
+        task: as `jaxrod.envs.make` takes it.
+        options: its options. Lists, of which JSON has no other kind, become tuples: an
+            environment has to be hashable.
 
     Raises:
-        ValueError: there is no such case, or no such variant of it.
+        ValueError: there is no such task, or it does not take these options.
     """
     from jaxrod import envs
 
-    if case not in envs.names():
-        raise ValueError(f"case must be one of {', '.join(envs.names())}; got {case!r}")
-    env = envs.make(case)
-    unknown = [name for name in options if not hasattr(env, name)]
-    if unknown:
-        raise ValueError(f"case {case!r} has no {' or '.join(unknown)} to choose")
-    return envs.make(case, **options) if options else env
+    here = os.getcwd()
+    if task not in envs.names() and here not in sys.path:
+        sys.path.insert(0, here)
+    return envs.make(task, **{name: _fixed(value) for name, value in options.items()})
+
+
+def _fixed(value: Any) -> Any:
+    return tuple(map(_fixed, value)) if isinstance(value, list) else value
 
 
 def describe(config: Mapping[str, Any]) -> str:
     """A run in a few words, such as "tracking (paper), ppo, seed 0"."""
-    options = config.get("env_options", {})
+    options = config.get("env_options") or {}
     what = [config["variant"]] if config.get("variant") else []
     if options.get("controls") is not None:
         what.append(f"{options['controls']} control points")
     if options.get("nest") is not None:
         what.append(f"nest {options['nest']}")
-    case = config["case"] + (f" ({', '.join(what)})" if what else "")
-    return printable(f"{case}, {config['algorithm']}, seed {config['seed']}")
+    task = config["task"] + (f" ({', '.join(what)})" if what else "")
+    return printable(f"{task}, {config['algorithm']}, seed {config['seed']}")
 
 
 def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
@@ -173,12 +192,13 @@ def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
     """
     from jaxrod import viz
 
-    options = {k: v for k, v in config["env_options"].items() if v is not None}
-    if config.get("variant") != "paper" or config["case"] not in PAPER_CASES:
+    options = config["env_options"] or {}
+    options = {name: value for name, value in options.items() if value is not None}
+    if config.get("variant") != "paper" or config["task"] not in PAPER_CASES:
         return None
     if not set(options) <= set(_COMPARABLE):
         return None
-    case, configuration = PAPER_CASES[config["case"]], None
+    case, configuration = PAPER_CASES[config["task"]], None
     if "controls" in options:
         case, configuration = (
             f"{case}-ctrlpts",

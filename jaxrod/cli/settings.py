@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import dataclasses
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
@@ -72,6 +73,28 @@ def _parse(name: str, text: str, default: Any) -> Any:
     except (ValueError, KeyError, argparse.ArgumentTypeError) as error:
         kind = _KINDS[type(default)]
         raise ValueError(f"{name} must be {kind}, got {text!r:.60}") from error
+
+
+def options(words: Sequence[str]) -> dict[str, Any]:
+    """Options of a task from NAME=VALUE words.
+
+    A value is what it is in JSON or in Python, a number, true, none or a list; all
+    else is text.
+
+    Raises:
+        ValueError: a word is not NAME=VALUE.
+    """
+    found = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals or not name.isidentifier():
+            raise ValueError(f"--option needs NAME=VALUE, got {word!r}")
+        constants = {"true": True, "false": False, "none": None, "null": None}
+        try:
+            found[name] = constants.get(text.lower(), ast.literal_eval(text))
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
+            found[name] = constants.get(text.lower(), text)
+    return found
 
 
 def listing(defaults: Any) -> str:

@@ -1,9 +1,11 @@
 """Train a policy on a task.
 
-CASE is a task: `tracking` (a soft arm follows a moving target), `reaching` (it reaches
-a point with an orientation), `structured` (a planar arm in a maze), `unstructured` (an
-arm in a nest) or `trivial` (solved in seconds, to try things out). Variants are
-`paper`, whose scores compare with the published ones, and `clean`.
+TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
+with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
+nest) or `trivial` (solved in seconds, to try things out). Their variants are `paper`,
+whose scores compare with the published ones, and `clean`. Or it is one of your own:
+`mypackage.mymodule:make_task` or `folder/file.py:make_task` names what makes it, and
+modules are looked for in the current folder, too (docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
@@ -40,6 +42,7 @@ examples:
   jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
   jaxrod train structured --algorithm trpo --steps 500k --controls 4 --num-envs 16
   jaxrod train unstructured --nest 7 --steps 1M --num-envs 16
+  jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm with their defaults.
@@ -49,7 +52,14 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod train`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("case", metavar="CASE", help="the task; see above")
+    parser.add_argument("task", metavar="TASK", help="see above")
+    parser.add_argument(
+        "--option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an option of the task, such as n_elements=20; may be given several times",
+    )
     parser.add_argument("--variant", help="paper or clean (default: paper)")
     parser.add_argument(
         "--controls",
@@ -79,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=settings.path,
         metavar="DIR",
-        help="folder of the run (default: runs/CASE-VARIANT-ALGORITHM-SEED)",
+        help="folder of the run (default: runs/TASK-VARIANT-ALGORITHM-SEED)",
     )
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument(
@@ -128,17 +138,19 @@ def run(args: argparse.Namespace) -> int:
     """Trains, draws, and prints the result."""
     import jaxrod
     from jaxrod.cli import runs
+    from jaxrod.envs import check_environment, names
+    from jaxrod.envs.importing import spelt_out
     from jaxrod.training import RunFolder, find_algorithm, train
     from jaxrod.training.settings import check_steps
     from jaxrod.validation import check_seed
 
     stored = None
     if args.resume:
-        stored = runs.open_run(_folder(args, None)).config
-        if stored["case"] != args.case:
+        stored = runs.read_config(_folder(args, None))
+        if stored["task"] != spelt_out(args.task):
             raise ValueError(
-                f"{_folder(args, None)} holds a run of {stored['case']}, "
-                f"not of {args.case}"
+                f"{_folder(args, None)} holds a run of {stored['task']}, "
+                f"not of {args.task}"
             )
         with reading(_folder(args, None) / "config.json"):
             find_algorithm(stored["algorithm"])
@@ -152,6 +164,15 @@ def run(args: argparse.Namespace) -> int:
             config = settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
             check_steps(stored["steps"], learner.steps_per_update(config))
+    words = list(args.set)
+    if args.num_envs is not None:
+        words.append(f"num_envs={args.num_envs}")
+    config = settings.configure(config, {}, words)
+    wanted = getattr(config, "num_envs", 1)
+    # Before somebody's own task is imported, which may compute at once.
+    jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
+    if stored:
+        runs.open_run(_folder(args, None))
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
@@ -159,17 +180,9 @@ def run(args: argparse.Namespace) -> int:
         options["controls"] = args.controls
     if args.nest is not None:
         options["nest"] = None if args.nest == PUBLISHED else args.nest
-    env = runs.make_case(args.case, options)
-    # What is as by default is not told apart from what was not chosen.
-    options = {name: value for name, value in options.items() if value is not None}
-    if hasattr(env, "variant"):
-        options["variant"] = env.variant
+    env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
-    words = list(args.set)
-    if args.num_envs is not None:
-        words.append(f"num_envs={args.num_envs}")
-    config = settings.configure(config, {}, words)
-    out = _folder(args, options.get("variant"))
+    out = _folder(args, getattr(env, "variant", None))
     if not args.resume:
         RunFolder(out).check_replaceable()
         if RunFolder(out).exists and not args.overwrite:
@@ -177,11 +190,10 @@ def run(args: argparse.Namespace) -> int:
                 f"{out} holds a run already: continue it with --resume, replace it "
                 "with --overwrite, or choose another folder with --out"
             )
-
-    wanted = getattr(config, "num_envs", 1)
-    jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
     import jax
 
+    if args.task not in names():
+        check_environment(env)
     share = _share(wanted, args.devices, jax.device_count())
     if share > jax.device_count():
         raise ValueError(
@@ -195,9 +207,8 @@ def run(args: argparse.Namespace) -> int:
             seed=seed,
             out=out,
             config=config,
-            env_options=options,
             score_window=_chosen(
-                None, stored, "score_window", runs.score_window(args.case)
+                None, stored, "score_window", runs.score_window(args.task)
             ),
             resume=args.resume,
             overwrite=args.overwrite,
@@ -210,7 +221,7 @@ def run(args: argparse.Namespace) -> int:
     summary = result.summary
     if summary["status"] == "interrupted":
         print(
-            f"continue with: jaxrod train {args.case} --resume --out {out}",
+            f"continue with: jaxrod train {args.task} --resume --out {out}",
             file=sys.stderr,
         )
         return 130
@@ -265,11 +276,16 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
 
 def _folder(args: argparse.Namespace, variant: str | None) -> Path:
     """The folder of the run; by default named after what is trained."""
+    from jaxrod import envs
+
     if args.out is not None:
         return args.out
-    words = [args.case, variant, args.algorithm or "ppo", str(args.seed or 0)]
-    if args.resume and variant is None:
-        words[1] = args.variant or _default_variant(args.case)
+    words = [args.task, variant, args.algorithm or "ppo", str(args.seed or 0)]
+    if args.task not in envs.names():
+        place, _, name = args.task.rpartition(":")
+        words[:2] = [f"{Path(place.removesuffix('.py')).name}-{name}", args.variant]
+    elif args.resume and variant is None:
+        words[1] = args.variant or _default_variant(args.task)
     if args.controls is not None:
         words.insert(2, f"{args.controls}-controls")
     if args.nest not in (None, PUBLISHED):
@@ -287,10 +303,10 @@ def _nest(text: str) -> int | str:
         ) from None
 
 
-def _default_variant(case: str) -> str | None:
+def _default_variant(task: str) -> str | None:
     from jaxrod.cli import runs
 
-    return getattr(runs.make_case(case, {}), "variant", None)
+    return getattr(runs.make_task(task, {}), "variant", None)
 
 
 def _chosen(

@@ -18,7 +18,7 @@ DAMAGES = [
     ("config.json", "env_options = {'name': 'x'}", "make 'x', not 'trivial'"),
     ("config.json", "env_options = [[]]", "'env_options' must be an object"),
     ("config.json", "score_window = 'x'", "'score_window' must be a whole number"),
-    ("config.json", "case = True", "'case' must be text, got True"),
+    ("config.json", "task = True", "'task' must be text, got True"),
     ("config.json", "noise", "UnicodeDecodeError"),
     ("policy/policy.json", "a list", "it holds [], not an object"),
     ("policy/policy.json", "activation = 'x'", "'activation' must be one of tanh"),

@@ -15,7 +15,7 @@ def test_json_holds_every_return_and_their_mean(trained, run_json):
     assert found["score"] == pytest.approx(np.mean(found["returns"]))
     assert found["score_std"] == pytest.approx(np.std(found["returns"]))
     assert found["flagged_fraction"] == 0
-    assert (found["case"], found["algorithm"]) == ("trivial", "ppo")
+    assert (found["task"], found["algorithm"]) == ("trivial", "ppo")
 
 
 def test_the_seed_decides_the_episodes(trained, run_json):
@@ -56,10 +56,10 @@ def test_a_run_can_be_evaluated_while_it_trains(tmp_path, run_json):
 
 
 def damage_config(folder):
-    (folder / "config.json").write_text('{"case": "tri')
+    (folder / "config.json").write_text('{"task": "tri')
 
 
-def forget_the_case(folder):
+def forget_the_task(folder):
     (folder / "config.json").write_text("{}")
 
 
@@ -77,7 +77,7 @@ def remove_policy(folder):
 
 def change_the_task(folder):
     text = (folder / "config.json").read_text()
-    text = text.replace('"case": "trivial"', '"case": "tracking"')
+    text = text.replace('"task": "trivial"', '"task": "tracking"')
     text = text.replace('"variant": null', '"variant": "paper"')
     (folder / "config.json").write_text(text)
 
@@ -86,11 +86,11 @@ def change_the_task(folder):
     ("break_it", "sentence"),
     [
         (damage_config, "config.json is damaged"),
-        (forget_the_case, "config.json is damaged: it has no 'case'"),
+        (forget_the_task, "config.json is damaged: it has no 'task'"),
         (damage_policy, "policy.npz is damaged: it is torn"),
         (damage_policy_description, "policy.json is damaged: it is of format None"),
         (remove_policy, "no policy yet"),
-        (change_the_task, "config.json: its case is 'trivial'"),
+        (change_the_task, "config.json: its task is 'trivial'"),
         (shutil.rmtree, "does not exist"),
     ],
 )

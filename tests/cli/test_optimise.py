@@ -60,7 +60,7 @@ def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["trivial"], "case must be one of tracking; got 'trivial'"),
+        (["trivial"], "task must be one of tracking; got 'trivial'"),
         (
             ["tracking", "--seed", "-1"],
             "seed must be an integer from 0 to 4294967295, got -1",
@@ -103,9 +103,9 @@ def test_a_file_is_no_folder_for_a_result(run, tmp_path):
 def test_the_arm_is_the_tasks_without_its_muscles():
     env = make("tracking", variant="clean")
     arm = optimise.arm_of(env)
-    params = env.default_params()
     controls = jax.numpy.linspace(-1, 1, 12).reshape(2, 6)
-    acted = env.scene(params.rest, controls.ravel(), params)
+    all_three = jax.numpy.pad(controls, ((0, 1), (0, 0)))
+    acted = env.default_params().arm.scene(all_three)
     same = jax.tree.map(
         lambda a, b: bool(np.allclose(a, b, rtol=1e-12)),
         arm.with_controls(controls),

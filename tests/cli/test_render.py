@@ -12,34 +12,17 @@ import numpy as np
 import pytest
 
 from jaxrod.cli import recording
-from jaxrod.envs import make
-from jaxrod.envs.arm.scenery import drawable, obstacles
+from jaxrod.envs import Snapshot, make
+from jaxrod.envs.drawing import drawable
 from jaxrod.structure import pytree
 from jaxrod.training import Policy, save_policy
 from jaxrod.training.normalisation import no_moments
 
 
 @pytree
-class Part:
-    """Something with the attributes that a recording reads."""
-
-    positions: Any = None
-    position: Any = None
-    radius: Any = None
-    radii: Any = None
-
-
-@pytree
 class ClockState:
-    arm: Any
-    target: Any
     steps: Any
-
-
-@pytree
-class ClockParams:
-    rod: Any
-    target: Any
+    key: Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,22 +36,29 @@ class Clock:
     name: str = "clock"
 
     def default_params(self):
-        return ClockParams(Part(radii=jnp.full(2, 0.1)), Part(radius=jnp.asarray(0.3)))
+        return {"radii": jnp.full(2, 0.1), "radius": jnp.asarray(0.3)}
 
-    def _state(self, steps):
-        x = jnp.where(steps >= self.breaks, jnp.nan, steps.astype(float))
-        arm = Part(positions=jnp.stack([jnp.full(3, x), *jnp.eye(3)[1:]]))
-        return ClockState(arm, Part(position=jnp.zeros(3)), steps)
+    def snapshot(self, state, params):
+        x = jnp.where(state.steps >= self.breaks, jnp.nan, state.steps.astype(float))
+        nodes = jnp.stack([jnp.full(3, x), *jnp.eye(3)[1:]])
+        post = (jnp.zeros(3), jnp.ones(3), 0.2)
+        return Snapshot(
+            nodes,
+            params["radii"],
+            spheres=((jnp.zeros(3), params["radius"]),),
+            cylinders=(post,),
+            readouts={"steps": state.steps},
+        )
 
     def reset(self, key, params):
-        return jnp.zeros(1), self._state(jnp.zeros((), int))
+        return jnp.zeros(1), ClockState(jnp.zeros((), int), key)
 
     def step(self, key, state, action, params):
         steps = state.steps + 1
         reward = steps.astype(float)
         ended = steps >= self.ends
         over = steps >= self.episode_length
-        return jnp.zeros(1), self._state(steps), reward, ended, over, {}
+        return jnp.zeros(1), ClockState(steps, key), reward, ended, over, {}
 
 
 idle = jax.tree_util.Partial(jnp.zeros_like)
@@ -83,6 +73,8 @@ def test_frames_are_states_of_the_episode_at_no_more_than_60_hz():
     np.testing.assert_allclose(replay.radii, 0.1)
     np.testing.assert_allclose(replay.readouts["reward"][:3], [0, 2.5, 6.5])
     assert replay.readouts["return"][-1] == pytest.approx(sum(range(101)))
+    np.testing.assert_array_equal(replay.readouts["steps"], np.arange(26) * 4)
+    assert (replay.cylinders[0].radius, replay.up) == (0.2, "z")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,21 +117,68 @@ def test_a_broken_arm_is_shown_until_it_breaks():
     assert replay.positions[-1, 0, 0, 0] == 40
 
 
-def test_what_has_no_arm_is_not_drawable():
+def test_what_does_not_say_what_to_draw_is_not_drawable():
     assert drawable(Clock())
-    assert drawable(make("tracking"))
+    for name in ("tracking", "reaching", "structured", "unstructured"):
+        assert drawable(make(name))
     assert not drawable(make("trivial"))
-    with pytest.raises(ValueError, match="trivial has no arm to draw"):
+    sentence = (
+        r"trivial does not say what to draw: it has no method "
+        r"snapshot\(state, params\) and no control_period"
+    )
+    with pytest.raises(ValueError, match=sentence):
         recording.record(make("trivial"), idle)
 
 
+def test_two_rods_of_one_size_are_drawn_together():
+    class Twins(Clock):
+        def snapshot(self, state, params):
+            one = super().snapshot(state, params)
+            return Snapshot(jnp.stack([one.positions, 1 + one.positions]), one.radii)
+
+    replay = recording.record(Twins(), idle)
+    assert replay.num_rods == 2 and replay.spheres == ()
+    np.testing.assert_array_equal(replay.positions[:, 1], 1 + replay.positions[:, 0])
+
+
+def test_what_a_replay_cannot_show_is_refused_in_words():
+    class Growing(Clock):
+        def snapshot(self, state, params):
+            one = super().snapshot(state, params)
+            return dataclasses.replace(one, radii=one.radii + 0.1 * state.steps)
+
+    class Wandering(Clock):
+        def snapshot(self, state, params):
+            one = super().snapshot(state, params)
+            start, end, radius = one.cylinders[0]
+            moved = ((start + 0.1 * state.steps, end, radius),)
+            return dataclasses.replace(one, cylinders=moved)
+
+    class Odd(Clock):
+        def snapshot(self, state, params):
+            return super().snapshot(state, params).positions
+
+    for env, sentence in (
+        (Growing(), "radii of a snapshot must not change during an episode"),
+        (Wandering(), "an end of a cylinder of a snapshot must not change"),
+        (Odd(), "snapshot of clock must return a jaxrod.envs.Snapshot, got"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            recording.record(env, idle)
+
+
 def test_obstacles_are_drawn_where_the_task_has_some():
-    assert obstacles(make("tracking")) == []
-    first, *others = obstacles(make("structured"))
+    def seen(name):
+        env = make(name)
+        params = env.default_params()
+        return env.snapshot(env.reset(jax.random.key(0), params)[1], params)
+
+    assert seen("tracking").cylinders == ()
+    first, *others = seen("structured").cylinders
     assert len(others) == 7
-    np.testing.assert_allclose(first.start, [-0.6, 0.0, 0.12], rtol=1e-6)
-    np.testing.assert_allclose(first.end, [-0.6, 1.0, 0.12], rtol=1e-6)
-    assert first.radius == pytest.approx(0.1)
+    np.testing.assert_allclose(first[0], [-0.6, 0.0, 0.12], rtol=1e-6)
+    np.testing.assert_allclose(first[1], [-0.6, 1.0, 0.12], rtol=1e-6)
+    assert first[2] == pytest.approx(0.1)
 
 
 @pytest.fixture
@@ -148,7 +187,7 @@ def tracking_run(tmp_path):
     env = make("tracking")
     folder = tmp_path / "run"
     config = {
-        "case": "tracking",
+        "task": "tracking",
         "variant": "paper",
         "env_options": {"variant": "paper"},
         "algorithm": "ppo",
@@ -213,11 +252,11 @@ def test_a_folder_in_the_place_of_a_file_is_named(tracking_run, run, tmp_path):
     assert err.endswith(f"{tmp_path}: Is a directory\n")
 
 
-def test_a_task_without_an_arm_gets_its_curve_and_a_word(trained, run):
+def test_a_task_that_shows_nothing_gets_its_curve_and_a_word(trained, run):
     code, out, err = run("render", trained[0])
     assert code == 0
     assert out.split() == [str(trained[0] / "learning_curve.png")]
-    assert "trivial has no arm to draw" in err
+    assert "no replay: trivial does not say what to draw" in err
 
 
 @pytest.mark.parametrize(

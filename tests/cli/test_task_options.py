@@ -6,11 +6,12 @@ import pytest
 
 from jaxrod import cli, viz
 from jaxrod.cli import runs, train
+from jaxrod.envs.registry import made
 
 
-def config(case, algorithm="trpo", variant="paper", **options):
+def config(task, algorithm="trpo", variant="paper", **options):
     return {
-        "case": case,
+        "task": task,
         "variant": variant,
         "env_options": {"variant": variant, **options},
         "algorithm": algorithm,
@@ -29,17 +30,17 @@ def test_equidistant_control_points_compare_with_the_papers_rows_of_that_number(
 
 
 def test_the_placed_points_and_the_published_nest_compare_with_the_figures():
-    for case, options, paper in (
+    for task, options, paper in (
         ("structured", {}, "Case3"),
         ("structured", {"controls": None}, "Case3"),
         ("unstructured", {"nest": None}, "Case4"),
     ):
-        found = runs.paper_result(config(case, **options))
+        found = runs.paper_result(config(task, **options))
         assert found == viz.paper_result(paper, "TRPO")
 
 
 @pytest.mark.parametrize(
-    ("case", "algorithm", "options"),
+    ("task", "algorithm", "options"),
     [
         ("structured", "trpo", {"controls": 3}),
         ("structured", "sac", {"controls": 4}),
@@ -49,12 +50,12 @@ def test_the_placed_points_and_the_published_nest_compare_with_the_figures():
         ("tracking", "trpo", {"episode_length": 100}),
     ],
 )
-def test_other_tasks_than_the_papers_compare_with_nothing(case, algorithm, options):
-    assert runs.paper_result(config(case, algorithm, **options)) is None
+def test_other_tasks_than_the_papers_compare_with_nothing(task, algorithm, options):
+    assert runs.paper_result(config(task, algorithm, **options)) is None
 
 
 def test_the_score_of_cases_3_and_4_is_of_ten_episodes_as_in_the_paper():
-    windows = [runs.score_window(case) for case in runs.PAPER_CASES]
+    windows = [runs.score_window(task) for task in runs.PAPER_CASES]
     assert windows == [50, 50, 10, 10]
 
 
@@ -83,8 +84,11 @@ def test_a_run_is_described_and_filed_with_what_was_chosen():
     ("words", "sentence"),
     [
         (["structured", "--controls", "1"], "controls must be at least 2"),
-        (["structured", "--nest", "1"], "'structured' has no nest to choose"),
-        (["tracking", "--controls", "4"], "'tracking' has no controls to choose"),
+        (["structured", "--nest", "1"], "'structured' has no option 'nest', it has"),
+        (
+            ["tracking", "--controls", "4"],
+            "'tracking' has no option 'controls'",
+        ),
         (["unstructured", "--nest", "-1"], "nest must be at least 0"),
         (
             ["unstructured", "--nest", "bird"],
@@ -102,8 +106,8 @@ def test_a_choice_that_a_task_does_not_have_is_named(words, sentence, run, tmp_p
 def test_naming_the_default_nest_is_choosing_nothing(run, tmp_path, monkeypatch):
     asked = []
 
-    def stop(*arguments, env_options, **more):
-        asked.append(env_options)
+    def stop(env, *arguments, **more):
+        asked.append(made(env).options)
         raise FloatingPointError("enough")
 
     monkeypatch.setattr("jaxrod.training.train", stop)

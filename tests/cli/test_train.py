@@ -44,7 +44,7 @@ def test_the_summary_keeps_the_contract_and_is_what_json_prints(trained):
     summary = json.loads((folder / "summary.json").read_text())
     assert set(summary) >= CONTRACT
     assert json.loads(out) == summary | {"run": str(folder)}
-    assert summary["case"] == "trivial"
+    assert summary["task"] == summary["case"] == "trivial"
     assert summary["variant"] is None
     assert summary["algorithm"] == "ppo"
     assert summary["seed"] == 3
@@ -155,11 +155,12 @@ def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
     [
         (
             ["swimming"],
-            "case must be one of reaching, structured, tracking, trivial, "
-            "unstructured; got 'swimming'",
+            "task must be one of reaching, structured, tracking, trivial, "
+            "unstructured, or say where your own is made, such as "
+            "mypackage.mymodule:make_task; got 'swimming'",
         ),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
-        (["trivial", "--variant", "paper"], "'trivial' has no variant"),
+        (["trivial", "--variant", "paper"], "'trivial' has no option 'variant'"),
         (["trivial", "--algorithm", "luck"], "algorithm must be one of"),
         (["trivial", "--steps", "3"], "steps must be at least one update"),
         (
@@ -184,7 +185,7 @@ def test_what_cannot_be_done_is_one_sentence(words, sentence, run, tmp_path):
     assert not folder.exists()
 
 
-def test_resuming_another_case_or_other_settings_is_refused(trained, run):
+def test_resuming_another_task_or_other_settings_is_refused(trained, run):
     folder, _ = trained
     before = contents(folder)
     for words in (["tracking"], ["trivial", "--seed", "5"], ["trivial", *TINY, "--set",
@@ -263,7 +264,7 @@ def test_settings_can_be_listed(run):
 def test_a_run_is_found_again_where_it_was_put(words, folder):
     parser = cli._parser(["train"])[0]
     args = parser.parse_args(["train", *words])
-    variant = args.variant or train._default_variant(args.case)
+    variant = args.variant or train._default_variant(args.task)
     assert train._folder(args, variant) == Path(folder)
     args = parser.parse_args(["train", *words, "--resume"])
     assert train._folder(args, None) == Path(folder)

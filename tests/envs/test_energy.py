@@ -19,7 +19,8 @@ def playing(env, params, examined):
     """Arms under actions held, jumping and random: flags, and those of energy."""
 
     def control_step(arm, action):
-        scene = env.scene(arm, action, params)
+        bends = jnp.reshape(action, (2, -1))
+        scene = params.arm.scene(jnp.pad(bends, ((0, 1), (0, 0))))
         after = jaxrod.advance(scene, arm, params.dt, env.substeps)
         books = {}
         if examined:
@@ -33,7 +34,7 @@ def playing(env, params, examined):
     def run(arms, actions):
         return jax.lax.scan(jax.vmap(control_step), arms, actions)[1]
 
-    arms = jax.tree.map(lambda leaf: jnp.repeat(leaf[None], N_ARMS, 0), params.rest)
+    arms = jax.tree.map(lambda leaf: jnp.repeat(leaf[None], N_ARMS, 0), params.arm.rest)
     random = np.random.default_rng(0)
     size = (CONTROL_STEPS, N_ARMS, env.action_size)
     drawn = random.uniform(-1, 1, size)

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import importlib
 import sys
-from typing import Any
 
 import gymnasium
 import jax
@@ -16,24 +15,11 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from every_id import EVERY_ID
 from jaxrod import straight_rod
-from jaxrod.envs import VectorEnvironment, make
+from jaxrod.envs import Snapshot, VectorEnvironment, make
 from jaxrod.envs.gym import GymnasiumEnv, GymnasiumVectorEnv, ids
 from jaxrod.envs.trivial import Trivial
-from jaxrod.structure import pytree
 
 pytestmark = pytest.mark.default_precision
-
-
-@pytree
-class Seen:
-    """What is drawn of a state, or of parameters."""
-
-    arm: Any = None
-    target: Any = None
-    rod: Any = None
-    position: Any = None
-    radius: Any = None
-    task: Any = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,28 +29,13 @@ class Leaning(Trivial):
     episode_length: int = 3
     control_period: float = 0.1
 
-    def default_params(self):
+    def snapshot(self, state, params):
         rod, rest = straight_rod(
             4, length=1.0, radius=0.05, density=1e3, youngs_modulus=1e6
         )
-        task, target = super().default_params(), Seen(radius=0.1)
-        return Seen(task=task, rod=rod, arm=rest, target=target)
-
-    def show(self, observation, state, params):
-        along_x = jnp.array([[1.0], [0.0], [0.0]])
-        moved = params.arm.positions + state.position * along_x
-        arm = dataclasses.replace(params.arm, positions=moved)
-        target = Seen(position=jnp.array([0.0, 1.0, 0.0]))
-        return observation, Seen(arm=arm, target=target, task=state)
-
-    def reset(self, key, params):
-        return self.show(*super().reset(key, params.task), params)
-
-    def step(self, key, state, action, params):
-        observation, following, *rest = super().step(
-            key, state.task, action, params.task
-        )
-        return *self.show(observation, following, params), *rest
+        moved = rest.positions.at[0].add(state.position)
+        target = jnp.array([0.0, 1.0, 0.0])
+        return Snapshot(moved, rod.radii, spheres=((target, 0.1),), up="y")
 
 
 @functools.partial(jax.jit, static_argnums=(0, 2))

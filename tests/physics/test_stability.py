@@ -289,15 +289,15 @@ def test_the_limiting_motion_is_named():
 def test_the_published_tracking_arms_limit_knows_of_its_explicit_drag():
     env = tracking("paper", n_elements=10)
     with jax.enable_x64(True):
-        params = env.default_params()
-        scene = env.scene(params.rest, jnp.zeros(12), params)
+        arm = env.default_params().arm
+        scene = arm.scene()
         stable = jaxrod.stable_dt(scene, 1.0)
         without = 2 / stable.angular_frequency
         assert stable.dt < 0.95 * without
-        assert excursion(scene, params.rest, 0.99 * stable.dt) < 1e-6
-        measured = jaxrod.stable_dt(scene, 1.0, state=params.rest).dt
+        assert excursion(scene, arm.rest, 0.99 * stable.dt) < 1e-6
+        measured = jaxrod.stable_dt(scene, 1.0, state=arm.rest).dt
         assert measured == pytest.approx(float(stable.dt), rel=0.05)
-        assert not excursion(scene, params.rest, 1.03 * measured) < 1e-4
+        assert not excursion(scene, arm.rest, 1.03 * measured) < 1e-4
 
 
 def test_deformed_rods_stay_within_the_safety_factor(record):

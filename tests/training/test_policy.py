@@ -51,14 +51,14 @@ def test_files_hold_exactly_the_policy(tmp_path, activation, output):
         output=output,
         action_repeat=3,
     )
-    save_policy(policy, tmp_path / "policy", {"case": "none"})
+    save_policy(policy, tmp_path / "policy", {"task": "none"})
     loaded = load_policy(tmp_path / "policy")
     observation = jnp.asarray(random.normal(size=(50, 3)))
     np.testing.assert_array_equal(loaded(observation), policy(observation))
     np.testing.assert_allclose(loaded(observation[0]), policy(observation)[0])
     assert jnp.all(jnp.abs(loaded(observation)) <= 1)
     description = json.loads((tmp_path / "policy" / "policy.json").read_text())
-    assert description["about"] == {"case": "none"}
+    assert description["about"] == {"task": "none"}
     assert (description["observation_size"], description["action_size"]) == (3, 2)
     assert loaded.action_repeat == 3
 

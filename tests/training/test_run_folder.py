@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxrod.envs import make
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import PPOConfig, RunFolder, find_algorithm, train
 from jaxrod.training.runs.lock import FolderInUseError
@@ -164,13 +165,8 @@ def test_what_cannot_start_costs_nothing(copy):
     with pytest.raises(RuntimeError, match="no weights"):
         train(Trivial(), learner, out=copy.path, overwrite=True, **USUAL)
     with pytest.raises(ValueError, match=r"config\.json cannot hold what is not a"):
-        train(
-            Trivial(),
-            out=copy.path,
-            overwrite=True,
-            env_options={"a": float("nan")},
-            **USUAL,
-        )
+        unknown = make("trivial", name=float("nan"))
+        train(unknown, out=copy.path, overwrite=True, **USUAL)
     assert contents(copy.path) == before
     new = copy.path / "new"
     with pytest.raises(RuntimeError, match="no weights"):

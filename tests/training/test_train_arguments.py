@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jaxrod.envs import make
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import PPOConfig, RunFolder, train
 
@@ -16,14 +17,16 @@ QUIET = {"progress": False, "evaluation_episodes": 0}
 
 @pytest.mark.default_precision
 def test_numbers_of_numpy_are_recorded_as_numbers(tmp_path):
-    env, settings = Trivial(np.int64(7)), {"config": SMALL, "out": tmp_path, **QUIET}
+    env = make("trivial", episode_length=np.int64(7))
+    settings = {"config": SMALL, "out": tmp_path, **QUIET}
     train(env, steps=np.int64(256), seed=np.int64(3), **settings)
     config = RunFolder(tmp_path).config()
     assert (config["steps"], config["seed"]) == (256, 3)
     assert config["env_options"] == {"episode_length": 7}
     # What cannot be recorded does not cost the run that is there.
     with pytest.raises(TypeError, match="not JSON serializable"):
-        train(env, steps=256, env_options={"a": object()}, overwrite=True, **settings)
+        unknown = make("trivial", name=object())
+        train(unknown, steps=256, overwrite=True, **settings)
     assert RunFolder(tmp_path).config() == config
 
 

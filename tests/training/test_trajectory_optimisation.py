@@ -10,8 +10,12 @@ import pytest
 
 import jaxrod
 import jaxrod.training.trajectory.optimise as module
-from jaxrod.training import ActuatedArm, UnreachableTargetWarning, optimise_trajectory
-from jaxrod.training.trajectory import actuated_arm
+from jaxrod.training import (
+    ActuatedArm,
+    UnreachableTargetWarning,
+    actuated_arm,
+    optimise_trajectory,
+)
 from jaxrod.training.trajectory.cost import (
     controls_over_time,
     cost_and_gradient,

@@ -45,14 +45,18 @@ REPLAY = "replay.html"
 """Files that the command line draws of a run."""
 
 _CONFIG_KINDS = {
-    "case": TEXT,
-    "env_options": OBJECT,
+    "task": TEXT,
+    "env_options": optional(OBJECT),
     "algorithm": TEXT,
     "steps": whole(1),
     "seed": whole(0, LARGEST_SEED),
     "settings": OBJECT,
 }
-_CONFIG_MAY_LACK = {"variant": optional(TEXT), "score_window": whole(1)}
+_CONFIG_MAY_LACK = {
+    "variant": optional(TEXT),
+    "score_window": whole(1),
+    "environment": TEXT,
+}
 _SUMMARY_KINDS = {
     "status": one_of("finished", "interrupted"),
     "final_score": optional(NUMBER),
@@ -107,7 +111,7 @@ class RunFolder(OwnedFolder):
         Raises:
             ValueError: there is no run in this folder, or the file is damaged.
         """
-        content = self.stored()
+        content = renamed(self.stored())
         with reading(self.path / CONFIG):
             check_entries(content, _CONFIG_KINDS, _CONFIG_MAY_LACK)
         return content
@@ -139,6 +143,11 @@ def recorded(settings: Any) -> dict[str, Any]:
         field.name: plain(getattr(settings, field.name))
         for field in dataclasses.fields(settings)
     }
+
+
+def renamed(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration with the task under its name, which was `case` in older runs."""
+    return {"task" if name == "case" else name: config[name] for name in config}
 
 
 def plain(value: Any) -> Any:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from jaxrod.envs import Environment, make, names
+from jaxrod.envs import Environment
+from jaxrod.envs.registry import made
 from jaxrod.training.algorithm import Algorithm, find_algorithm
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.folder import RunFolder, differences, plain, recorded
@@ -30,7 +31,6 @@ def train(
     out: str | Path | None = None,
     config: Any = None,
     env_params: Any = None,
-    env_options: Mapping[str, Any] | None = None,
     resume: bool = False,
     overwrite: bool = False,
     score_window: int = 50,
@@ -49,7 +49,9 @@ def train(
     checkpoint and ends bit by bit as if nothing had happened.
 
     Args:
-        env: the environment.
+        env: the environment. Of one that `jaxrod.envs.make` has made the run records
+            how, so that `jaxrod evaluate` and `jaxrod render` make it again; of
+            another they say that they cannot.
         algorithm: a name, or an `Algorithm`.
         steps: control steps, rounded up to whole updates.
         seed: the seed of all randomness.
@@ -57,9 +59,6 @@ def train(
             nothing.
         config: settings of the algorithm, None for its defaults.
         env_params: parameters of the environment, None for its own.
-        env_options: options the environment was made with, `make(env.name,
-            **env_options)`; recorded. "variant" among them is repeated in the
-            summary. None for what distinguishes `env` from `make(env.name)`.
         resume: continue the run in `out`.
         overwrite: replace the run in `out`; other files there stay.
         score_window: `final_score` is the mean return of this many last
@@ -95,7 +94,7 @@ def train(
         checkpoint_seconds=checkpoint_seconds,
         chunk_steps=chunk_steps,
     )
-    asked = _describe(env, learner, config, steps, seed, env_options, score_window)
+    asked = _describe(env, learner, config, steps, seed, score_window)
     if out is None and resume:
         raise ValueError("resume needs the folder of a run, got out=None")
     folder = None if out is None else RunFolder(out)
@@ -149,15 +148,11 @@ def _describe(
     config: Any,
     steps: int,
     seed: int,
-    env_options: Mapping[str, Any] | None,
     score_window: int,
 ) -> dict[str, Any]:
     """The request, as `config.json` keeps it."""
-    options = _options(env) if env_options is None else dict(env_options)
     return {
-        "case": env.name,
-        "variant": options.get("variant", getattr(env, "variant", None)),
-        "env_options": {name: plain(value) for name, value in options.items()},
+        **_origin(env),
         "algorithm": learner.name,
         "steps": steps,
         "seed": seed,
@@ -166,24 +161,28 @@ def _describe(
     }
 
 
-def _options(env: Any) -> dict[str, Any]:
-    """Options that `make` needs beside the name to make this environment.
+def _origin(env: Environment) -> dict[str, Any]:
+    """The task, and the options with which `make` makes the environment again.
 
-    The fields of the library's tasks are called like the options they are made with.
+    Of an environment that `make` has not made nobody knows how to make it again. What
+    it is is then kept in words, for people, and to tell it from others.
     """
-    if env.name not in names():
-        return {}
-    variant = {"variant": env.variant} if hasattr(env, "variant") else {}
-    usual: Any = make(env.name, **variant)
-    if type(env) is not type(usual):
-        # `make` refuses this in words, and no other environment has it.
-        return {**variant, "type": type(env).__qualname__}
-    chosen = {
-        field.name: getattr(env, field.name)
-        for field in dataclasses.fields(usual)
-        if getattr(env, field.name) != getattr(usual, field.name)
+    how = made(env)
+    if how is None:
+        words = re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(env).__module__}: {env!r}")
+        variant = getattr(env, "variant", None)
+        return {
+            "task": env.name,
+            "variant": variant if isinstance(variant, str) else None,
+            "env_options": None,
+            "environment": words,
+        }
+    variant = how.options.get("variant")
+    return {
+        "task": how.task,
+        "variant": variant if isinstance(variant, str) else None,
+        "env_options": {name: plain(value) for name, value in how.options.items()},
     }
-    return {**variant, **chosen}
 
 
 def _check_folder(

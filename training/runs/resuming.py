@@ -25,6 +25,7 @@ from jaxrod.training.runs.folder import (
     RunFolder,
     differences,
     plain,
+    renamed,
 )
 from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.table import check_mark
@@ -119,7 +120,7 @@ def _check_facts(
             raise ValueError(f"it is of update {facts['updates']}")
         for name in ("progress", "episodes"):
             check_mark(facts[name])
-    changed = differences(facts["config"], plain(asked))
+    changed = differences(renamed(facts["config"]), plain(asked))
     if changed:
         raise ValueError(
             f"{file} is of a run of another {CONFIG}: {', '.join(changed)}"

@@ -219,7 +219,7 @@ class Run:
     def _export(self, policy: Policy) -> None:
         """Writes the policy into the folder, if there is one."""
         if self.folder:
-            names = ("case", "variant", "algorithm", "seed")
+            names = ("task", "variant", "algorithm", "seed")
             about = {name: self.asked[name] for name in names}
             save_policy(policy, self.folder.policy, about)
 
@@ -252,8 +252,9 @@ class Run:
         }
 
     def _summary(self) -> dict[str, Any]:
-        names = ("case", "variant", "algorithm", "seed", "score_window")
+        names = ("task", "variant", "algorithm", "seed", "score_window")
         return {name: self.asked[name] for name in names} | {
+            "case": self.asked["task"],  # What scripts know the task by.
             "final_score": self.episodes.recent(self.asked["score_window"]),
             "env_steps": self.env_steps,
             "wall_s": self.wall_s,

@@ -18,8 +18,8 @@ from jaxrod import (
     exponential_damping,
     make_scene,
     spline_couples,
-    straight_rod,
 )
+from jaxrod.envs.arm.soft_arm import COUPLE_DENSITY, LENGTH, VISCOSITY, clean_rod
 from jaxrod.structure import pytree
 
 
@@ -59,8 +59,8 @@ def actuated_arm(
     n_elements: int = 20,
     *,
     n_controls: int = 6,
-    couple_density: float = 1500.0,
-    viscosity: float = 30.0,
+    couple_density: float = COUPLE_DENSITY,
+    viscosity: float = VISCOSITY,
     dtype: Any = None,
 ) -> ActuatedArm:
     """The benchmark's soft arm under the consistent law, straight and at rest.
@@ -79,16 +79,7 @@ def actuated_arm(
     Raises:
         ValueError: If an argument is out of range.
     """
-    rod, state = straight_rod(
-        n_elements,
-        length=1.0,
-        radius=0.05,
-        density=1000.0,
-        youngs_modulus=1e7,
-        direction=(0.0, 1.0, 0.0),
-        normal=(0.0, 0.0, 1.0),
-        dtype=dtype,
-    )
+    rod, state = clean_rod(n_elements, (0.0, 0.0, 0.0), "y", dtype)
     damping = exponential_damping(
         viscosity / float(rod.linear_density[0]),
         viscosity / float(rod.rotary_inertia[0, 0]),
@@ -97,6 +88,6 @@ def actuated_arm(
     return ActuatedArm(
         scene=make_scene(rod, clamp(state), damping),
         state=state,
-        spline=control_spline(n_controls, 1.0, dtype=kind),
+        spline=control_spline(n_controls, LENGTH, dtype=kind),
         couple_density=jnp.asarray(couple_density, kind),
     )

@@ -1,0 +1,162 @@
+"""Whether somebody's own object is an environment, and what it lacks in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxrod.envs.protocol import Environment
+from jaxrod.envs.snapshot import Snapshot
+
+_COUNTS = ("observation_size", "action_size", "episode_length")
+_METHODS = ("default_params", "reset", "step")
+_WORDS: dict[Any, str] = {jnp.floating: "floats", jnp.bool_: "bool"}
+
+
+def check_facts(env: Any) -> None:
+    """Checks the attributes of an environment; computes nothing.
+
+    Raises:
+        ValueError: it lacks something that `Environment` asks for.
+    """
+    kind = type(env).__name__
+    if isinstance(env, type):
+        raise ValueError(f"an environment must be an object, got the class {env!r}")
+    lacking = [name for name in ("name", *_COUNTS) if not hasattr(env, name)]
+    lacking += [
+        f"{name}()" for name in _METHODS if not callable(getattr(env, name, None))
+    ]
+    if lacking:
+        raise ValueError(
+            "an environment must have what jaxrod.envs.Environment asks for, got "
+            f"{_a(kind)} without {', '.join(lacking)}"
+        )
+    if not isinstance(env.name, str):
+        raise ValueError(f"name of {_a(kind)} must be text, got {env.name!r:.60}")
+    for name in _COUNTS:
+        value = getattr(env, name)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise ValueError(
+                f"{name} of {env.name} must be a positive integer, got {value!r:.60}"
+            )
+    try:
+        hash(env)
+    except TypeError as error:
+        raise ValueError(
+            f"{env.name} must be hashable, a frozen dataclass for one: {error}"
+        ) from None
+
+
+def check_environment(env: Environment) -> None:
+    """Checks what an environment returns, by tracing it: no step is computed.
+
+    Raises:
+        ValueError: it is not what `Environment` promises, or a method raises, with
+            what it raised as the cause.
+    """
+    check_facts(env)
+    params = _called("default_params", env, env.default_params)
+    key = jax.eval_shape(lambda: jax.random.key(0))
+    started = _traced("reset", env, env.reset, key, params)
+    _check_parts("reset", env, started, ("observation", "state"))
+    observation, state = started
+    _check_array("the observation of reset", env, observation, (env.observation_size,))
+    action = jax.ShapeDtypeStruct((env.action_size,), jnp.result_type(float))
+    stepped = _traced("step", env, env.step, key, state, action, params)
+    parts = ("observation", "state", "reward", "terminated", "truncated", "info")
+    _check_parts("step", env, stepped, parts)
+    observation, after, reward, terminated, truncated, info = stepped
+    _check_array("the observation of step", env, observation, (env.observation_size,))
+    _check_array("the reward", env, reward, ())
+    for name, flag in (("terminated", terminated), ("truncated", truncated)):
+        _check_array(name, env, flag, (), jnp.bool_)
+    _check_same_state(env, state, after)
+    if not isinstance(info, dict):
+        raise ValueError(f"info of {env.name} must be a dict, got {_kind(info)}")
+    for name, value in info.items():
+        _check_array(f"info[{name!r}]", env, value, (), None)
+    if callable(getattr(env, "snapshot", None)):
+        drawn: Any = env
+        seen = _traced("snapshot", env, drawn.snapshot, state, params)
+        if not isinstance(seen, Snapshot):
+            raise ValueError(
+                f"snapshot of {env.name} must return a jaxrod.envs.Snapshot, "
+                f"got {_kind(seen)}"
+            )
+
+
+def _called(
+    name: str, env: Environment, method: Callable[..., Any], *given: Any
+) -> Any:
+    try:
+        return method(*given)
+    except Exception as error:
+        said = str(error).strip().partition("\n")[0]
+        raise ValueError(
+            f"{name} of {env.name} raised {type(error).__name__}: {said}"
+        ) from error
+
+
+def _traced(
+    name: str, env: Environment, method: Callable[..., Any], *given: Any
+) -> Any:
+    return _called(name, env, jax.eval_shape, method, *given)
+
+
+def _check_parts(
+    name: str, env: Environment, value: Any, parts: tuple[str, ...]
+) -> None:
+    if not isinstance(value, tuple) or len(value) != len(parts):
+        count = f" of {len(value)}" if isinstance(value, tuple) else ""
+        raise ValueError(
+            f"{name} of {env.name} must return ({', '.join(parts)}), "
+            f"got {_kind(value)}{count}"
+        )
+
+
+def _check_array(
+    name: str,
+    env: Environment,
+    value: Any,
+    shape: tuple[int, ...],
+    kind: Any = jnp.floating,
+) -> None:
+    got: Any = _kind(value)
+    fits = isinstance(value, jax.ShapeDtypeStruct) and value.shape == shape
+    if isinstance(value, jax.ShapeDtypeStruct):
+        got = f"{value.dtype} of shape {value.shape}"
+        fits = fits and (kind is None or jnp.issubdtype(value.dtype, kind))
+    if not fits:
+        wanted = "" if kind is None else f" of {_WORDS[kind]}"
+        raise ValueError(
+            f"{name} of {env.name} must be an array{wanted} of shape {shape}, got {got}"
+        )
+
+
+def _check_same_state(env: Environment, before: Any, after: Any) -> None:
+    was: Any = jax.tree.structure(before)
+    now: Any = jax.tree.structure(after)
+    if was != now:
+        raise ValueError(
+            f"step of {env.name} must return a state like that of reset, "
+            f"{was}, got {now}"
+        )
+    pairs = zip(jax.tree.leaves_with_path(before), jax.tree.leaves(after), strict=True)
+    for (path, a), b in pairs:
+        if (a.shape, a.dtype) != (b.shape, b.dtype):
+            raise ValueError(
+                f"step of {env.name} must return a state like that of reset: "
+                f"state{jax.tree_util.keystr(path)} was {a.dtype} of shape {a.shape}, "
+                f"and becomes {b.dtype} of shape {b.shape}"
+            )
+
+
+def _kind(value: Any) -> str:
+    return _a(type(value).__name__)
+
+
+def _a(word: str) -> str:
+    return f"{'an' if word[:1] in 'AEIOUaeiou' else 'a'} {word}"

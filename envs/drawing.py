@@ -1,0 +1,140 @@
+"""Snapshots of a task as a replay and as a still."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeGuard
+
+import jax
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from jaxrod.envs.protocol import Drawable, Environment
+from jaxrod.envs.snapshot import Snapshot
+from jaxrod.viz import Cylinder, Replay, Sphere, frame
+
+
+def drawable(env: Environment) -> TypeGuard[Drawable]:
+    """Whether the environment says what to draw."""
+    return not missing(env)
+
+
+def missing(env: Environment) -> str:
+    """What an environment lacks to be drawn, in a sentence; empty if nothing."""
+    lacks = []
+    if not callable(getattr(env, "snapshot", None)):
+        lacks.append("no method snapshot(state, params)")
+    if not hasattr(env, "control_period"):
+        lacks.append("no control_period [s]")
+    if not lacks:
+        return ""
+    return f"{env.name} does not say what to draw: it has {' and '.join(lacks)}"
+
+
+def snapshots(env: Drawable, states: Any, params: Any) -> Snapshot:
+    """Snapshots of many states, along the first axis of every leaf.
+
+    Not compiled, so that every number is the one that the snapshot of a single state
+    has.
+
+    Raises:
+        ValueError: what the environment calls a snapshot is none.
+    """
+
+    def one(state: Any) -> Snapshot:
+        seen: Any = env.snapshot(state, params)
+        if not isinstance(seen, Snapshot):
+            raise ValueError(
+                f"snapshot of {env.name} must return a jaxrod.envs.Snapshot, "
+                f"got {type(seen).__name__}"
+            )
+        return seen
+
+    return jax.vmap(one)(states)
+
+
+def replay(
+    seen: Snapshot,
+    times: Float[np.ndarray, " frames"],
+    readouts: Mapping[str, Any] | None = None,
+    title: str = "",
+) -> Replay:
+    """A motion to look at.
+
+    Args:
+        seen: one snapshot of each frame, along the first axis of every leaf.
+        times: of the frames [s].
+        readouts: more numbers of every frame; shown before those of the snapshots.
+        title: its heading.
+
+    Raises:
+        ValueError: a number is impossible, or a radius or a cylinder changes.
+    """
+    seen = jax.tree.map(np.asarray, seen)
+    return Replay.from_rollout(
+        seen.positions,
+        _lasting("radii", seen.radii),
+        times,
+        spheres=[
+            Sphere(centre, float(_lasting("the radius of a sphere", radius)))
+            for centre, radius in seen.spheres
+        ],
+        cylinders=[
+            Cylinder(
+                _lasting("an end of a cylinder", start),
+                _lasting("an end of a cylinder", end),
+                float(_lasting("the radius of a cylinder", radius)),
+            )
+            for start, end, radius in seen.cylinders
+        ],
+        readouts={**(readouts or {}), **seen.readouts},
+        title=title,
+        up=seen.up,
+    )
+
+
+def edge_lengths(env: Drawable, params: Any) -> Float[np.ndarray, "rods n"]:
+    """Lengths of all elements at the start of an episode [m]."""
+    _, start = env.reset(jax.random.key(0), params)
+    nodes = _nodes(env.snapshot(start, params))
+    return np.linalg.norm(nodes[..., 1:] - nodes[..., :-1], axis=1)
+
+
+def picture(
+    seen: Snapshot, lengths: Float[np.ndarray, "rods n"], seconds: float
+) -> UInt8[np.ndarray, "480 640 3"]:
+    """A still of one moment, always seen from the same place.
+
+    Args:
+        seen: the moment.
+        lengths: what `edge_lengths` returns for the environment.
+        seconds: time since the episode began [s].
+    """
+    nodes = _nodes(seen)
+    # The view holds all that straight rods reach, so that it never moves: the moments
+    # before the one that is drawn show the rods along every axis.
+    arcs = np.cumsum(np.pad(lengths, ((0, 0), (1, 0))), axis=1)
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    reach = nodes[None, :, :, :1] + axes[:, None, :, None] * arcs[None, :, None, :]
+    positions = np.concatenate([reach, nodes[None]])
+    radii: Any = np.broadcast_to(seen.radii, lengths.shape)
+    still = dataclasses.replace(seen, radii=radii, readouts={})
+    moments: Any = jax.tree.map(
+        lambda leaf: np.repeat(np.asarray(leaf)[None], len(positions), axis=0), still
+    )
+    moments = dataclasses.replace(moments, positions=positions)
+    return frame(replay(moments, np.arange(-len(reach), 1) + seconds), -1)
+
+
+def _nodes(seen: Snapshot) -> Float[np.ndarray, "rods 3 n+1"]:
+    """Nodes of all rods of one moment [m]."""
+    nodes = np.asarray(seen.positions, float)
+    return nodes if nodes.ndim == 3 else nodes[None]
+
+
+def _lasting(name: str, values: Any) -> np.ndarray:
+    """What is the same in all frames."""
+    if not np.array_equal(values, np.broadcast_to(values[:1], values.shape)):
+        raise ValueError(f"{name} of a snapshot must not change during an episode")
+    return values[0]
