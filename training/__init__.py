@@ -7,10 +7,12 @@ if __name__ != "jaxrod.training":
 
 try:
     from jaxrod.training.algorithm import (
+        DEVICE_AXIS,
         Algorithm,
         Metrics,
         algorithm_names,
         find_algorithm,
+        steps_per_update,
     )
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
@@ -20,9 +22,11 @@ try:
     from jaxrod.training.algorithms.td3 import TD3, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
-    from jaxrod.training.policy import Policy, load_policy, save_policy
+    from jaxrod.training.policy import MLPPolicy, NetworkPolicy, Policy
+    from jaxrod.training.policy_files import load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train
+    from jaxrod.training.runs.restored_policy import restore_policy, untrained_policy
     from jaxrod.training.runs.run import Result
     from jaxrod.training.runs.seeds import train_seeds
     from jaxrod.training.settings import LearnerConfig
@@ -43,6 +47,7 @@ except ModuleNotFoundError as missing:
 
 __all__ = [
     "DDPG",
+    "DEVICE_AXIS",
     "PPO",
     "SAC",
     "TD3",
@@ -52,7 +57,9 @@ __all__ = [
     "DDPGConfig",
     "Evaluation",
     "LearnerConfig",
+    "MLPPolicy",
     "Metrics",
+    "NetworkPolicy",
     "OffPolicyConfig",
     "OnPolicyConfig",
     "PPOConfig",
@@ -71,7 +78,10 @@ __all__ = [
     "find_algorithm",
     "load_policy",
     "optimise_trajectory",
+    "restore_policy",
     "save_policy",
+    "steps_per_update",
     "train",
     "train_seeds",
+    "untrained_policy",
 ]

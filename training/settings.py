@@ -5,6 +5,7 @@ Checks run on the host, before anything is compiled.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import Array, Float
@@ -29,7 +30,12 @@ class LearnerConfig:
         num_envs: environments acting side by side.
         rollout_steps: decisions of each environment in one update.
         action_repeat: control steps for which every action is held.
-        hidden_sizes: widths of the hidden layers of all networks.
+        hidden_sizes: widths of the hidden layers of all networks but your own.
+        network: makes your own networks, `(role, output_size) -> flax module`. The
+            role is "policy" (observation -> action) or "critic" (observation -> value;
+            in SAC, TD3 and DDPG observation and action, one after the other); SAC asks
+            for twice as many outputs of a policy as there are actions, means first.
+            None for multilayer perceptrons.
         spread_phases: start the first episodes in mid-course, see
             `jaxrod.envs.VectorEnvironment`.
         discount: gamma.
@@ -44,6 +50,7 @@ class LearnerConfig:
     rollout_steps: int = static(default=128)
     action_repeat: int = static(default=1)
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
+    network: Callable[[str, int], Any] | None = static(default=None)
     spread_phases: bool = static(default=True)
     discount: Scalar = 0.99
     reward_scale: Scalar = 0.1
@@ -107,6 +114,11 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
         raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
     for size in sizes:
         _check_size(f"each of hidden_sizes {sizes}", size)
+    if config.network is not None and not callable(config.network):
+        raise ValueError(
+            "network must be a function (role, output_size) -> flax module, got "
+            f"{config.network!r:.80}"
+        )
 
 
 def check_fractions(config: Settings, *names: str) -> None:

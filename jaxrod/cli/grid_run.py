@@ -17,7 +17,8 @@ from jaxrod.cli.grid_report import draw_figures, write_report
 from jaxrod.cli.grid_view import GridView
 from jaxrod.cli.machine import processor
 from jaxrod.training import find_algorithm
-from jaxrod.training.runs.folder import RunFolder, differences, recorded
+from jaxrod.training.recorded_settings import recorded
+from jaxrod.training.runs.folder import RunFolder, differences
 from jaxrod.training.runs.interruption import Interruption
 
 DIVERGED = 1

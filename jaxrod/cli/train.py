@@ -40,6 +40,8 @@ examples:
   jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
   jaxrod train structured --algorithm trpo --steps 500k --controls 4 --num-envs 16
   jaxrod train unstructured --nest 7 --steps 1M --num-envs 16
+  jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
+  jaxrod train tracking --set network=my_module:my_network        your own network
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm with their defaults.
@@ -66,7 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default: {PUBLISHED})",
     )
     parser.add_argument(
-        "--algorithm", help="ppo, trpo, sac, td3 or ddpg (default: ppo)"
+        "--algorithm",
+        metavar="NAME",
+        help="ppo, trpo, sac, td3, ddpg, or your own: module:NAME (default: ppo)",
     )
     parser.add_argument(
         "--steps",
@@ -128,7 +132,8 @@ def run(args: argparse.Namespace) -> int:
     """Trains, draws, and prints the result."""
     import jaxrod
     from jaxrod.cli import runs
-    from jaxrod.training import RunFolder, find_algorithm, train
+    from jaxrod.training import RunFolder, train
+    from jaxrod.training.contract import resolve, updates_of
     from jaxrod.training.settings import check_steps
     from jaxrod.validation import check_seed
 
@@ -141,17 +146,17 @@ def run(args: argparse.Namespace) -> int:
                 f"not of {args.case}"
             )
         with reading(_folder(args, None) / "config.json"):
-            find_algorithm(stored["algorithm"])
-    learner = find_algorithm(_chosen(args.algorithm, stored, "algorithm", "ppo"))
+            resolve(stored["algorithm"], None)
+    algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
+    learner, config = resolve(algorithm, None)
     if "help" in args.set:
-        print(settings.listing(learner.config_type()))
+        print(settings.listing(config))
         return 0
-    config = learner.config_type()
     if stored:
         with reading(_folder(args, None) / "config.json"):
             config = settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
-            check_steps(stored["steps"], learner.steps_per_update(config))
+            check_steps(stored["steps"], updates_of(learner, config))
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
@@ -178,7 +183,7 @@ def run(args: argparse.Namespace) -> int:
                 "with --overwrite, or choose another folder with --out"
             )
 
-    wanted = getattr(config, "num_envs", 1)
+    wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
     import jax
 
@@ -190,7 +195,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         result = train(
             env,
-            learner,
+            algorithm,
             steps=_chosen(args.steps, stored, "steps", STEPS),
             seed=seed,
             out=out,
@@ -267,7 +272,9 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
     """The folder of the run; by default named after what is trained."""
     if args.out is not None:
         return args.out
-    words = [args.case, variant, args.algorithm or "ppo", str(args.seed or 0)]
+    # An import path is no name of a folder everywhere.
+    algorithm = (args.algorithm or "ppo").replace(":", "-")
+    words = [args.case, variant, algorithm, str(args.seed or 0)]
     if args.resume and variant is None:
         words[1] = args.variant or _default_variant(args.case)
     if args.controls is not None:

@@ -127,6 +127,8 @@ def test_every_setting_is_documented_once_with_its_default(name):
         default = defaults[setting]
         if isinstance(default, bool):
             assert value == str(default).lower(), setting
+        elif default is None:
+            assert value == "default", setting
         elif isinstance(default, tuple):
             assert tuple(int(part) for part in value.split(",")) == default, setting
         else:

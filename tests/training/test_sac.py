@@ -159,12 +159,12 @@ def test_what_follows_is_remembered_as_it_was_before_any_restart(six_updates):
 
 
 def test_only_the_end_of_a_task_is_worth_nothing():
-    critics = initial_critics(jax.random.key(0), Trivial(), (8,), 2, jnp.float64)
+    critics = initial_critics(jax.random.key(0), Trivial(), SMALL, 2, jnp.float64)
     ends = jnp.array([False, True])
     ones = jnp.ones((2, 1))
     batch = Transition(ones, ones, jnp.array([3.0, 3.0]), ones, ends)
-    value = critic_values((8,), critics, ones, ones)
-    loss, _ = critic_loss(critics, (8,), batch, jnp.array([10.0, 10.0]), 0.9)
+    value = critic_values(SMALL, critics, ones, ones)
+    loss, _ = critic_loss(critics, SMALL, batch, jnp.array([10.0, 10.0]), 0.9)
     # Targets: 3 + 0.9 * 10 where the episode goes on, 3 where it ended.
     errors = (value - jnp.array([[12.0, 3.0]])) ** 2
     assert float(loss) == pytest.approx(float(0.5 * jnp.sum(jnp.mean(errors, 1))))

@@ -22,12 +22,16 @@ from jaxrod.envs import Environment, VectorEnvironment, VectorState
 from jaxrod.envs.action_repeat import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS
-from jaxrod.training.algorithms.actor_critic import ACTIVATION, Learner
+from jaxrod.training.algorithms.actor_critic import (
+    ACTIVATION,
+    Learner,
+    policy_network,
+)
 from jaxrod.training.algorithms.preparation import prepare, strong
 from jaxrod.training.algorithms.replay import Replay, empty_replay
 from jaxrod.training.networks import layers
 from jaxrod.training.normalisation import RunningMoments, no_moments
-from jaxrod.training.policy import Policy
+from jaxrod.training.policy import MLPPolicy, NetworkPolicy, Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -178,17 +182,30 @@ def partition(state: OffPolicyState) -> OffPolicyState:
     return dataclasses.replace(state, **specs)
 
 
-def deterministic_policy(state: OffPolicyState) -> Policy:
+def deterministic_policy(state: OffPolicyState, outputs_per_action: int = 1) -> Policy:
     """The tanh of the policy network's first outputs, one for each action."""
-    *hidden, (kernel, bias) = layers(state.learner.weights["policy"])
+    config, moments = state.config, state.moments
+    weights = state.learner.weights["policy"]
     size = state.env.action_size
-    return Policy(
-        moments=state.moments,
-        limit=state.config.observation_limit,
-        layers=(*hidden, (kernel[:, :size], bias[:size])),
-        activation=ACTIVATION,
+    if config.network is None:
+        *hidden, (kernel, bias) = layers(weights)
+        return MLPPolicy(
+            moments=moments,
+            limit=config.observation_limit,
+            layers=(*hidden, (kernel[:, :size], bias[:size])),
+            activation=ACTIVATION,
+            output="tanh",
+            action_repeat=config.action_repeat,
+        )
+    network = policy_network(config, outputs_per_action * size, moments.mean.dtype)
+    return NetworkPolicy(
+        moments=moments,
+        limit=config.observation_limit,
+        weights=weights,
+        network=network,
+        action_size=size,
         output="tanh",
-        action_repeat=state.config.action_repeat,
+        action_repeat=config.action_repeat,
     )
 
 

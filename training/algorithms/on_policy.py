@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec
@@ -22,7 +23,13 @@ from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.algorithms.advantages import generalised_advantages
 from jaxrod.training.algorithms.preparation import prepare, strong
 from jaxrod.training.algorithms.rollout import collect
-from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron, layers
+from jaxrod.training.networks import (
+    GaussianPolicy,
+    check_outputs,
+    initial_weights,
+    layers,
+    make_network,
+)
 from jaxrod.training.normalisation import (
     RunningMoments,
     batch_moments,
@@ -30,7 +37,7 @@ from jaxrod.training.normalisation import (
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import Policy
+from jaxrod.training.policy import MLPPolicy, NetworkPolicy, Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -40,6 +47,9 @@ from jaxrod.training.settings import (
     check_not_negative,
 )
 from jaxrod.training.short_episodes import restart_phase
+
+ACTIVATION = "tanh"
+"""Of all hidden layers, as in the reference implementation."""
 
 
 @pytree
@@ -113,14 +123,22 @@ def policy_network(
     env: Environment, config: OnPolicyConfig, dtype: DTypeLike
 ) -> GaussianPolicy:
     """The policy network; weights come from the train state."""
-    return GaussianPolicy(
-        config.hidden_sizes, env.action_size, config.initial_log_std, dtype=dtype
-    )
+    size = env.action_size
+    mean = make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
+    return GaussianPolicy(mean, size, config.initial_log_std, dtype=dtype)
 
 
-def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> MultilayerPerceptron:
+def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> nn.Module:
     """The value network; weights come from the train state."""
-    return MultilayerPerceptron(config.hidden_sizes, 1, dtype=dtype)
+    return make_network(config, "critic", 1, activation=ACTIVATION, dtype=dtype)
+
+
+def predicted_value(
+    network: nn.Module, weights: Any, observation: Float[Array, "*batch observation"]
+) -> Float[Array, "*batch"]:
+    """Value of normalised observations."""
+    output = network.apply({"params": weights}, observation)
+    return output[..., 0].astype(observation.dtype)
 
 
 def log_density(
@@ -154,10 +172,14 @@ def start(
     config, env_params, dtype = prepare(key, env, config, env_params)
     keys = jax.random.split(key, 5)
     dummy = jnp.zeros(env.observation_size, dtype)
+    policy, value = policy_network(env, config, dtype), value_network(config, dtype)
     weights = {
-        "policy": policy_network(env, config, dtype).init(keys[0], dummy)["params"],
-        "value": value_network(config, dtype).init(keys[1], dummy)["params"],
+        "policy": initial_weights(policy, keys[0], dummy),
+        "value": initial_weights(value, keys[1], dummy),
     }
+    mean_weights = weights["policy"].get("mean", {})
+    check_outputs(policy.mean, mean_weights, dummy, env.action_size)
+    check_outputs(value, weights["value"], dummy, 1)
     environments = VectorEnvironment(env).reset(
         keys[2],
         config.num_envs,
@@ -206,7 +228,7 @@ def gather_experience(
 
     def value(observation: Array) -> Array:
         # The network sees normalised observations.
-        return values.apply({"params": state.weights["value"]}, observation)[..., 0]
+        return predicted_value(values, state.weights["value"], observation)
 
     noise = _noise(state)
     environments, rollout = collect(
@@ -261,13 +283,25 @@ def partition(state: OnPolicyState) -> OnPolicyState:
 
 def deterministic_policy(state: OnPolicyState) -> Policy:
     """The mean of the action distribution, clipped to [-1, 1]."""
-    return Policy(
-        moments=state.moments,
-        limit=state.config.observation_limit,
-        layers=layers(state.weights["policy"]["mean"]),
-        activation="tanh",
+    config, moments = state.config, state.moments
+    weights = state.weights["policy"].get("mean", {})
+    if config.network is None:
+        return MLPPolicy(
+            moments=moments,
+            limit=config.observation_limit,
+            layers=layers(weights),
+            activation=ACTIVATION,
+            output="clip",
+            action_repeat=config.action_repeat,
+        )
+    return NetworkPolicy(
+        moments=moments,
+        limit=config.observation_limit,
+        weights=weights,
+        network=policy_network(state.env, config, moments.mean.dtype).mean,
+        action_size=state.env.action_size,
         output="clip",
-        action_repeat=state.config.action_repeat,
+        action_repeat=config.action_repeat,
     )
 
 

@@ -30,6 +30,7 @@ from jaxrod.training.algorithms.on_policy import (
     log_density,
     partition,
     policy_network,
+    predicted_value,
     start,
     value_network,
 )
@@ -191,9 +192,8 @@ def _loss(
     clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
     gain = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
 
-    value = value_network(config, dtype).apply(
-        {"params": weights["value"]}, batch.observation
-    )[:, 0]
+    network = value_network(config, dtype)
+    value = predicted_value(network, weights["value"], batch.observation)
     value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
     entropy = jnp.sum(log_std) + 0.5 * env.action_size * math.log(2 * math.pi * math.e)
     loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy

@@ -5,6 +5,7 @@ Source: Haarnoja et al., "Soft actor-critic algorithms and applications", 2018.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
@@ -21,6 +22,7 @@ from jaxrod.training.algorithms.actor_critic import (
     descend,
     follow,
     initial_critics,
+    initial_policy,
     optimiser,
     policy_network,
 )
@@ -39,6 +41,9 @@ from jaxrod.training.algorithms.squashed_gaussian import (
     squash,
 )
 from jaxrod.training.settings import Scalar, check_finite, check_positive
+
+OUTPUTS_PER_ACTION = 2
+"""Of the policy network: mean and logarithm of the standard deviation."""
 
 
 @pytree
@@ -92,11 +97,10 @@ def init(
 
     def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:
         keys = jax.random.split(key)
-        dummy = jnp.zeros(env.observation_size, dtype)
-        network = policy_network(config.hidden_sizes, 2 * env.action_size, dtype)
-        critics = initial_critics(keys[1], env, config.hidden_sizes, 2, dtype)
+        outputs = OUTPUTS_PER_ACTION * env.action_size
+        critics = initial_critics(keys[1], env, config, 2, dtype)
         weights = {
-            "policy": network.init(keys[0], dummy)["params"],
+            "policy": initial_policy(keys[0], env, config, outputs, dtype),
             "critics": critics,
             "log_temperature": jnp.log(jnp.asarray(config.initial_temperature, dtype)),
         }
@@ -117,18 +121,18 @@ def update(
         axis_name: mapped axis over which the environments are spread, if any.
     """
     config: SACConfig = state.config
-    sizes = config.hidden_sizes
     dtype = state.environments.observation.dtype
-    network = policy_network(sizes, 2 * state.env.action_size, dtype)
+    outputs = OUTPUTS_PER_ACTION * state.env.action_size
+    network = policy_network(config, outputs, dtype)
 
     def act(weights: Any, observation: Array, noise: Array) -> tuple[Array, Array]:
-        output = network.apply({"params": weights}, observation)
+        output = network.apply({"params": weights}, observation).astype(dtype)
         return squash(*split_output(output), noise)
 
     def following_value(weights: dict[str, Any], batch: Batch) -> Array:
         observation = batch.transition.following
         action, log_prob = act(weights["policy"], observation, batch.noise[0])
-        values = critic_values(sizes, weights["target_critics"], observation, action)
+        values = critic_values(config, weights["target_critics"], observation, action)
         return jnp.min(values, axis=0) - jnp.exp(weights["log_temperature"]) * log_prob
 
     def policy_loss(
@@ -136,7 +140,7 @@ def update(
     ) -> tuple[Array, dict[str, Array]]:
         observation = batch.transition.observation
         action, log_prob = act(policy, observation, batch.noise[1])
-        values = critic_values(sizes, weights["critics"], observation, action)
+        values = critic_values(config, weights["critics"], observation, action)
         temperature = jnp.exp(weights["log_temperature"])
         loss = jnp.mean(temperature * log_prob - jnp.min(values, axis=0))
         return loss, {"entropy": -jnp.mean(log_prob)}
@@ -147,7 +151,7 @@ def update(
         (batch,) = batches
         gradient, report = jax.grad(critic_loss, has_aux=True)(
             learner.weights["critics"],
-            sizes,
+            config,
             batch.transition,
             following_value(learner.weights, batch),
             config.discount,
@@ -198,6 +202,8 @@ SAC = Algorithm(
     init=init,
     update=update,
     partition=partition,
-    policy=deterministic_policy,
+    policy=functools.partial(
+        deterministic_policy, outputs_per_action=OUTPUTS_PER_ACTION
+    ),
 )
 """SAC for the shared loop."""

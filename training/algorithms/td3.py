@@ -26,6 +26,7 @@ from jaxrod.training.algorithms.actor_critic import (
     descend,
     follow,
     initial_critics,
+    initial_policy,
     optimiser,
     policy_network,
 )
@@ -107,12 +108,9 @@ def init(
 
     def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
         keys = jax.random.split(key)
-        dummy = jnp.zeros(env.observation_size, dtype)
-        sizes = config.hidden_sizes
-        network = policy_network(sizes, env.action_size, dtype)
         weights: dict[str, Any] = {
-            "policy": network.init(keys[0], dummy)["params"],
-            "critics": initial_critics(keys[1], env, sizes, config.critics, dtype),
+            "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
+            "critics": initial_critics(keys[1], env, config, config.critics, dtype),
         }
         memory = {name: optimiser().init(part) for name, part in weights.items()}
         targets = {f"target_{name}": part for name, part in weights.items()}
@@ -149,9 +147,8 @@ def update(
         axis_name: mapped axis over which the environments are spread, if any.
     """
     config: TD3Config = state.config
-    sizes = config.hidden_sizes
     dtype = state.environments.observation.dtype
-    network = policy_network(sizes, state.env.action_size, dtype)
+    network = policy_network(config, state.env.action_size, dtype)
 
     spread = along_the_run(
         state,
@@ -161,7 +158,8 @@ def update(
     )
 
     def act(weights: Any, observation: Array) -> Array:
-        return jnp.tanh(network.apply({"params": weights}, observation))
+        output = network.apply({"params": weights}, observation).astype(dtype)
+        return jnp.tanh(output)
 
     def explore(observation: Array, noise: Array) -> Array:
         action = act(state.learner.weights["policy"], observation)
@@ -175,13 +173,13 @@ def update(
             config.target_noise,
             config.target_noise_limit,
         )
-        values = critic_values(sizes, weights["target_critics"], observation, action)
+        values = critic_values(config, weights["target_critics"], observation, action)
         return jnp.min(values, axis=0)
 
     def policy_loss(policy: Any, critics: tuple[Any, ...], batch: Batch) -> Array:
         observation = batch.transition.observation
         action = act(policy, observation)
-        return -jnp.mean(critic_values(sizes, critics[:1], observation, action))
+        return -jnp.mean(critic_values(config, critics[:1], observation, action))
 
     def gradient_step(
         learner: Learner, batches: list[Batch]
@@ -189,7 +187,7 @@ def update(
         for batch in batches:
             gradient, report = jax.grad(critic_loss, has_aux=True)(
                 learner.weights["critics"],
-                sizes,
+                config,
                 batch.transition,
                 following_value(learner.weights, batch),
                 config.discount,

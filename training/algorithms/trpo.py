@@ -30,6 +30,7 @@ from jaxrod.training.algorithms.on_policy import (
     log_density,
     partition,
     policy_network,
+    predicted_value,
     start,
     value_network,
 )
@@ -238,7 +239,7 @@ def _fit_value(
     optimiser = _value_optimiser()
 
     def loss(weights: Any, observation: Array, target: Array) -> Array:
-        value = network.apply({"params": weights}, observation)[..., 0]
+        value = predicted_value(network, weights, observation)
         return 0.5 * jnp.mean((value - target) ** 2)
 
     def minibatch_step(

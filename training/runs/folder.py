@@ -14,13 +14,9 @@ folder is left alone.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import jax
-import numpy as np
 
 from jaxrod.files import (
     NUMBER,
@@ -131,24 +127,6 @@ class RunFolder(OwnedFolder):
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Writes `summary.json`."""
         write_atomically(self.summary_file, as_json(SUMMARY, summary))
-
-
-def recorded(settings: Any) -> dict[str, Any]:
-    """The settings of a learner, a dataclass, as `config.json` keeps them."""
-    return {
-        field.name: plain(getattr(settings, field.name))
-        for field in dataclasses.fields(settings)
-    }
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON holds it; what JSON cannot hold stays what it is."""
-    if isinstance(value, tuple | list):
-        return [plain(one) for one in value]
-    if isinstance(value, dict):
-        return {name: plain(one) for name, one in value.items()}
-    arrays = (jax.Array, np.ndarray, np.generic)
-    return value.tolist() if isinstance(value, arrays) else value
 
 
 def differences(
