@@ -124,7 +124,7 @@ def find_algorithm(name: str) -> Algorithm:
 
     Raises:
         ValueError: there is none of this name, or what is there is no algorithm.
-        ImportError: a module needs another one that is not installed.
+        ImportError: an import path leads nowhere.
     """
     if name not in _ALGORITHMS and ":" not in name:
         known = ", ".join(algorithm_names())

@@ -19,8 +19,8 @@ def find_object(path: str) -> Any:
         path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM".
 
     Raises:
-        ValueError: there is no such module or object, or importing it failed.
-        ImportError: the module needs another one that is not installed.
+        ValueError: it is no import path.
+        ImportError: there is no such module or object, or importing it failed.
     """
     name, colon, attribute = path.partition(":")
     if not (name and colon and attribute):
@@ -29,7 +29,7 @@ def find_object(path: str) -> Any:
     try:
         return reduce(getattr, attribute.split("."), module)
     except AttributeError:
-        raise ValueError(f"{path!r}: module {name} has no {attribute}") from None
+        raise ImportError(f"{path}: module {name} has no {attribute}") from None
 
 
 def import_path(value: Any) -> str | None:
@@ -81,16 +81,16 @@ def _import(name: str, path: str) -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name and f"{name}.".startswith(f"{error.name}."):
-            raise ValueError(
-                f"{path!r}: there is no module {error.name!r}, neither installed nor "
-                f"in {here}"
+            raise ImportError(
+                f"{path}: there is no module {error.name}, neither installed nor in "
+                f"{here}"
             ) from None
         raise
     except ImportError:
         raise
     except Exception as error:
-        raise ValueError(
-            f"{path!r}: importing {name} failed: {type(error).__name__}: {error}"
+        raise ImportError(
+            f"{path}: importing {name} failed: {type(error).__name__}: {error}"
         ) from error
     finally:
         sys.path.remove(here)

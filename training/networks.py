@@ -143,8 +143,8 @@ def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> A
     others = sorted(set(variables) - {"params"})
     if others:
         raise ValueError(
-            "network must keep weights ('params') and nothing else, "
-            f"{type(network).__name__} keeps {', '.join(others)}"
+            "network must keep weights ('params') and nothing else, got "
+            f"{', '.join(others)}"
         )
 
     def one(leaf: Array) -> Array:

@@ -28,7 +28,12 @@ from jaxrod.files import (
     whole,
     write_atomically,
 )
-from jaxrod.training.leaves import named_leaves, to_array, with_leaves
+from jaxrod.training.leaves import (
+    differences_of_leaves,
+    named_leaves,
+    to_array,
+    with_leaves,
+)
 from jaxrod.training.normalisation import RunningMoments
 from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy, held_for
 
@@ -102,9 +107,10 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
             raise ValueError("it is torn")
         with np.load(numbers, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        if not perceptron:
-            return _put_into(like, arrays)
-        _check_numbers(arrays, description)
+        if perceptron:
+            _check_numbers(arrays, description)
+    if not perceptron:
+        return _put_into(like, numbers, arrays)
     found = {name: jnp.asarray(array) for name, array in arrays.items()}
     return MLPPolicy(
         moments=RunningMoments(
@@ -159,8 +165,8 @@ def _pytree(policy: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return {"format": PYTREE, "leaves": kinds}, arrays
 
 
-def _put_into(like: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """A policy of the structure of another one, with these numbers.
+def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
+    """A policy of the structure of another one, with the numbers of a file.
 
     Of floating-point numbers the width may be another one: policies are evaluated in
     other precisions than they were trained in.
@@ -169,28 +175,32 @@ def _put_into(like: Any, arrays: dict[str, np.ndarray]) -> Any:
         ValueError: they are not the numbers of such a policy.
     """
     leaves = named_leaves(like, _ROOT)
-    for name in sorted(leaves.keys() ^ arrays.keys()):
-        what = "lacks" if name in leaves else "has"
+    for name in leaves.keys() & arrays.keys():
+        dtype = np.dtype(leaves[name].dtype)
+        if dtype.kind == "V" and arrays[name].dtype == f"u{dtype.itemsize}":
+            arrays[name] = arrays[name].view(dtype)
+    apart = differences_of_leaves(
+        {name: _kind(leaf) for name, leaf in leaves.items()},
+        {name: _kind(array) for name, array in arrays.items()},
+    )
+    if apart:
         raise ValueError(
-            f"it {what} {name!r}, unlike what the algorithm and the settings of its "
-            "run make"
+            f"{file} is of another policy than the algorithm and the settings of this "
+            f"run make: it {apart}"
         )
-    found = {}
-    for name, leaf in leaves.items():
-        array, dtype = arrays[name], np.dtype(leaf.dtype)
-        if dtype.kind == "V" and array.dtype == f"u{dtype.itemsize}":
-            array = array.view(dtype)
-        if (array.shape, array.dtype.kind) != (tuple(leaf.shape), dtype.kind):
-            raise ValueError(
-                f"{name!r} is {array.dtype}{list(array.shape)}, but the algorithm and "
-                f"the settings of its run make {dtype}{list(leaf.shape)}"
-            )
-        if np.isnan(array).any():
-            raise ValueError(f"{name!r} holds what is not a number")
-        found[name] = jnp.asarray(array)
+    with reading(file):
+        for name, array in arrays.items():
+            if np.isnan(array).any():
+                raise ValueError(f"{name!r} holds what is not a number")
     # Leaves without elements hold nothing and are not stored.
     empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
+    found = {name: jnp.asarray(array) for name, array in arrays.items()}
     return with_leaves(empty, _ROOT, found)
+
+
+def _kind(array: Any) -> str:
+    """Kind and shape of an array, whatever its precision."""
+    return f"{np.dtype(array.dtype).name.rstrip('0123456789')}{list(array.shape)}"
 
 
 def _check_description(description: dict[str, Any]) -> None:

@@ -43,7 +43,8 @@ def restored(defaults: Any, stored: Mapping[str, Any]) -> Any:
         stored: what was kept; what is no setting of the learner is left out.
 
     Raises:
-        ValueError: one is not of its kind, or a function is not found.
+        ValueError: one is not of its kind.
+        ImportError: a function is not found.
     """
     known = {field.name for field in dataclasses.fields(defaults)}
     return dataclasses.replace(
@@ -79,7 +80,8 @@ def find_function(name: str, path: Any) -> Any:
         path: its import path; None stands for itself.
 
     Raises:
-        ValueError: there is no such function.
+        ValueError: it is no import path, or not that of a function.
+        ImportError: it is not found.
     """
     if path is None:
         return None
