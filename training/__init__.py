@@ -12,6 +12,7 @@ try:
         Metrics,
         algorithm_names,
         find_algorithm,
+        mean_over_devices,
         steps_per_update,
     )
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
@@ -77,6 +78,7 @@ __all__ = [
     "evaluate",
     "find_algorithm",
     "load_policy",
+    "mean_over_devices",
     "optimise_trajectory",
     "restore_policy",
     "save_policy",

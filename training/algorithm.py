@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 from jaxtyping import Array
 
 from jaxrod.envs import EpisodeRecord
@@ -38,6 +39,11 @@ def steps_per_update(config: Any) -> int:
     For configurations that have these three, as every `LearnerConfig` does.
     """
     return config.num_envs * config.rollout_steps * config.action_repeat
+
+
+def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
+    """The mean of every leaf over the devices of a mapped axis, if there is one."""
+    return tree if axis_name is None else jax.lax.pmean(tree, axis_name)
 
 
 def check_nothing(config: Any, num_devices: int) -> None:
@@ -75,7 +81,7 @@ class Algorithm:
     """`state -> (state, Metrics)`: one update; the state keeps its structure, shapes
     and types. With `partition`: `(state, axis_name=None) -> (state, Metrics)`. Under a
     mapped axis of that name the state holds this device's share, and what is repeated
-    must stay equal on all of them (`jax.lax.pmean`)."""
+    must stay equal on all of them, see `mean_over_devices`."""
     policy: Callable[[Any], Policy]
     """`state -> policy`: the deterministic policy, a pytree of arrays that is called
     `policy(observation) -> action` with any leading axes."""

@@ -13,7 +13,7 @@ from jaxtyping import Array, DTypeLike, Float, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree
-from jaxrod.training.algorithms.device_mean import mean_over_devices
+from jaxrod.training.algorithm import mean_over_devices
 from jaxrod.training.algorithms.replay import Transition
 from jaxrod.training.networks import check_outputs, initial_weights, make_network
 from jaxrod.training.settings import LearnerConfig, Scalar
@@ -92,7 +92,7 @@ def critic_loss(
     weights: tuple[Any, ...],
     config: LearnerConfig,
     transition: Transition,
-    following_value: Float[Array, " batch"],
+    next_value: Float[Array, " batch"],
     discount: Scalar,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
@@ -104,21 +104,21 @@ def critic_loss(
         weights: of the critics.
         config: of the learner; it says what networks the critics are.
         transition: a batch.
-        following_value: V', the value of what follows; no gradient goes through it.
+        next_value: V', the value of what follows; no gradient goes through it.
         discount: gamma.
 
     Returns:
         The loss, and what to report of it.
     """
-    following_value = jnp.where(transition.terminated, 0, following_value)
-    target = jax.lax.stop_gradient(transition.reward + discount * following_value)
+    next_value = jnp.where(transition.terminated, 0, next_value)
+    target = jax.lax.stop_gradient(transition.reward + discount * next_value)
     value = critic_values(config, weights, transition.observation, transition.action)
     error = jnp.mean((value - target[None]) ** 2, axis=1)
     report = {"critic_error": jnp.mean(error), "value": jnp.mean(value)}
     return 0.5 * jnp.sum(error), report
 
 
-def descend(
+def apply_gradient(
     learner: Learner,
     name: str,
     gradient: Any,
@@ -128,15 +128,13 @@ def descend(
     """One step of Adam on the weights called `name`."""
     gradient = mean_over_devices(gradient, axis_name)
     direction, memory = optimiser().update(gradient, learner.optimiser[name])
-    weights = jax.tree.map(
-        lambda w, d: w - learning_rate * d, learner.weights[name], direction
-    )
+    weights = optax.tree.add_scale(learner.weights[name], -learning_rate, direction)
     return Learner(
         learner.weights | {name: weights}, learner.optimiser | {name: memory}
     )
 
 
-def follow(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
+def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
     """Moves the weights called `target` by `rate` of the way to those of `name`."""
     moved = jax.tree.map(
         lambda old, new: old + rate * (new - old),

@@ -27,7 +27,7 @@ from jaxrod.training.algorithms.actor_critic import (
     Learner,
     policy_network,
 )
-from jaxrod.training.algorithms.preparation import prepare, strong
+from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
 from jaxrod.training.algorithms.replay import Replay, empty_replay
 from jaxrod.training.networks import layers
 from jaxrod.training.normalisation import RunningMoments, no_moments
@@ -60,8 +60,8 @@ class OffPolicyConfig(LearnerConfig):
             white, near 1 slow, and then it explores further. Below 1.
         policy_learning_rate: step size of Adam for the policy.
         critic_learning_rate: step size of Adam for the critics.
-        target_rate: the targets go this part of the way to what they follow each
-            time they move.
+        target_rate: share of the way that the targets go to the weights they track
+            each time they move.
     """
 
     rollout_steps: int = static(default=8)
@@ -127,7 +127,7 @@ def start(
         make_learner: `(key, config, dtype) -> Learner`.
     """
     env = repeating(env, config.action_repeat)
-    config, env_params, dtype = prepare(key, env, config, env_params)
+    config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 4)
     environments = VectorEnvironment(env).reset(
         keys[1],
@@ -143,7 +143,7 @@ def start(
         env_params=env_params,
         learner=make_learner(keys[0], config, dtype),
         moments=no_moments(env.observation_size, dtype),
-        environments=strong(environments, dtype),
+        environments=strip_weak_types(environments, dtype),
         replay=empty_replay(
             _slots(config),
             config.num_envs,

@@ -21,7 +21,7 @@ from jaxrod.envs.action_repeat import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.algorithms.advantages import generalised_advantages
-from jaxrod.training.algorithms.preparation import prepare, strong
+from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
 from jaxrod.training.algorithms.rollout import collect
 from jaxrod.training.networks import (
     GaussianPolicy,
@@ -169,7 +169,7 @@ def start(
         optimiser: optax transformation, to make its state.
     """
     env = repeating(env, config.action_repeat)
-    config, env_params, dtype = prepare(key, env, config, env_params)
+    config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 5)
     dummy = jnp.zeros(env.observation_size, dtype)
     policy, value = policy_network(env, config, dtype), value_network(config, dtype)
@@ -194,7 +194,7 @@ def start(
         weights=weights,
         optimiser=optimiser.init(weights),
         moments=no_moments(env.observation_size, dtype),
-        environments=strong(environments, dtype),
+        environments=strip_weak_types(environments, dtype),
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
         updates=jnp.zeros((), jnp.int32),

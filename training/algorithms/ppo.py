@@ -17,9 +17,13 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
-from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithm import (
+    Algorithm,
+    Metrics,
+    mean_over_devices,
+    steps_per_update,
+)
 from jaxrod.training.algorithms.advantages import standardised
-from jaxrod.training.algorithms.device_mean import mean_over_devices
 from jaxrod.training.algorithms.on_policy import (
     Experience,
     OnPolicyConfig,
@@ -142,7 +146,7 @@ def update(
         gradient = mean_over_devices(gradient, axis_name)
         report["gradient_norm"] = optax.tree.norm(gradient)
         direction, moments = optimiser.update(gradient, moments)
-        weights = jax.tree.map(lambda w, d: w - learning_rate * d, weights, direction)
+        weights = optax.tree.add_scale(weights, -learning_rate, direction)
         return (weights, moments), report
 
     def epoch(carry: Any, key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:

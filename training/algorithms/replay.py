@@ -23,14 +23,14 @@ class Transition:
         observation: what was acted on.
         action: in [-1, 1].
         reward: as the environment pays it.
-        following: the observation after the step, before any restart.
-        terminated: the task ended in this step: `following` is worth nothing.
+        next_observation: the observation after the step, before any restart.
+        terminated: the task ended in this step: `next_observation` is worth nothing.
     """
 
     observation: Float[Array, "*batch observation"]
     action: Float[Array, "*batch action"]
     reward: Float[Array, "*batch"]
-    following: Float[Array, "*batch observation"]
+    next_observation: Float[Array, "*batch observation"]
     terminated: Bool[Array, "*batch"]
 
 
@@ -52,7 +52,7 @@ class Replay:
         return self.transitions.reward.shape[0]
 
     @property
-    def filled(self) -> Int[Array, ""]:
+    def size(self) -> Int[Array, ""]:
         """Time steps there are."""
         return jnp.minimum(self.written, self.slots)
 
@@ -67,14 +67,14 @@ def empty_replay(
             observation=jnp.zeros((*shape, observation_size), dtype),
             action=jnp.zeros((*shape, action_size), dtype),
             reward=jnp.zeros(shape, dtype),
-            following=jnp.zeros((*shape, observation_size), dtype),
+            next_observation=jnp.zeros((*shape, observation_size), dtype),
             terminated=jnp.zeros(shape, bool),
         ),
         jnp.zeros((), jnp.int32),
     )
 
 
-def remember(replay: Replay, steps: Transition) -> Replay:
+def append(replay: Replay, steps: Transition) -> Replay:
     """Writes a block of time steps over the oldest there are.
 
     Args:
@@ -100,7 +100,7 @@ def remember(replay: Replay, steps: Transition) -> Replay:
     return Replay(transitions, replay.written + block)
 
 
-def draw_times(
+def sample_indices(
     replay: Replay, keys: Key[Array, " num_envs"], batches: int, per_env: int
 ) -> Int[Array, "batches per_env num_envs"]:
     """Slots to sample, uniform over what is filled, with replacement.
@@ -113,13 +113,13 @@ def draw_times(
     """
     times = jax.vmap(
         lambda key: jax.random.randint(
-            key, (batches, per_env), 0, replay.filled, jnp.int32
+            key, (batches, per_env), 0, replay.size, jnp.int32
         )
     )(keys)
     return jnp.moveaxis(times, 0, 2)
 
 
-def recall(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Transition:
+def sample(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Transition:
     """Reads one batch, of shape (per_env * num_envs, ...)."""
     envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
     return jax.tree.map(

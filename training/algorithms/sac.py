@@ -17,14 +17,14 @@ from jaxrod.structure import pytree
 from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
+    apply_gradient,
     critic_loss,
     critic_values,
-    descend,
-    follow,
     initial_critics,
     initial_policy,
     optimiser,
     policy_network,
+    polyak_update,
 )
 from jaxrod.training.algorithms.off_policy import (
     OffPolicyConfig,
@@ -34,11 +34,11 @@ from jaxrod.training.algorithms.off_policy import (
     partition,
     start,
 )
-from jaxrod.training.algorithms.off_policy_update import Batch, act_and_remember, learn
-from jaxrod.training.algorithms.squashed_gaussian import (
+from jaxrod.training.algorithms.off_policy_update import Batch, act_and_store, learn
+from jaxrod.training.algorithms.tanh_gaussian import (
     LARGEST_ENTROPY,
     split_output,
-    squash,
+    tanh_gaussian,
 )
 from jaxrod.training.settings import Scalar, check_finite, check_positive
 
@@ -114,7 +114,7 @@ def init(
 def update(
     state: OffPolicyState, axis_name: str | None = None
 ) -> tuple[OffPolicyState, Metrics]:
-    """One update: act, remember, and make the gradient steps.
+    """One update: act, store, and make the gradient steps.
 
     Args:
         state: the train state.
@@ -127,10 +127,10 @@ def update(
 
     def act(weights: Any, observation: Array, noise: Array) -> tuple[Array, Array]:
         output = network.apply({"params": weights}, observation).astype(dtype)
-        return squash(*split_output(output), noise)
+        return tanh_gaussian(*split_output(output), noise)
 
-    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
-        observation = batch.transition.following
+    def next_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.next_observation
         action, log_prob = act(weights["policy"], observation, batch.noise[0])
         values = critic_values(config, weights["target_critics"], observation, action)
         return jnp.min(values, axis=0) - jnp.exp(weights["log_temperature"]) * log_prob
@@ -153,35 +153,37 @@ def update(
             learner.weights["critics"],
             config,
             batch.transition,
-            following_value(learner.weights, batch),
+            next_value(learner.weights, batch),
             config.discount,
         )
-        learner = descend(
+        learner = apply_gradient(
             learner, "critics", gradient, config.critic_learning_rate, axis_name
         )
         gradient, about_policy = jax.grad(policy_loss, has_aux=True)(
             learner.weights["policy"], learner.weights, batch
         )
-        learner = descend(
+        learner = apply_gradient(
             learner, "policy", gradient, config.policy_learning_rate, axis_name
         )
         # The loss of the temperature is linear in its logarithm.
         wanted = config.entropy_per_action * state.env.action_size
         excess = about_policy["entropy"] - wanted
-        learner = descend(
+        learner = apply_gradient(
             learner,
             "log_temperature",
             excess,
             config.temperature_learning_rate,
             axis_name,
         )
-        learner = follow(learner, "target_critics", "critics", config.target_rate)
+        learner = polyak_update(
+            learner, "target_critics", "critics", config.target_rate
+        )
         report |= about_policy
         report["temperature"] = jnp.exp(learner.weights["log_temperature"])
         return learner, report
 
     policy = state.learner.weights["policy"]
-    state, acted = act_and_remember(
+    state, acted = act_and_store(
         state, lambda observation, noise: act(policy, observation, noise)[0], axis_name
     )
     return learn(

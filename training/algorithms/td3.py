@@ -1,8 +1,8 @@
 """Twin delayed deep deterministic policy gradients.
 
 A deterministic policy climbs the first of its critics. Three things keep it from
-climbing their errors: the smaller of two critics is believed, the actions that judge
-what follows are blurred, and the policy waits until the critics have moved.
+climbing their errors: the smaller of two critics is believed, target actions are
+smoothed by noise, and the policy waits until the critics have moved.
 
 Source: Fujimoto et al., "Addressing function approximation error in actor-critic
 methods", 2018.
@@ -21,14 +21,14 @@ from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
+    apply_gradient,
     critic_loss,
     critic_values,
-    descend,
-    follow,
     initial_critics,
     initial_policy,
     optimiser,
     policy_network,
+    polyak_update,
 )
 from jaxrod.training.algorithms.off_policy import (
     OffPolicyConfig,
@@ -38,7 +38,7 @@ from jaxrod.training.algorithms.off_policy import (
     partition,
     start,
 )
-from jaxrod.training.algorithms.off_policy_update import Batch, act_and_remember, learn
+from jaxrod.training.algorithms.off_policy_update import Batch, act_and_store, learn
 from jaxrod.training.algorithms.schedule import along_the_run
 from jaxrod.training.settings import (
     Scalar,
@@ -120,7 +120,7 @@ def init(
     return start(key, env, config, env_params, updates, learner)
 
 
-def blurred(
+def smoothed_target_action(
     action: Float[Array, "*batch action"],
     noise: Float[Array, "*batch action"],
     spread: Scalar,
@@ -140,7 +140,7 @@ def blurred(
 def update(
     state: OffPolicyState, axis_name: str | None = None
 ) -> tuple[OffPolicyState, Metrics]:
-    """One update: act, remember, and make the gradient steps.
+    """One update: act, store, and make the gradient steps.
 
     Args:
         state: the train state.
@@ -165,9 +165,9 @@ def update(
         action = act(state.learner.weights["policy"], observation)
         return action + spread * noise
 
-    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
-        observation = batch.transition.following
-        action = blurred(
+    def next_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.next_observation
+        action = smoothed_target_action(
             act(weights["target_policy"], observation),
             batch.noise[0],
             config.target_noise,
@@ -189,23 +189,23 @@ def update(
                 learner.weights["critics"],
                 config,
                 batch.transition,
-                following_value(learner.weights, batch),
+                next_value(learner.weights, batch),
                 config.discount,
             )
-            learner = descend(
+            learner = apply_gradient(
                 learner, "critics", gradient, config.critic_learning_rate, axis_name
             )
         gradient = jax.grad(policy_loss)(
             learner.weights["policy"], learner.weights["critics"], batches[-1]
         )
-        learner = descend(
+        learner = apply_gradient(
             learner, "policy", gradient, config.policy_learning_rate, axis_name
         )
         for name in ("policy", "critics"):
-            learner = follow(learner, f"target_{name}", name, config.target_rate)
+            learner = polyak_update(learner, f"target_{name}", name, config.target_rate)
         return learner, report
 
-    state, acted = act_and_remember(state, explore, axis_name)
+    state, acted = act_and_store(state, explore, axis_name)
     return learn(
         state,
         gradient_step,
