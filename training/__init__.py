@@ -23,7 +23,8 @@ try:
     from jaxrod.training.algorithms.td3 import TD3, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
-    from jaxrod.training.policy import MLPPolicy, NetworkPolicy, Policy
+    from jaxrod.training.networks import NetworkPolicy
+    from jaxrod.training.policy import MLPPolicy, Policy
     from jaxrod.training.policy_files import load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train

@@ -14,7 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, DTypeLike, Float, Key
 
-from jaxrod.training.settings import LearnerConfig
+from jaxrod.structure import pytree, static
+from jaxrod.training.normalisation import RunningMoments, normalise
+from jaxrod.training.policy import OUTPUTS
+from jaxrod.training.settings import LearnerConfig, NetworkFactory
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": jnp.tanh,
@@ -118,7 +121,16 @@ def make_network(
             activation=activation,
             dtype=dtype,
         )
-    module: Any = config.network(role, output_size)
+    return own_network(config.network, role, output_size)
+
+
+def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Module:
+    """The network that a user's factory makes for a role, without weights.
+
+    Raises:
+        ValueError: it is no flax module.
+    """
+    module: Any = network(role, output_size)
     if not isinstance(module, nn.Module):
         raise ValueError(
             "network must make flax modules (flax.linen.Module), for "
@@ -186,3 +198,34 @@ def layers(params: Mapping[str, Any]) -> tuple[tuple[Array, Array], ...]:
     count = sum(name.startswith("hidden_") for name in params)
     names = [f"hidden_{i}" for i in range(count)] + ["output"]
     return tuple((params[name]["kernel"], params[name]["bias"]) for name in names)
+
+
+@pytree
+class NetworkPolicy:
+    """A user's network on normalised observations."""
+
+    moments: RunningMoments
+    """Mean and variance that observations are normalised by."""
+    limit: Float[Array, ""]
+    """Normalised observations are clipped to +- this."""
+    weights: Any
+    """Parameters of the network."""
+    network: NetworkFactory = static()
+    """Factory of the network."""
+    output_size: int = static()
+    """Numbers that the network returns."""
+    action_size: int = static()
+    """Number of actions: the first outputs."""
+    output: str = static(default="clip")
+    """What bounds the action: "clip" or "tanh"."""
+    action_repeat: int = static(default=1)
+    """Control steps for which an action is to be held, as in training."""
+
+    def __call__(
+        self, observation: Float[Array, "*batch observation"]
+    ) -> Float[Array, "*batch action"]:
+        """Returns the action for one observation, or for a batch of them."""
+        network = own_network(self.network, "policy", self.output_size)
+        seen = normalise(self.moments, observation, self.limit)
+        output = network.apply({"params": self.weights}, seen).astype(seen.dtype)
+        return OUTPUTS[self.output](output[..., : self.action_size])

@@ -64,34 +64,6 @@ class MLPPolicy:
         return OUTPUTS[self.output](hidden)
 
 
-@pytree
-class NetworkPolicy:
-    """Any flax module on normalised observations."""
-
-    moments: RunningMoments
-    """Mean and variance that observations are normalised by."""
-    limit: Float[Array, ""]
-    """Normalised observations are clipped to +- this."""
-    weights: Any
-    """Parameters of the network."""
-    network: Any = static()
-    """The flax module."""
-    action_size: int = static()
-    """Number of actions: the first outputs of the network."""
-    output: str = static(default="clip")
-    """A name in `OUTPUTS`: what bounds the action."""
-    action_repeat: int = static(default=1)
-    """Control steps for which an action is to be held, as in training."""
-
-    def __call__(
-        self, observation: Float[Array, "*batch observation"]
-    ) -> Float[Array, "*batch action"]:
-        """Returns the action for one observation, or for a batch of them."""
-        seen = normalise(self.moments, observation, self.limit)
-        output = self.network.apply({"params": self.weights}, seen).astype(seen.dtype)
-        return OUTPUTS[self.output](output[..., : self.action_size])
-
-
 def held_for(policy: Any) -> int:
     """Control steps for which an action of a policy is to be held: 1 if not told."""
     return getattr(policy, "action_repeat", 1)

@@ -16,6 +16,9 @@ from jaxrod.validation import check_count
 Scalar = float | Float[Array, ""]
 """A number of a configuration, before and after it is traced."""
 
+NetworkFactory = Callable[[str, int], Any]
+"""Makes networks of a user's own: `(role, output_size) -> flax module`."""
+
 Settings = Any
 """A configuration: a pytree with the fields that are named."""
 
@@ -50,7 +53,7 @@ class LearnerConfig:
     rollout_steps: int = static(default=128)
     action_repeat: int = static(default=1)
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    network: Callable[[str, int], Any] | None = static(default=None)
+    network: NetworkFactory | None = static(default=None)
     spread_phases: bool = static(default=True)
     discount: Scalar = 0.99
     reward_scale: Scalar = 0.1

@@ -133,7 +133,7 @@ def _cell(
     fraction: float | None,
 ) -> Cell:
     from jaxrod.training import find_algorithm, grid_settings
-    from jaxrod.training.recorded_settings import recorded
+    from jaxrod.training.runs.recorded_settings import recorded
 
     env = runs.make_case(task, {"variant": variant} if variant else {})
     learner = find_algorithm(algorithm)

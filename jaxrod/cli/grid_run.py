@@ -17,9 +17,9 @@ from jaxrod.cli.grid_report import draw_figures, write_report
 from jaxrod.cli.grid_view import GridView
 from jaxrod.cli.machine import processor
 from jaxrod.training import find_algorithm
-from jaxrod.training.recorded_settings import recorded
 from jaxrod.training.runs.folder import RunFolder, differences
 from jaxrod.training.runs.interruption import Interruption
+from jaxrod.training.runs.recorded_settings import recorded
 
 DIVERGED = 1
 """Exit code of `jaxrod train` when learning diverged."""

@@ -19,7 +19,7 @@ def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) ->
     Raises:
         ValueError: a name is unknown or a value is not of its kind.
     """
-    from jaxrod.training.recorded_settings import restored
+    from jaxrod.training.runs.recorded_settings import restored
 
     known = {field.name for field in dataclasses.fields(defaults)}
     settings = restored(defaults, stored)
@@ -38,7 +38,7 @@ def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) ->
 
 def _parse(name: str, text: str, default: Any) -> Any:
     """Reads a value of the same kind as the default."""
-    from jaxrod.training.recorded_settings import KINDS, find_function, is_function
+    from jaxrod.training.runs.recorded_settings import KINDS, find_function, is_function
 
     if is_function(default):
         return find_function(name, None if text == _USUAL else text)
@@ -60,11 +60,15 @@ def _parse(name: str, text: str, default: Any) -> Any:
 
 def listing(defaults: Any) -> str:
     """Every setting with its default."""
+    from jaxrod.training.import_path import import_path
+    from jaxrod.training.runs.recorded_settings import is_function
+
     lines = []
     for field in dataclasses.fields(defaults):
         value = getattr(defaults, field.name)
         shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
-        shown = _USUAL if shown is None else shown
+        if is_function(value):
+            shown = _USUAL if value is None else import_path(value) or value
         lines.append(f"{field.name}={shown}")
     return "\n".join(lines)
 

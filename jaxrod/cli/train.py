@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
     import jaxrod
     from jaxrod.cli import runs
     from jaxrod.training import RunFolder, train
-    from jaxrod.training.contract import resolve, updates_of
+    from jaxrod.training.runs.contract import resolve, updates_of
     from jaxrod.training.settings import check_steps
     from jaxrod.validation import check_seed
 

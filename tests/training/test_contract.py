@@ -199,6 +199,11 @@ def convolution(role, outputs):
     return Convolution(outputs, name=role)
 
 
+def sequence(role, outputs):
+    # Modules that cannot be compared: a new function in each of them.
+    return nn.Sequential([nn.Dense(8), lambda x: nn.tanh(x), nn.Dense(outputs)])
+
+
 class Normalised(nn.Module):
     outputs: int
 
@@ -208,17 +213,17 @@ class Normalised(nn.Module):
 
 
 @pytest.mark.parametrize(
-    ("name", "dtype"),
+    ("name", "dtype", "network"),
     [
-        ("ppo", jnp.float32),
-        ("trpo", jnp.float64),
-        ("sac", jnp.float64),
-        ("td3", jnp.float32),
+        ("ppo", jnp.float32, convolution),
+        ("trpo", jnp.float64, sequence),
+        ("sac", jnp.float64, convolution),
+        ("td3", jnp.float32, sequence),
     ],
 )
-def test_every_learner_takes_any_network(tmp_path, name, dtype):
+def test_every_learner_takes_any_network(tmp_path, name, dtype, network):
     learner = find_algorithm(name)
-    config = learner.config_type(num_envs=4, action_repeat=3, network=convolution)
+    config = learner.config_type(num_envs=4, action_repeat=3, network=network)
     with jax.enable_x64(dtype == jnp.float64):
         key = jax.random.key(0)
         state = jax.jit(learner.init, static_argnums=(1, 4))(
@@ -229,6 +234,7 @@ def test_every_learner_takes_any_network(tmp_path, name, dtype):
         before = [leaf.dtype for leaf in jax.tree.leaves(state)]
         assert [leaf.dtype for leaf in jax.tree.leaves(after)] == before
         found = learner.policy(state)
+        assert jax.tree.structure(found) == jax.tree.structure(learner.policy(state))
         observation = jnp.linspace(-1, 1, 7)[:, None]
         assert found(observation).dtype == dtype
         save_policy(found, tmp_path)

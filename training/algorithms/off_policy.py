@@ -22,16 +22,12 @@ from jaxrod.envs import Environment, VectorEnvironment, VectorState
 from jaxrod.envs.action_repeat import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS
-from jaxrod.training.algorithms.actor_critic import (
-    ACTIVATION,
-    Learner,
-    policy_network,
-)
+from jaxrod.training.algorithms.actor_critic import ACTIVATION, Learner
 from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
 from jaxrod.training.algorithms.replay import Replay, empty_replay
-from jaxrod.training.networks import layers
+from jaxrod.training.networks import NetworkPolicy, layers
 from jaxrod.training.normalisation import RunningMoments, no_moments
-from jaxrod.training.policy import MLPPolicy, NetworkPolicy, Policy
+from jaxrod.training.policy import MLPPolicy, Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -197,12 +193,12 @@ def deterministic_policy(state: OffPolicyState, outputs_per_action: int = 1) -> 
             output="tanh",
             action_repeat=config.action_repeat,
         )
-    network = policy_network(config, outputs_per_action * size, moments.mean.dtype)
     return NetworkPolicy(
         moments=moments,
         limit=config.observation_limit,
         weights=weights,
-        network=network,
+        network=config.network,
+        output_size=outputs_per_action * size,
         action_size=size,
         output="tanh",
         action_repeat=config.action_repeat,

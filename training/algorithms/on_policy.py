@@ -25,6 +25,7 @@ from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_type
 from jaxrod.training.algorithms.rollout import collect
 from jaxrod.training.networks import (
     GaussianPolicy,
+    NetworkPolicy,
     check_outputs,
     initial_weights,
     layers,
@@ -37,7 +38,7 @@ from jaxrod.training.normalisation import (
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import MLPPolicy, NetworkPolicy, Policy
+from jaxrod.training.policy import MLPPolicy, Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -298,7 +299,8 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
         moments=moments,
         limit=config.observation_limit,
         weights=weights,
-        network=policy_network(state.env, config, moments.mean.dtype).mean,
+        network=config.network,
+        output_size=state.env.action_size,
         action_size=state.env.action_size,
         output="clip",
         action_repeat=config.action_repeat,

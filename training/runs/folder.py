@@ -30,10 +30,10 @@ from jaxrod.files import (
     whole,
     write_atomically,
 )
-from jaxrod.validation import LARGEST_SEED
 from jaxrod.training.runs import checkpoint
 from jaxrod.training.runs.owned_folder import CONFIG, OwnedFolder, as_json
 from jaxrod.training.runs.table import Table
+from jaxrod.validation import LARGEST_SEED
 
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"

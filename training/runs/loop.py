@@ -11,16 +11,16 @@ from typing import Any
 
 import jax
 
-from jaxrod.validation import check_count, check_seed
 from jaxrod.envs import Environment, make, names
 from jaxrod.training.algorithm import Algorithm, recorded_name
-from jaxrod.training.contract import resolve, updates_of
-from jaxrod.training.recorded_settings import plain, recorded
 from jaxrod.training.runs.checkpoint import Checkpoints
-from jaxrod.training.runs.owned_folder import CONFIG
-from jaxrod.training.runs.run import Result, Run
+from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.folder import RunFolder, differences
+from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.recorded_settings import plain, recorded
+from jaxrod.training.runs.run import Result, Run
 from jaxrod.training.settings import check_steps
+from jaxrod.validation import check_count, check_seed
 
 
 def train(

@@ -21,15 +21,15 @@ from jaxrod.files import (
 )
 from jaxrod.structure import pytree
 from jaxrod.training.leaves import is_key
-from jaxrod.training.recorded_settings import plain
 from jaxrod.training.runs.checkpoint import Checkpoints
-from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.folder import (
     LEARNING_CURVE,
     REPLAY,
     RunFolder,
     differences,
 )
+from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.recorded_settings import plain
 from jaxrod.training.runs.table import check_mark
 
 _FACTS = {

@@ -18,21 +18,21 @@ import numpy as np
 
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
-from jaxrod.training.contract import check_state, updates_of
+from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.policy import Policy
+from jaxrod.training.policy_files import save_policy
 from jaxrod.training.runs.checkpoint import Checkpoints
+from jaxrod.training.runs.contract import check_state, updates_of
 from jaxrod.training.runs.devices import (
     compile_updates,
     device_mesh,
     partition_of,
     place,
 )
-from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.interruption import Interruption
-from jaxrod.training.policy import Policy
-from jaxrod.training.policy_files import save_policy
 from jaxrod.training.runs.progress import ProgressBar
 from jaxrod.training.runs.resuming import facts_of, restore, stored
-from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
 

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
-from jaxrod.validation import check_count, check_seed
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm
-from jaxrod.training.contract import resolve, updates_of
+from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.settings import check_steps
+from jaxrod.validation import check_count, check_seed
 
 
 def train_seeds(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -98,7 +99,7 @@ def find_function(name: str, path: Any) -> Any:
 
 def _recorded(name: str, value: Any) -> Any:
     if not callable(value):
-        return plain(value)
+        return _checked(name, plain(value))
     path = import_path(value)
     if path is None:
         raise ValueError(
@@ -106,6 +107,17 @@ def _recorded(name: str, value: Any) -> Any:
             f"that the run can be resumed and evaluated, got {value!r:.80}"
         )
     return path
+
+
+def _checked(name: str, value: Any) -> Any:
+    try:
+        json.dumps(value)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be a number, text, or a tuple of such, so that config.json "
+            f"can hold it, got {value!r:.80}"
+        ) from None
+    return value
 
 
 def _restored(name: str, value: Any, default: Any) -> Any:
