@@ -35,7 +35,7 @@ Written by `python -m benchmarks.algorithms` from the settings in the code and
 Five learners, all compiled: acting, memory and gradient steps never leave the device.
 The reference is the implementation the published benchmark used (Stable Baselines
 2.10.1, one environment, default settings but for those named); its on-policy PPO is
-`PPO1`. `jaxrod train CASE --algorithm NAME --set help` lists all settings, and the
+`PPO1`. `jaxrod train TASK --algorithm NAME --set help` lists all settings, and the
 docstrings of `jaxrod.training.PPOConfig`, `TRPOConfig`, `SACConfig`, `TD3Config` and
 `DDPGConfig` say what they mean, those of `LearnerConfig`, `OnPolicyConfig` and
 `OffPolicyConfig` what all or several have. Every setting is in one of the first two
@@ -43,7 +43,7 @@ tables with its default, and every one that the grid sets in the first or the th
 
 A decision is one control step, or `action_repeat` of them under the same action, whose
 rewards are added up. Control steps are what is counted everywhere. An exported policy
-says for how many its actions are to be held (`Policy.action_repeat`); evaluations and
+says for how many its actions are to be held (`action_repeat` of the policy); evaluations and
 replays do so.
 
 Off-policy learners alternate: `num_envs * rollout_steps` decisions, then

@@ -7,10 +7,13 @@ if __name__ != "jaxrod.training":
 
 try:
     from jaxrod.training.algorithm import (
+        DEVICE_AXIS,
         Algorithm,
         Metrics,
         algorithm_names,
         find_algorithm,
+        mean_over_devices,
+        steps_per_update,
     )
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
@@ -20,9 +23,12 @@ try:
     from jaxrod.training.algorithms.td3 import TD3, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
-    from jaxrod.training.policy import Policy, load_policy, save_policy
+    from jaxrod.training.networks import NetworkPolicy
+    from jaxrod.training.policy import MLPPolicy, Policy
+    from jaxrod.training.policy_files import load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train
+    from jaxrod.training.runs.restored_policy import restore_policy, untrained_policy
     from jaxrod.training.runs.run import Result
     from jaxrod.training.runs.seeds import train_seeds
     from jaxrod.training.settings import LearnerConfig
@@ -43,6 +49,7 @@ except ModuleNotFoundError as missing:
 
 __all__ = [
     "DDPG",
+    "DEVICE_AXIS",
     "PPO",
     "SAC",
     "TD3",
@@ -52,7 +59,9 @@ __all__ = [
     "DDPGConfig",
     "Evaluation",
     "LearnerConfig",
+    "MLPPolicy",
     "Metrics",
+    "NetworkPolicy",
     "OffPolicyConfig",
     "OnPolicyConfig",
     "PPOConfig",
@@ -70,8 +79,12 @@ __all__ = [
     "evaluate",
     "find_algorithm",
     "load_policy",
+    "mean_over_devices",
     "optimise_trajectory",
+    "restore_policy",
     "save_policy",
+    "steps_per_update",
     "train",
     "train_seeds",
+    "untrained_policy",
 ]

@@ -1,16 +1,18 @@
-"""What a learner must offer for the shared loop to train with it."""
+"""The record of functions that the shared loop trains with, and where it is found."""
 
 from __future__ import annotations
 
-import importlib
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 from jaxtyping import Array
 
 from jaxrod.envs import EpisodeRecord
 from jaxrod.structure import pytree
+from jaxrod.training.import_path import find_object, import_path_in
 from jaxrod.training.policy import Policy
 
 DEVICE_AXIS = "env"
@@ -32,41 +34,63 @@ class Metrics:
 
 
 def steps_per_update(config: Any) -> int:
-    """Control steps of one update: num_envs * rollout_steps * action_repeat."""
+    """Control steps of one update: num_envs * rollout_steps * action_repeat.
+
+    For configurations that have these three, as every `LearnerConfig` does.
+    """
     return config.num_envs * config.rollout_steps * config.action_repeat
+
+
+def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
+    """The mean of every leaf over the devices of a mapped axis, if there is one."""
+    return tree if axis_name is None else jax.lax.pmean(tree, axis_name)
+
+
+def check_nothing(config: Any, num_devices: int) -> None:
+    """Finds no fault with any configuration."""
 
 
 @dataclass(frozen=True)
 class Algorithm:
     """A learner as a record of pure functions.
 
-    Its train state is one pytree that holds all there is: numbers of the
-    configuration, weights, optimiser, environments, keys. Two states made by
-    `init` from configurations that differ only in numbers share one program.
+    This is all that training, resuming and evaluating know of it. Its train state is
+    one pytree of arrays that holds all there is: numbers of the configuration,
+    weights, optimiser, environments, keys. What is not a number (the environment, say)
+    is structure, see `jaxrod.static`. Two states made by `init` from configurations
+    that differ only in numbers share one program. `train` checks all of this in words
+    before it compiles anything.
 
-    Attributes:
-        name: name in the registry.
-        config_type: class of the configuration; made without arguments it holds
-            the defaults.
-        validate: `(config, num_devices) -> None`; raises ValueError with the
-            name and the value of what is wrong.
-        steps_per_update: `config -> int`, control steps of one update.
-        init: `(key, env, config, env_params, total_steps) -> state`.
-        update: `(state, axis_name=None) -> (state, Metrics)`. Under a mapped
-            axis of that name the state holds this device's environments.
-        partition: `state -> tree prefix of PartitionSpec`: which leaves are
-            spread over the devices (axis `DEVICE_AXIS`), which repeated.
-        policy: `state -> Policy`, the deterministic policy.
+    To be found again by `--resume` and `jaxrod evaluate` it has to be a variable of a
+    module that can be imported: it is recorded as `module:NAME`.
     """
 
     name: str
+    """Name for people, and in the registry."""
     config_type: type
-    validate: Callable[[Any, int], None]
+    """Class of the configuration: a `jaxrod.pytree` that made without arguments holds
+    the defaults. Fields that are not static are numbers. `config.json` has to hold
+    all, as numbers, text, truth values, tuples of such, or functions of a module."""
     steps_per_update: Callable[[Any], int]
+    """`config -> int`: control steps of one update, of all environments together."""
     init: Callable[..., Any]
+    """`(key, env, config, env_params, total_steps) -> state`: the train state before
+    the first update. All randomness comes from the key; `total_steps` is the length
+    of the whole run, for schedules. Pure: it is compiled, and vectorised over keys."""
     update: Callable[..., tuple[Any, Metrics]]
-    partition: Callable[[Any], Any]
+    """`state -> (state, Metrics)`: one update; the state keeps its structure, shapes
+    and types. With `partition`: `(state, axis_name=None) -> (state, Metrics)`. Under a
+    mapped axis of that name the state holds this device's share, and what is repeated
+    must stay equal on all of them, see `mean_over_devices`."""
     policy: Callable[[Any], Policy]
+    """`state -> policy`: the deterministic policy, a pytree of arrays that is called
+    `policy(observation) -> action` with any leading axes."""
+    validate: Callable[[Any, int], None] = check_nothing
+    """`(config, num_devices) -> None`: raises ValueError with the name and the value
+    of what is wrong. By default every configuration will do."""
+    partition: Callable[[Any], Any] | None = None
+    """`state -> tree prefix of PartitionSpec`: which leaves are spread over the devices
+    (axis `DEVICE_AXIS`), which repeated. None, the default: runs on one device."""
 
     def checked(self, config: Any) -> Any:
         """A configuration of this algorithm, its defaults for None.
@@ -100,11 +124,35 @@ def algorithm_names() -> tuple[str, ...]:
 def find_algorithm(name: str) -> Algorithm:
     """Returns the algorithm called `name`.
 
+    Args:
+        name: one of `algorithm_names()`, or the import path of your own,
+            `module:NAME`.
+
     Raises:
-        ValueError: there is none of this name.
+        ValueError: there is none of this name, or what is there is no algorithm.
+        ImportError: an import path leads nowhere.
     """
-    if name not in _ALGORITHMS:
+    if name not in _ALGORITHMS and ":" not in name:
         known = ", ".join(algorithm_names())
-        raise ValueError(f"algorithm must be one of {known}; got {name!r}")
-    module, attribute = _ALGORITHMS[name].split(":")
-    return getattr(importlib.import_module(module), attribute)
+        raise ValueError(
+            f"algorithm must be one of {known}, or module:NAME; got {name!r}"
+        )
+    found = find_object(_ALGORITHMS.get(name, name))
+    if not isinstance(found, Algorithm):
+        raise ValueError(
+            f"algorithm {name!r} must be a jaxrod.training.Algorithm, it is "
+            f"a {type(found).__name__}"
+        )
+    return found
+
+
+def recorded_name(algorithm: Algorithm) -> str:
+    """Name that `find_algorithm` finds an algorithm by, where there is one.
+
+    An algorithm that no module holds has its own name for it, which finds nothing.
+    """
+    if algorithm.name in _ALGORITHMS:
+        return algorithm.name
+    likely = getattr(algorithm.update, "__module__", "")
+    paths = (import_path_in(name, algorithm) for name in (likely, *sys.modules))
+    return next(filter(None, paths), algorithm.name)

@@ -1,4 +1,8 @@
-"""The networks of the learners: the one file that knows flax."""
+"""The networks of the learners: the one file that knows flax.
+
+Where a configuration has a `network`, a factory `(role, output_size) -> flax module`,
+policy and critics are what it makes; without, they are multilayer perceptrons.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, DTypeLike, Float
+from jaxtyping import Array, DTypeLike, Float, Key
+
+from jaxrod.structure import pytree, static
+from jaxrod.training.normalisation import RunningMoments, normalise
+from jaxrod.training.policy import OUTPUTS
+from jaxrod.training.settings import LearnerConfig, NetworkFactory
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": jnp.tanh,
@@ -57,34 +67,23 @@ class MultilayerPerceptron(nn.Module):
 
 
 class GaussianPolicy(nn.Module):
-    """Normal distribution over actions whose spread does not depend on the state.
+    """Normal distribution over actions whose spread does not depend on the state."""
 
-    The mean starts near 0 (gain 0.01), so that learning begins undecided.
-
-    Attributes:
-        hidden_sizes: widths of the hidden layers of the mean.
-        action_size: number of actions.
-        initial_log_std: logarithm of the standard deviation at the start.
-        dtype: type of the weights and of the arithmetic.
-    """
-
-    hidden_sizes: tuple[int, ...]
+    mean: nn.Module
+    """Network of the mean action."""
     action_size: int
+    """Number of actions."""
     initial_log_std: float | Float[Array, ""] = 0.0
+    """Logarithm of the standard deviation at the start."""
     dtype: DTypeLike = jnp.float32
+    """Type of the logarithm."""
 
     @nn.compact
     def __call__(
         self, observation: Float[Array, "*batch observation"]
     ) -> tuple[Float[Array, "*batch action"], Float[Array, " action"]]:
         """Returns the mean action and the logarithm of the standard deviation."""
-        mean = MultilayerPerceptron(
-            self.hidden_sizes,
-            self.action_size,
-            output_scale=0.01,
-            dtype=self.dtype,
-            name="mean",
-        )(observation)
+        mean = self.mean(observation).astype(observation.dtype)
         log_std = self.param(
             "log_std",
             lambda key: jnp.full(self.action_size, self.initial_log_std, self.dtype),
@@ -92,8 +91,141 @@ class GaussianPolicy(nn.Module):
         return mean, log_std
 
 
+def make_network(
+    config: LearnerConfig,
+    role: str,
+    output_size: int,
+    *,
+    activation: str,
+    dtype: DTypeLike,
+) -> nn.Module:
+    """The network of a role, without weights.
+
+    Args:
+        config: of a learner. Its `network` makes the module; None stands for a
+            multilayer perceptron of its `hidden_sizes`, whose output starts near 0 in
+            a policy (gain 0.01), so that learning begins undecided.
+        role: "policy" or "critic".
+        output_size: numbers that the network returns.
+        activation: of the perceptron.
+        dtype: of the perceptron.
+
+    Raises:
+        ValueError: what `network` made is no flax module.
+    """
+    if config.network is None:
+        return MultilayerPerceptron(
+            config.hidden_sizes,
+            output_size,
+            output_scale=0.01 if role == "policy" else 1.0,
+            activation=activation,
+            dtype=dtype,
+        )
+    return own_network(config.network, role, output_size)
+
+
+def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Module:
+    """The network that a user's factory makes for a role, without weights.
+
+    Raises:
+        ValueError: it is no flax module.
+    """
+    module: Any = network(role, output_size)
+    if not isinstance(module, nn.Module):
+        raise ValueError(
+            "network must make flax modules (flax.linen.Module), for "
+            f"{role!r} it made a {type(module).__name__}"
+        )
+    # Weights lie under names of ours, or they would not be found.
+    return module if module.name is None else module.copy(name=None)
+
+
+def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> Any:
+    """First weights of a network, of the type of the inputs.
+
+    Args:
+        network: a flax module.
+        key: typed random key.
+        inputs: one input, of shape (size,); its values do not matter.
+
+    Raises:
+        ValueError: the network keeps more than weights, such as running statistics.
+    """
+    variables = network.init(key, inputs)
+    others = sorted(set(variables) - {"params"})
+    if others:
+        raise ValueError(
+            "network must keep weights ('params') and nothing else, got "
+            f"{', '.join(others)}"
+        )
+
+    def one(leaf: Array) -> Array:
+        floating = jnp.issubdtype(leaf.dtype, jnp.floating)
+        return leaf.astype(inputs.dtype) if floating else leaf
+
+    return jax.tree.map(one, variables.get("params", {}))
+
+
+def check_outputs(
+    network: nn.Module, weights: Any, inputs: Array, output_size: int
+) -> None:
+    """Raises ValueError unless a network maps the last axis to so many numbers.
+
+    Args:
+        network: a flax module.
+        weights: its parameters.
+        inputs: one input, of shape (size,); its values do not matter.
+        output_size: numbers that it must return for one input.
+    """
+    # A batch of a size that nothing else has.
+    for leading in ((), (inputs.size + output_size + 1,)):
+        found = jax.eval_shape(
+            lambda x: network.apply({"params": weights}, x),
+            jax.ShapeDtypeStruct((*leading, inputs.size), inputs.dtype),
+        )
+        shape = getattr(found, "shape", None)
+        if shape != (*leading, output_size):
+            raise ValueError(
+                f"network must map inputs of shape {(*leading, inputs.size)} to "
+                f"outputs of shape {(*leading, output_size)}, "
+                f"{type(network).__name__} makes "
+                f"{'several arrays' if shape is None else shape} of them"
+            )
+
+
 def layers(params: Mapping[str, Any]) -> tuple[tuple[Array, Array], ...]:
     """Weights of a `MultilayerPerceptron` as (kernel, bias), first layer first."""
     count = sum(name.startswith("hidden_") for name in params)
     names = [f"hidden_{i}" for i in range(count)] + ["output"]
     return tuple((params[name]["kernel"], params[name]["bias"]) for name in names)
+
+
+@pytree
+class NetworkPolicy:
+    """A user's network on normalised observations."""
+
+    moments: RunningMoments
+    """Mean and variance that observations are normalised by."""
+    limit: Float[Array, ""]
+    """Normalised observations are clipped to +- this."""
+    weights: Any
+    """Parameters of the network."""
+    network: NetworkFactory = static()
+    """Factory of the network."""
+    output_size: int = static()
+    """Numbers that the network returns."""
+    action_size: int = static()
+    """Number of actions: the first outputs."""
+    output: str = static(default="clip")
+    """What bounds the action: "clip" or "tanh"."""
+    action_repeat: int = static(default=1)
+    """Control steps for which an action is to be held, as in training."""
+
+    def __call__(
+        self, observation: Float[Array, "*batch observation"]
+    ) -> Float[Array, "*batch action"]:
+        """Returns the action for one observation, or for a batch of them."""
+        network = own_network(self.network, "policy", self.output_size)
+        seen = normalise(self.moments, observation, self.limit)
+        output = network.apply({"params": self.weights}, seen).astype(seen.dtype)
+        return OUTPUTS[self.output](output[..., : self.action_size])

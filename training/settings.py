@@ -5,6 +5,7 @@ Checks run on the host, before anything is compiled.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import Array, Float
@@ -14,6 +15,9 @@ from jaxrod.validation import check_count
 
 Scalar = float | Float[Array, ""]
 """A number of a configuration, before and after it is traced."""
+
+NetworkFactory = Callable[[str, int], Any]
+"""Makes networks of a user's own: `(role, output_size) -> flax module`."""
 
 Settings = Any
 """A configuration: a pytree with the fields that are named."""
@@ -33,7 +37,13 @@ class LearnerConfig:
     action_repeat: int = static(default=1)
     """Control steps for which every action is held."""
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    """Widths of the hidden layers of all networks."""
+    """Widths of the hidden layers of all networks but your own."""
+    network: NetworkFactory | None = static(default=None)
+    """Factory of networks of your own, `(role, output_size) -> flax module`; `None` for
+    multilayer perceptrons. The role is "policy" (observation -> action) or "critic"
+    (observation -> value; in SAC, TD3 and DDPG observation and action, one after the
+    other); SAC asks for twice as many outputs of a policy as there are actions, means
+    first."""
     spread_phases: bool = static(default=True)
     """Whether the first episodes start in mid-course, see
     `jaxrod.envs.VectorEnvironment`."""
@@ -105,6 +115,11 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
         raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
     for size in sizes:
         _check_size(f"each of hidden_sizes {sizes}", size)
+    if config.network is not None and not callable(config.network):
+        raise ValueError(
+            "network must be a function (role, output_size) -> flax module, got "
+            f"{config.network!r:.80}"
+        )
 
 
 def check_fractions(config: Settings, *names: str) -> None:

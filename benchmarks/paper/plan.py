@@ -128,7 +128,7 @@ def _cell(
 ) -> Cell:
     from jaxrod.envs import make
     from jaxrod.training import find_algorithm
-    from jaxrod.training.runs.folder import recorded
+    from jaxrod.training.runs.recorded_settings import recorded
 
     env = make(task, variant=variant) if variant else make(task)
     variant = getattr(env, "variant", None)

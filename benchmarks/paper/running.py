@@ -18,9 +18,10 @@ from benchmarks.paper.report import write_report
 from benchmarks.paper.view import GridView
 from jaxrod.installation.machine import processor
 from jaxrod.training import RunFolder, find_algorithm
-from jaxrod.training.runs.folder import differences, recorded
+from jaxrod.training.runs.folder import differences
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.lock import only_process
+from jaxrod.training.runs.recorded_settings import recorded
 
 CHECKPOINT_SECONDS = 300
 """Time between checkpoints [s]: off-policy learners save all that they remember."""

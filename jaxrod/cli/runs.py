@@ -63,7 +63,7 @@ class StoredRun:
         Raises:
             ValueError: there is none yet, or it is damaged or of another task.
         """
-        from jaxrod.training import load_policy
+        from jaxrod.training import MLPPolicy, restore_policy
         from jaxrod.training.runs.folder import renamed
 
         folder = self.path / "policy"
@@ -72,7 +72,7 @@ class StoredRun:
                 f"{self.path} holds no policy yet (no policy/policy.json): it is "
                 "saved with the first checkpoint and at the end of training"
             )
-        policy = load_policy(folder)
+        policy = restore_policy(self.path, self.env)
         file = folder / "policy.json"
         others = [
             f"{name} is {value!r}"
@@ -84,6 +84,8 @@ class StoredRun:
                 f"{file} is of another run than {self.path / 'config.json'}: its "
                 f"{', '.join(others)}"
             )
+        if not isinstance(policy, MLPPolicy):
+            return policy  # Its structure follows from the task and the settings.
         sizes = policy.layers[0][0].shape[0], policy.layers[-1][1].shape[0]
         wanted = self.env.observation_size, self.env.action_size
         if sizes != wanted:

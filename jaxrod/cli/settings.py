@@ -10,13 +10,8 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-_KINDS = {
-    bool: "true or false",
-    tuple: "integers with commas between",
-    int: "an integer",
-    float: "a number",
-    str: "text",
-}
+_USUAL = "default"
+"""Word for the function that is used where a setting names none."""
 
 
 def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) -> Any:
@@ -25,12 +20,11 @@ def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) ->
     Raises:
         ValueError: a name is unknown or a value is not of its kind.
     """
+    from jaxrod.training.runs.recorded_settings import restored
+
     known = {field.name for field in dataclasses.fields(defaults)}
-    changes = {
-        name: _stored(name, value, getattr(defaults, name))
-        for name, value in stored.items()
-        if name in known
-    }
+    settings = restored(defaults, stored)
+    changes = {}
     for word in words:
         name, equals, text = word.partition("=")
         if not equals:
@@ -40,39 +34,29 @@ def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) ->
                 f"there is no setting {name!r}; there are {', '.join(sorted(known))}"
             )
         changes[name] = _parse(name, text, getattr(defaults, name))
-    return dataclasses.replace(defaults, **changes)
-
-
-def _stored(name: str, value: Any, default: Any) -> Any:
-    """A stored value, of the same kind as the default."""
-    kind = type(default)
-    if kind is float and type(value) is int:
-        return float(value)
-    if kind is tuple and type(value) is list:
-        value = tuple(value)
-        fits = all(type(one) is int for one in value)
-    else:
-        fits = type(value) is kind
-    if not fits:
-        raise ValueError(f"{name} must be {_KINDS[kind]}, got {value!r:.60}")
-    return value
+    return dataclasses.replace(settings, **changes)
 
 
 def _parse(name: str, text: str, default: Any) -> Any:
     """Reads a value of the same kind as the default."""
+    from jaxrod.training.runs.recorded_settings import KINDS, find_function, is_function
+
+    if is_function(default):
+        return find_function(name, None if text == _USUAL else text)
     try:
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]
         if isinstance(default, tuple):
-            return tuple(int(part) for part in text.split(",") if part)
+            kind = type(default[0]) if default else int
+            return tuple(kind(part) for part in text.split(",") if part)
         if isinstance(default, int):
             return count(text)
         if isinstance(default, float):
             return float(text)
         return text
     except (ValueError, KeyError, argparse.ArgumentTypeError) as error:
-        kind = _KINDS[type(default)]
-        raise ValueError(f"{name} must be {kind}, got {text!r:.60}") from error
+        wanted = KINDS.get(type(default), f"a {type(default).__name__}")
+        raise ValueError(f"{name} must be {wanted}, got {text!r:.60}") from error
 
 
 def options(words: Sequence[str]) -> dict[str, Any]:
@@ -99,10 +83,15 @@ def options(words: Sequence[str]) -> dict[str, Any]:
 
 def listing(defaults: Any) -> str:
     """Every setting with its default."""
+    from jaxrod.training.import_path import import_path
+    from jaxrod.training.runs.recorded_settings import is_function
+
     lines = []
     for field in dataclasses.fields(defaults):
         value = getattr(defaults, field.name)
         shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
+        if is_function(value):
+            shown = _USUAL if value is None else import_path(value) or value
         lines.append(f"{field.name}={shown}")
     return "\n".join(lines)
 

@@ -43,6 +43,8 @@ examples:
   jaxrod train structured --algorithm trpo --steps 500k --controls 4 --num-envs 16
   jaxrod train unstructured --nest 7 --steps 1M --num-envs 16
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
+  jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
+  jaxrod train tracking --set network=my_module:my_network        your own network
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm with their defaults.
@@ -76,7 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default: {PUBLISHED})",
     )
     parser.add_argument(
-        "--algorithm", help="ppo, trpo, sac, td3 or ddpg (default: ppo)"
+        "--algorithm",
+        metavar="NAME",
+        help="ppo, trpo, sac, td3, ddpg, or your own: module:NAME (default: ppo)",
     )
     parser.add_argument(
         "--steps",
@@ -140,7 +144,8 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.cli import runs
     from jaxrod.envs import check_environment, names
     from jaxrod.envs.importing import spelt_out
-    from jaxrod.training import RunFolder, find_algorithm, train
+    from jaxrod.training import RunFolder, train
+    from jaxrod.training.runs.contract import resolve, updates_of
     from jaxrod.training.settings import check_steps
     from jaxrod.validation import check_seed
 
@@ -153,22 +158,22 @@ def run(args: argparse.Namespace) -> int:
                 f"not of {args.task}"
             )
         with reading(_folder(args, None) / "config.json"):
-            find_algorithm(stored["algorithm"])
-    learner = find_algorithm(_chosen(args.algorithm, stored, "algorithm", "ppo"))
+            resolve(stored["algorithm"], None)
+    algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
+    learner, config = resolve(algorithm, None)
     if "help" in args.set:
-        print(settings.listing(learner.config_type()))
+        print(settings.listing(config))
         return 0
-    config = learner.config_type()
     if stored:
         with reading(_folder(args, None) / "config.json"):
             config = settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
-            check_steps(stored["steps"], learner.steps_per_update(config))
+            check_steps(stored["steps"], updates_of(learner, config))
     words = list(args.set)
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
     config = settings.configure(config, {}, words)
-    wanted = getattr(config, "num_envs", 1)
+    wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     # Before somebody's own task is imported, which may compute at once.
     jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
     if stored:
@@ -202,7 +207,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         result = train(
             env,
-            learner,
+            algorithm,
             steps=_chosen(args.steps, stored, "steps", STEPS),
             seed=seed,
             out=out,
@@ -280,7 +285,9 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
 
     if args.out is not None:
         return args.out
-    words = [args.task, variant, args.algorithm or "ppo", str(args.seed or 0)]
+    # An import path is no name of a folder everywhere.
+    algorithm = (args.algorithm or "ppo").replace(":", "-")
+    words = [args.task, variant, algorithm, str(args.seed or 0)]
     if args.task not in envs.names():
         place, _, name = args.task.rpartition(":")
         words[:2] = [f"{Path(place.removesuffix('.py')).name}-{name}", args.variant]

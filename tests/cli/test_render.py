@@ -15,7 +15,7 @@ from jaxrod.cli import recording
 from jaxrod.envs import Snapshot, make
 from jaxrod.envs.drawing import drawable
 from jaxrod.structure import pytree
-from jaxrod.training import Policy, save_policy
+from jaxrod.training import MLPPolicy, save_policy
 from jaxrod.training.normalisation import no_moments
 
 
@@ -87,7 +87,7 @@ class Echo(Clock):
 
 
 def test_actions_are_held_as_the_policy_says():
-    policy = Policy(
+    policy = MLPPolicy(
         moments=no_moments(1, jnp.float64),
         limit=jnp.asarray(10.0),
         layers=((jnp.ones((1, 1)), jnp.zeros(1)),),
@@ -195,7 +195,7 @@ def tracking_run(tmp_path):
         "seed": 0,
         "settings": {},
     }
-    policy = Policy(
+    policy = MLPPolicy(
         no_moments(env.observation_size, jnp.result_type(float)),
         jnp.asarray(10.0),
         ((jnp.zeros((env.observation_size, env.action_size)), jnp.full(12, 0.5)),),

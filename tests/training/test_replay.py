@@ -9,10 +9,10 @@ import pytest
 
 from jaxrod.training.algorithms.replay import (
     Transition,
-    draw_times,
+    append,
     empty_replay,
-    recall,
-    remember,
+    sample,
+    sample_indices,
 )
 
 ENVS = 3
@@ -27,14 +27,14 @@ def steps_from(first, count):
         observation=both,
         action=-where[..., None],
         reward=10 * when,
-        following=both + 1,
+        next_observation=both + 1,
         terminated=when % 2 == 0,
     )
 
 
 def ring_after(blocks, slots=12, block=4):
     replay = empty_replay(slots, ENVS, 2, 1, jnp.float64)
-    write = jax.jit(remember)
+    write = jax.jit(append)
     for i in range(blocks):
         replay = write(replay, steps_from(block * i, block))
     return replay
@@ -46,26 +46,26 @@ def test_a_full_ring_holds_the_newest_steps_and_nothing_else():
         kept = np.sort(np.asarray(replay.transitions.reward[:, 0]) / 10)
         newest = np.arange(max(0, 4 * blocks - 12), 4 * blocks)
         np.testing.assert_array_equal(kept[12 - len(newest) :], newest)
-        assert int(replay.filled) == len(newest)
+        assert int(replay.size) == len(newest)
 
 
 def test_a_block_that_would_run_over_the_end_is_refused():
     replay = empty_replay(12, ENVS, 2, 1, jnp.float64)
     with pytest.raises(ValueError, match=r"12 slots, got 5"):
-        remember(replay, steps_from(0, 5))
+        append(replay, steps_from(0, 5))
 
 
 def test_fields_of_a_transition_stay_together():
     replay = ring_after(5)
     keys = jax.random.split(jax.random.key(0), ENVS)
-    times = draw_times(replay, keys, 7, 4)
+    times = sample_indices(replay, keys, 7, 4)
     assert times.shape == (7, 4, ENVS)
-    batch = recall(replay, times[3])
+    batch = sample(replay, times[3])
     when, where = batch.observation.T
     assert when.shape == (4 * ENVS,)
     np.testing.assert_array_equal(batch.reward, 10 * when)
     np.testing.assert_array_equal(batch.action[:, 0], -where)
-    np.testing.assert_array_equal(batch.following, batch.observation + 1)
+    np.testing.assert_array_equal(batch.next_observation, batch.observation + 1)
     np.testing.assert_array_equal(batch.terminated, when % 2 == 0)
     # Every environment gives the same number of samples.
     assert np.all(np.bincount(where.astype(int)) == 4)
@@ -77,7 +77,7 @@ def test_every_transition_there_is_is_recalled_equally_often(blocks):
     filled = min(4 * blocks, 12)
     draws = 20_000
     keys = jax.random.split(jax.random.key(1), ENVS)
-    times = np.asarray(draw_times(replay, keys, draws, 1))
+    times = np.asarray(sample_indices(replay, keys, draws, 1))
     for env in range(ENVS):
         counts = np.bincount(times[:, 0, env], minlength=12)
         assert np.all(counts[filled:] == 0)
@@ -89,6 +89,6 @@ def test_every_transition_there_is_is_recalled_equally_often(blocks):
 
 def test_what_an_environment_recalls_does_not_depend_on_its_neighbours():
     keys = jax.random.split(jax.random.key(2), ENVS)
-    together = draw_times(ring_after(3), keys, 5, 2)
-    alone = draw_times(ring_after(3), keys[1:2], 5, 2)
+    together = sample_indices(ring_after(3), keys, 5, 2)
+    alone = sample_indices(ring_after(3), keys[1:2], 5, 2)
     np.testing.assert_array_equal(together[:, :, 1:2], alone)

@@ -21,7 +21,7 @@ from jaxrod.training.algorithms.actor_critic import (
     initial_critics,
 )
 from jaxrod.training.algorithms.replay import Transition
-from jaxrod.training.algorithms.squashed_gaussian import squash
+from jaxrod.training.algorithms.tanh_gaussian import tanh_gaussian
 from jaxrod.training.runs.checkpoint import Checkpoints
 
 SMALL = SACConfig(
@@ -113,7 +113,7 @@ def test_density_of_the_squashed_gaussian_integrates_to_probabilities(mean, log_
     action = 0.5 * (edges[1:] + edges[:-1])
     noise = (np.arctanh(action) - mean) / np.exp(log_std)
     ones = jnp.ones((len(action), 1))
-    found, log_prob = squash(mean * ones, log_std * ones, noise[:, None])
+    found, log_prob = tanh_gaussian(mean * ones, log_std * ones, noise[:, None])
     np.testing.assert_allclose(found[:, 0], action, atol=1e-12)
     mass = np.exp(np.asarray(log_prob)) * np.diff(edges)
     assert mass.sum() == pytest.approx(1, abs=1e-4)
@@ -127,7 +127,9 @@ def test_density_stays_finite_where_tanh_is_flat():
     # log(1 - tanh(50)^2) = 2 (log 2 - 50) + ..., far below what float32 resolves.
     mean = jnp.full((1, 1), 50.0, jnp.float32)
     zero = jnp.zeros((1, 1), jnp.float32)
-    value, slope = jax.value_and_grad(lambda m: squash(m, zero, zero)[1][0])(mean)
+    value, slope = jax.value_and_grad(lambda m: tanh_gaussian(m, zero, zero)[1][0])(
+        mean
+    )
     assert float(value) == pytest.approx(100 - 2 * np.log(2) - 0.918938, rel=1e-6)
     assert float(slope[0, 0]) == pytest.approx(2.0, rel=1e-6)
 
@@ -150,21 +152,21 @@ def test_what_follows_is_remembered_as_it_was_before_any_restart(six_updates):
     assert (int(replay.written), len(replay.transitions.reward)) == (24, 16)
     # The ring has gone round one and a half times: the oldest first.
     memory = jax.tree.map(lambda leaf: np.roll(leaf, -8, axis=0), replay.transitions)
-    restarted = memory.observation[1:] != memory.following[:-1]
+    restarted = memory.observation[1:] != memory.next_observation[:-1]
     # An episode has 20 steps: of 16 in a row most environments began one.
     assert np.array_equal(np.unique(np.sum(restarted, axis=0)), [0, 1])
     moved = memory.observation + 0.2 * memory.action
-    np.testing.assert_allclose(memory.following, moved, atol=1e-12)
+    np.testing.assert_allclose(memory.next_observation, moved, atol=1e-12)
     np.testing.assert_allclose(memory.reward, 1 - moved[..., 0] ** 2, atol=1e-12)
 
 
 def test_only_the_end_of_a_task_is_worth_nothing():
-    critics = initial_critics(jax.random.key(0), Trivial(), (8,), 2, jnp.float64)
+    critics = initial_critics(jax.random.key(0), Trivial(), SMALL, 2, jnp.float64)
     ends = jnp.array([False, True])
     ones = jnp.ones((2, 1))
     batch = Transition(ones, ones, jnp.array([3.0, 3.0]), ones, ends)
-    value = critic_values((8,), critics, ones, ones)
-    loss, _ = critic_loss(critics, (8,), batch, jnp.array([10.0, 10.0]), 0.9)
+    value = critic_values(SMALL, critics, ones, ones)
+    loss, _ = critic_loss(critics, SMALL, batch, jnp.array([10.0, 10.0]), 0.9)
     # Targets: 3 + 0.9 * 10 where the episode goes on, 3 where it ended.
     errors = (value - jnp.array([[12.0, 3.0]])) ** 2
     assert float(loss) == pytest.approx(float(0.5 * jnp.sum(jnp.mean(errors, 1))))

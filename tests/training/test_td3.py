@@ -12,7 +12,7 @@ import pytest
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import DDPGConfig, TD3Config, evaluate, train
 from jaxrod.training.algorithms import td3
-from jaxrod.training.algorithms.td3 import blurred
+from jaxrod.training.algorithms.td3 import smoothed_target_action
 
 SIZES = {
     "num_envs": 32,
@@ -62,14 +62,14 @@ def test_ddpg_is_td3_without_its_precautions():
 
 def test_blur_is_normal_noise_within_its_limit():
     noise = jax.random.normal(jax.random.key(0), (100_000, 1))
-    blur = np.asarray(blurred(jnp.zeros_like(noise), noise, 0.2, 0.5))
+    blur = np.asarray(smoothed_target_action(jnp.zeros_like(noise), noise, 0.2, 0.5))
     assert np.abs(blur).max() == pytest.approx(0.5)
     # Clipping at 2.5 deviations takes 2 % off the variance.
     assert blur.std() == pytest.approx(0.2, rel=0.03)
     np.testing.assert_allclose(
-        blurred(noise[:9] / 5, noise[:9], 0.0, 0.5), noise[:9] / 5
+        smoothed_target_action(noise[:9] / 5, noise[:9], 0.0, 0.5), noise[:9] / 5
     )
-    edge = blurred(jnp.ones_like(noise), noise, 0.2, 0.5)
+    edge = smoothed_target_action(jnp.ones_like(noise), noise, 0.2, 0.5)
     assert float(jnp.max(edge)) == 1.0 and float(jnp.min(edge)) == pytest.approx(0.5)
 
 

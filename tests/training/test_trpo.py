@@ -20,7 +20,7 @@ from jaxrod.training.algorithms.trust_region import (
     fisher_product,
     longest_step,
 )
-from jaxrod.training.networks import GaussianPolicy
+from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron
 
 SMALL = TRPOConfig(
     num_envs=8,
@@ -87,7 +87,8 @@ def test_every_step_keeps_the_bound_and_improves_the_surrogate(learned):
 
 def tiny_policy():
     """A policy of 19 weights, its outputs at some observations, and the Hessian."""
-    network = GaussianPolicy((3,), 2, initial_log_std=-0.4, dtype=jnp.float64)
+    mean = MultilayerPerceptron((3,), 2, output_scale=0.01, dtype=jnp.float64)
+    network = GaussianPolicy(mean, 2, initial_log_std=-0.4, dtype=jnp.float64)
     keys = jax.random.split(jax.random.key(0), 3)
     observation = jax.random.normal(keys[0], (50, 2))
     start, as_weights = ravel_pytree(network.init(keys[1], observation)["params"])

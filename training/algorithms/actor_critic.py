@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import optax
@@ -12,10 +13,10 @@ from jaxtyping import Array, DTypeLike, Float, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree
-from jaxrod.training.algorithms.device_mean import mean_over_devices
+from jaxrod.training.algorithm import mean_over_devices
 from jaxrod.training.algorithms.replay import Transition
-from jaxrod.training.networks import MultilayerPerceptron
-from jaxrod.training.settings import Scalar
+from jaxrod.training.networks import check_outputs, initial_weights, make_network
+from jaxrod.training.settings import LearnerConfig, Scalar
 
 ACTIVATION = "relu"
 """Activation of all hidden layers, as in the reference implementation."""
@@ -32,48 +33,63 @@ class Learner:
 
 
 def policy_network(
-    hidden_sizes: tuple[int, ...], output_size: int, dtype: DTypeLike
-) -> MultilayerPerceptron:
-    """The policy network; its output starts near 0, undecided."""
-    return MultilayerPerceptron(
-        hidden_sizes,
-        output_size,
-        output_scale=0.01,
-        activation=ACTIVATION,
-        dtype=dtype,
+    config: LearnerConfig, output_size: int, dtype: DTypeLike
+) -> nn.Module:
+    """The policy network; weights come from the train state."""
+    return make_network(
+        config, "policy", output_size, activation=ACTIVATION, dtype=dtype
     )
 
 
+def initial_policy(
+    key: Key[Array, ""],
+    env: Environment,
+    config: LearnerConfig,
+    output_size: int,
+    dtype: DTypeLike,
+) -> Any:
+    """Weights of the policy network."""
+    dummy = jnp.zeros(env.observation_size, dtype)
+    network = policy_network(config, output_size, dtype)
+    weights = initial_weights(network, key, dummy)
+    check_outputs(network, weights, dummy, output_size)
+    return weights
+
+
 def critic_values(
-    hidden_sizes: tuple[int, ...],
+    config: LearnerConfig,
     weights: tuple[Any, ...],
     observation: Float[Array, "batch observation"],
     action: Float[Array, "batch action"],
 ) -> Float[Array, "critics batch"]:
     """Values of the actions by every critic."""
     inputs = jnp.concatenate([observation, action], axis=-1)
-    network = _critic_network(hidden_sizes, inputs.dtype)
-    return jnp.stack([network.apply({"params": w}, inputs)[:, 0] for w in weights])
+    network = _critic_network(config, inputs.dtype)
+    values = [network.apply({"params": w}, inputs)[:, 0] for w in weights]
+    return jnp.stack(values).astype(inputs.dtype)
 
 
 def initial_critics(
     key: Key[Array, ""],
     env: Environment,
-    hidden_sizes: tuple[int, ...],
+    config: LearnerConfig,
     count: int,
     dtype: DTypeLike,
 ) -> tuple[Any, ...]:
     """Weights of `count` independent critics."""
     dummy = jnp.zeros(env.observation_size + env.action_size, dtype)
-    network = _critic_network(hidden_sizes, dtype)
-    return tuple(network.init(k, dummy)["params"] for k in jax.random.split(key, count))
+    network = _critic_network(config, dtype)
+    keys = jax.random.split(key, count)
+    weights = tuple(initial_weights(network, k, dummy) for k in keys)
+    check_outputs(network, weights[0], dummy, 1)
+    return weights
 
 
 def critic_loss(
     weights: tuple[Any, ...],
-    hidden_sizes: tuple[int, ...],
+    config: LearnerConfig,
     transition: Transition,
-    following_value: Float[Array, " batch"],
+    next_value: Float[Array, " batch"],
     discount: Scalar,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
@@ -83,25 +99,23 @@ def critic_loss(
 
     Args:
         weights: of the critics.
-        hidden_sizes: of the critics.
+        config: of the learner; it says what networks the critics are.
         transition: a batch.
-        following_value: V', the value of what follows; no gradient goes through it.
+        next_value: V', the value of what follows; no gradient goes through it.
         discount: gamma.
 
     Returns:
         The loss, and what to report of it.
     """
-    following_value = jnp.where(transition.terminated, 0, following_value)
-    target = jax.lax.stop_gradient(transition.reward + discount * following_value)
-    value = critic_values(
-        hidden_sizes, weights, transition.observation, transition.action
-    )
+    next_value = jnp.where(transition.terminated, 0, next_value)
+    target = jax.lax.stop_gradient(transition.reward + discount * next_value)
+    value = critic_values(config, weights, transition.observation, transition.action)
     error = jnp.mean((value - target[None]) ** 2, axis=1)
     report = {"critic_error": jnp.mean(error), "value": jnp.mean(value)}
     return 0.5 * jnp.sum(error), report
 
 
-def descend(
+def apply_gradient(
     learner: Learner,
     name: str,
     gradient: Any,
@@ -111,15 +125,13 @@ def descend(
     """One step of Adam on the weights called `name`."""
     gradient = mean_over_devices(gradient, axis_name)
     direction, memory = optimiser().update(gradient, learner.optimiser[name])
-    weights = jax.tree.map(
-        lambda w, d: w - learning_rate * d, learner.weights[name], direction
-    )
+    weights = optax.tree.add_scale(learner.weights[name], -learning_rate, direction)
     return Learner(
         learner.weights | {name: weights}, learner.optimiser | {name: memory}
     )
 
 
-def follow(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
+def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
     """Moves the weights called `target` by `rate` of the way to those of `name`."""
     moved = jax.tree.map(
         lambda old, new: old + rate * (new - old),
@@ -134,7 +146,5 @@ def optimiser() -> optax.GradientTransformation:
     return optax.scale_by_adam()
 
 
-def _critic_network(
-    hidden_sizes: tuple[int, ...], dtype: DTypeLike
-) -> MultilayerPerceptron:
-    return MultilayerPerceptron(hidden_sizes, 1, activation=ACTIVATION, dtype=dtype)
+def _critic_network(config: LearnerConfig, dtype: DTypeLike) -> nn.Module:
+    return make_network(config, "critic", 1, activation=ACTIVATION, dtype=dtype)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrod.training.algorithms.device_mean import mean_over_devices
+from jaxrod.training.algorithm import mean_over_devices
 
 
 def generalised_advantages(

@@ -23,11 +23,11 @@ from jaxrod.envs.action_repeat import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.algorithms.actor_critic import ACTIVATION, Learner
-from jaxrod.training.algorithms.preparation import prepare, strong
+from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
 from jaxrod.training.algorithms.replay import Replay, empty_replay
-from jaxrod.training.networks import layers
+from jaxrod.training.networks import NetworkPolicy, layers
 from jaxrod.training.normalisation import RunningMoments, no_moments
-from jaxrod.training.policy import Policy
+from jaxrod.training.policy import MLPPolicy, Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -118,7 +118,7 @@ def start(
         make_learner: `(key, config, dtype) -> Learner`.
     """
     env = repeating(env, config.action_repeat)
-    config, env_params, dtype = prepare(key, env, config, env_params)
+    config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 4)
     environments = VectorEnvironment(env).reset(
         keys[1],
@@ -134,7 +134,7 @@ def start(
         env_params=env_params,
         learner=make_learner(keys[0], config, dtype),
         moments=no_moments(env.observation_size, dtype),
-        environments=strong(environments, dtype),
+        environments=strip_weak_types(environments, dtype),
         replay=empty_replay(
             _slots(config),
             config.num_envs,
@@ -173,17 +173,30 @@ def partition(state: OffPolicyState) -> OffPolicyState:
     return dataclasses.replace(state, **specs)
 
 
-def deterministic_policy(state: OffPolicyState) -> Policy:
+def deterministic_policy(state: OffPolicyState, outputs_per_action: int = 1) -> Policy:
     """The tanh of the policy network's first outputs, one for each action."""
-    *hidden, (kernel, bias) = layers(state.learner.weights["policy"])
+    config, moments = state.config, state.moments
+    weights = state.learner.weights["policy"]
     size = state.env.action_size
-    return Policy(
-        moments=state.moments,
-        limit=state.config.observation_limit,
-        layers=(*hidden, (kernel[:, :size], bias[:size])),
-        activation=ACTIVATION,
+    if config.network is None:
+        *hidden, (kernel, bias) = layers(weights)
+        return MLPPolicy(
+            moments=moments,
+            limit=config.observation_limit,
+            layers=(*hidden, (kernel[:, :size], bias[:size])),
+            activation=ACTIVATION,
+            output="tanh",
+            action_repeat=config.action_repeat,
+        )
+    return NetworkPolicy(
+        moments=moments,
+        limit=config.observation_limit,
+        weights=weights,
+        network=config.network,
+        output_size=outputs_per_action * size,
+        action_size=size,
         output="tanh",
-        action_repeat=state.config.action_repeat,
+        action_repeat=config.action_repeat,
     )
 
 

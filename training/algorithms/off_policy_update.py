@@ -12,14 +12,17 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.structure import pytree
-from jaxrod.training.algorithm import Metrics, steps_per_update
+from jaxrod.training.algorithm import (
+    Metrics,
+    mean_over_devices,
+    steps_per_update,
+)
 from jaxrod.training.algorithms.actor_critic import Learner
-from jaxrod.training.algorithms.device_mean import mean_over_devices
 from jaxrod.training.algorithms.off_policy import (
     OffPolicyConfig,
     OffPolicyState,
 )
-from jaxrod.training.algorithms.replay import Transition, draw_times, recall, remember
+from jaxrod.training.algorithms.replay import Transition, append, sample, sample_indices
 from jaxrod.training.normalisation import (
     batch_moments,
     merge_moments,
@@ -38,7 +41,7 @@ class Batch:
     """Standard normal noise, as many arrays as the gradient step takes."""
 
 
-def act_and_remember(
+def act_and_store(
     state: OffPolicyState,
     act: Callable[[Array, Array], Array],
     axis_name: str | None = None,
@@ -84,7 +87,7 @@ def act_and_remember(
                 observation=observation,
                 action=action,
                 reward=outcome.reward,
-                following=outcome.final_observation,
+                next_observation=outcome.final_observation,
                 terminated=outcome.terminated,
             ),
             outcome.episodes,
@@ -100,7 +103,7 @@ def act_and_remember(
         state,
         environments=environments,
         action_noise=noise,
-        replay=remember(state.replay, steps),
+        replay=append(state.replay, steps),
         moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
     )
     reward = {"reward_mean": mean_over_devices(jnp.mean(steps.reward), axis_name)}
@@ -133,20 +136,22 @@ def learn(
     config: OffPolicyConfig = state.config
     per_env = config.batch_size // config.num_envs
     keys = jax.vmap(jax.random.split)(_keys_of_update(state.replay_keys, state))
-    times = draw_times(state.replay, keys[:, 0], config.gradient_steps, per_env)
+    times = sample_indices(state.replay, keys[:, 0], config.gradient_steps, per_env)
     size = state.env.action_size
     shape = (config.gradient_steps, noises, per_env, size)
     noise = jnp.moveaxis(_normal(keys[:, 1], state, shape), 0, 3)
     noise = noise.reshape(config.gradient_steps, noises, -1, size)
 
     def batch(number: Int[Array, ""]) -> Batch:
-        found = recall(state.replay, times[number])
+        found = sample(state.replay, times[number])
         limit = config.observation_limit
         return Batch(
             transition=dataclasses.replace(
                 found,
                 observation=normalise(state.moments, found.observation, limit),
-                following=normalise(state.moments, found.following, limit),
+                next_observation=normalise(
+                    state.moments, found.next_observation, limit
+                ),
                 reward=config.reward_scale * found.reward,
             ),
             noise=tuple(noise[number]),

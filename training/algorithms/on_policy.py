@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec
@@ -20,9 +21,16 @@ from jaxrod.envs.action_repeat import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.algorithms.advantages import generalised_advantages
-from jaxrod.training.algorithms.preparation import prepare, strong
+from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
 from jaxrod.training.algorithms.rollout import collect
-from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron, layers
+from jaxrod.training.networks import (
+    GaussianPolicy,
+    NetworkPolicy,
+    check_outputs,
+    initial_weights,
+    layers,
+    make_network,
+)
 from jaxrod.training.normalisation import (
     RunningMoments,
     batch_moments,
@@ -30,7 +38,7 @@ from jaxrod.training.normalisation import (
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import Policy
+from jaxrod.training.policy import MLPPolicy, Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -40,6 +48,9 @@ from jaxrod.training.settings import (
     check_not_negative,
 )
 from jaxrod.training.short_episodes import restart_phase
+
+ACTIVATION = "tanh"
+"""Of all hidden layers, as in the reference implementation."""
 
 
 @pytree
@@ -104,14 +115,22 @@ def policy_network(
     env: Environment, config: OnPolicyConfig, dtype: DTypeLike
 ) -> GaussianPolicy:
     """The policy network; weights come from the train state."""
-    return GaussianPolicy(
-        config.hidden_sizes, env.action_size, config.initial_log_std, dtype=dtype
-    )
+    size = env.action_size
+    mean = make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
+    return GaussianPolicy(mean, size, config.initial_log_std, dtype=dtype)
 
 
-def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> MultilayerPerceptron:
+def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> nn.Module:
     """The value network; weights come from the train state."""
-    return MultilayerPerceptron(config.hidden_sizes, 1, dtype=dtype)
+    return make_network(config, "critic", 1, activation=ACTIVATION, dtype=dtype)
+
+
+def predicted_value(
+    network: nn.Module, weights: Any, observation: Float[Array, "*batch observation"]
+) -> Float[Array, "*batch"]:
+    """Value of normalised observations."""
+    output = network.apply({"params": weights}, observation)
+    return output[..., 0].astype(observation.dtype)
 
 
 def log_density(
@@ -142,13 +161,17 @@ def start(
         optimiser: optax transformation, to make its state.
     """
     env = repeating(env, config.action_repeat)
-    config, env_params, dtype = prepare(key, env, config, env_params)
+    config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 5)
     dummy = jnp.zeros(env.observation_size, dtype)
+    policy, value = policy_network(env, config, dtype), value_network(config, dtype)
     weights = {
-        "policy": policy_network(env, config, dtype).init(keys[0], dummy)["params"],
-        "value": value_network(config, dtype).init(keys[1], dummy)["params"],
+        "policy": initial_weights(policy, keys[0], dummy),
+        "value": initial_weights(value, keys[1], dummy),
     }
+    mean_weights = weights["policy"].get("mean", {})
+    check_outputs(policy.mean, mean_weights, dummy, env.action_size)
+    check_outputs(value, weights["value"], dummy, 1)
     environments = VectorEnvironment(env).reset(
         keys[2],
         config.num_envs,
@@ -163,7 +186,7 @@ def start(
         weights=weights,
         optimiser=optimiser.init(weights),
         moments=no_moments(env.observation_size, dtype),
-        environments=strong(environments, dtype),
+        environments=strip_weak_types(environments, dtype),
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
         updates=jnp.zeros((), jnp.int32),
@@ -197,7 +220,7 @@ def gather_experience(
 
     def value(observation: Array) -> Array:
         # The network sees normalised observations.
-        return values.apply({"params": state.weights["value"]}, observation)[..., 0]
+        return predicted_value(values, state.weights["value"], observation)
 
     noise = _noise(state)
     environments, rollout = collect(
@@ -252,13 +275,26 @@ def partition(state: OnPolicyState) -> OnPolicyState:
 
 def deterministic_policy(state: OnPolicyState) -> Policy:
     """The mean of the action distribution, clipped to [-1, 1]."""
-    return Policy(
-        moments=state.moments,
-        limit=state.config.observation_limit,
-        layers=layers(state.weights["policy"]["mean"]),
-        activation="tanh",
+    config, moments = state.config, state.moments
+    weights = state.weights["policy"].get("mean", {})
+    if config.network is None:
+        return MLPPolicy(
+            moments=moments,
+            limit=config.observation_limit,
+            layers=layers(weights),
+            activation=ACTIVATION,
+            output="clip",
+            action_repeat=config.action_repeat,
+        )
+    return NetworkPolicy(
+        moments=moments,
+        limit=config.observation_limit,
+        weights=weights,
+        network=config.network,
+        output_size=state.env.action_size,
+        action_size=state.env.action_size,
         output="clip",
-        action_repeat=state.config.action_repeat,
+        action_repeat=config.action_repeat,
     )
 
 

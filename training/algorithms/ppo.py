@@ -17,9 +17,13 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
-from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithm import (
+    Algorithm,
+    Metrics,
+    mean_over_devices,
+    steps_per_update,
+)
 from jaxrod.training.algorithms.advantages import standardised
-from jaxrod.training.algorithms.device_mean import mean_over_devices
 from jaxrod.training.algorithms.on_policy import (
     Experience,
     OnPolicyConfig,
@@ -30,6 +34,7 @@ from jaxrod.training.algorithms.on_policy import (
     log_density,
     partition,
     policy_network,
+    predicted_value,
     start,
     value_network,
 )
@@ -138,7 +143,7 @@ def update(
         gradient = mean_over_devices(gradient, axis_name)
         report["gradient_norm"] = optax.tree.norm(gradient)
         direction, moments = optimiser.update(gradient, moments)
-        weights = jax.tree.map(lambda w, d: w - learning_rate * d, weights, direction)
+        weights = optax.tree.add_scale(weights, -learning_rate, direction)
         return (weights, moments), report
 
     def epoch(carry: Any, key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
@@ -188,9 +193,8 @@ def _loss(
     clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
     gain = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
 
-    value = value_network(config, dtype).apply(
-        {"params": weights["value"]}, batch.observation
-    )[:, 0]
+    network = value_network(config, dtype)
+    value = predicted_value(network, weights["value"], batch.observation)
     value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
     entropy = jnp.sum(log_std) + 0.5 * env.action_size * math.log(2 * math.pi * math.e)
     loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy

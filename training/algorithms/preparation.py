@@ -11,7 +11,7 @@ from jaxtyping import Array, DTypeLike, Key
 from jaxrod.envs import Environment
 
 
-def prepare(
+def canonicalise(
     key: Key[Array, ""], env: Environment, config: Any, env_params: Any
 ) -> tuple[Any, Any, Any]:
     """Gives settings and parameters the type that all learning is done in.
@@ -30,13 +30,13 @@ def prepare(
         with jax.ensure_compile_time_eval():
             env_params = env.default_params()
     dtype = jax.eval_shape(env.reset, key, env_params)[0].dtype
-    env_params = strong(env_params, dtype)
+    env_params = strip_weak_types(env_params, dtype)
     # One type for all numbers, whether they came as floats or as arrays.
     config = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), config)
     return config, env_params, dtype
 
 
-def strong(tree: Any, dtype: DTypeLike) -> Any:
+def strip_weak_types(tree: Any, dtype: DTypeLike) -> Any:
     """Leaves of definite type: a weak one would change type along the run."""
 
     def one(leaf: Any) -> Array:

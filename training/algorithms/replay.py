@@ -25,10 +25,10 @@ class Transition:
     """Action, in [-1, 1]."""
     reward: Float[Array, "*batch"]
     """Reward, not scaled."""
-    following: Float[Array, "*batch observation"]
+    next_observation: Float[Array, "*batch observation"]
     """Observation after the step, before any restart."""
     terminated: Bool[Array, "*batch"]
-    """The task ended in this step: the value of `following` is 0."""
+    """The task ended in this step: the value of `next_observation` is 0."""
 
 
 @pytree
@@ -46,7 +46,7 @@ class Replay:
         return self.transitions.reward.shape[0]
 
     @property
-    def filled(self) -> Int[Array, ""]:
+    def size(self) -> Int[Array, ""]:
         """Time steps stored."""
         return jnp.minimum(self.written, self.slots)
 
@@ -61,14 +61,14 @@ def empty_replay(
             observation=jnp.zeros((*shape, observation_size), dtype),
             action=jnp.zeros((*shape, action_size), dtype),
             reward=jnp.zeros(shape, dtype),
-            following=jnp.zeros((*shape, observation_size), dtype),
+            next_observation=jnp.zeros((*shape, observation_size), dtype),
             terminated=jnp.zeros(shape, bool),
         ),
         jnp.zeros((), jnp.int32),
     )
 
 
-def remember(replay: Replay, steps: Transition) -> Replay:
+def append(replay: Replay, steps: Transition) -> Replay:
     """Writes a block of time steps over the oldest there are.
 
     Args:
@@ -94,7 +94,7 @@ def remember(replay: Replay, steps: Transition) -> Replay:
     return Replay(transitions, replay.written + block)
 
 
-def draw_times(
+def sample_indices(
     replay: Replay, keys: Key[Array, " num_envs"], batches: int, per_env: int
 ) -> Int[Array, "batches per_env num_envs"]:
     """Slots to sample, uniform over what is filled, with replacement.
@@ -107,13 +107,13 @@ def draw_times(
     """
     times = jax.vmap(
         lambda key: jax.random.randint(
-            key, (batches, per_env), 0, replay.filled, jnp.int32
+            key, (batches, per_env), 0, replay.size, jnp.int32
         )
     )(keys)
     return jnp.moveaxis(times, 0, 2)
 
 
-def recall(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Transition:
+def sample(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Transition:
     """Reads one batch, of shape (per_env * num_envs, ...)."""
     envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
     return jax.tree.map(

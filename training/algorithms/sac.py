@@ -5,6 +5,7 @@ Source: Haarnoja et al., "Soft actor-critic algorithms and applications", 2018.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
@@ -16,13 +17,14 @@ from jaxrod.structure import pytree
 from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
+    apply_gradient,
     critic_loss,
     critic_values,
-    descend,
-    follow,
     initial_critics,
+    initial_policy,
     optimiser,
     policy_network,
+    polyak_update,
 )
 from jaxrod.training.algorithms.off_policy import (
     OffPolicyConfig,
@@ -32,13 +34,16 @@ from jaxrod.training.algorithms.off_policy import (
     partition,
     start,
 )
-from jaxrod.training.algorithms.off_policy_update import Batch, act_and_remember, learn
-from jaxrod.training.algorithms.squashed_gaussian import (
+from jaxrod.training.algorithms.off_policy_update import Batch, act_and_store, learn
+from jaxrod.training.algorithms.tanh_gaussian import (
     LARGEST_ENTROPY,
     split_output,
-    squash,
+    tanh_gaussian,
 )
 from jaxrod.training.settings import Scalar, check_finite, check_positive
+
+OUTPUTS_PER_ACTION = 2
+"""Of the policy network: mean and logarithm of the standard deviation."""
 
 
 @pytree
@@ -89,11 +94,10 @@ def init(
 
     def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:
         keys = jax.random.split(key)
-        dummy = jnp.zeros(env.observation_size, dtype)
-        network = policy_network(config.hidden_sizes, 2 * env.action_size, dtype)
-        critics = initial_critics(keys[1], env, config.hidden_sizes, 2, dtype)
+        outputs = OUTPUTS_PER_ACTION * env.action_size
+        critics = initial_critics(keys[1], env, config, 2, dtype)
         weights = {
-            "policy": network.init(keys[0], dummy)["params"],
+            "policy": initial_policy(keys[0], env, config, outputs, dtype),
             "critics": critics,
             "log_temperature": jnp.log(jnp.asarray(config.initial_temperature, dtype)),
         }
@@ -107,25 +111,25 @@ def init(
 def update(
     state: OffPolicyState, axis_name: str | None = None
 ) -> tuple[OffPolicyState, Metrics]:
-    """One update: act, remember, and make the gradient steps.
+    """One update: act, store, and make the gradient steps.
 
     Args:
         state: the train state.
         axis_name: mapped axis over which the environments are spread, if any.
     """
     config: SACConfig = state.config
-    sizes = config.hidden_sizes
     dtype = state.environments.observation.dtype
-    network = policy_network(sizes, 2 * state.env.action_size, dtype)
+    outputs = OUTPUTS_PER_ACTION * state.env.action_size
+    network = policy_network(config, outputs, dtype)
 
     def act(weights: Any, observation: Array, noise: Array) -> tuple[Array, Array]:
-        output = network.apply({"params": weights}, observation)
-        return squash(*split_output(output), noise)
+        output = network.apply({"params": weights}, observation).astype(dtype)
+        return tanh_gaussian(*split_output(output), noise)
 
-    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
-        observation = batch.transition.following
+    def next_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.next_observation
         action, log_prob = act(weights["policy"], observation, batch.noise[0])
-        values = critic_values(sizes, weights["target_critics"], observation, action)
+        values = critic_values(config, weights["target_critics"], observation, action)
         return jnp.min(values, axis=0) - jnp.exp(weights["log_temperature"]) * log_prob
 
     def policy_loss(
@@ -133,7 +137,7 @@ def update(
     ) -> tuple[Array, dict[str, Array]]:
         observation = batch.transition.observation
         action, log_prob = act(policy, observation, batch.noise[1])
-        values = critic_values(sizes, weights["critics"], observation, action)
+        values = critic_values(config, weights["critics"], observation, action)
         temperature = jnp.exp(weights["log_temperature"])
         loss = jnp.mean(temperature * log_prob - jnp.min(values, axis=0))
         return loss, {"entropy": -jnp.mean(log_prob)}
@@ -144,37 +148,39 @@ def update(
         (batch,) = batches
         gradient, report = jax.grad(critic_loss, has_aux=True)(
             learner.weights["critics"],
-            sizes,
+            config,
             batch.transition,
-            following_value(learner.weights, batch),
+            next_value(learner.weights, batch),
             config.discount,
         )
-        learner = descend(
+        learner = apply_gradient(
             learner, "critics", gradient, config.critic_learning_rate, axis_name
         )
         gradient, about_policy = jax.grad(policy_loss, has_aux=True)(
             learner.weights["policy"], learner.weights, batch
         )
-        learner = descend(
+        learner = apply_gradient(
             learner, "policy", gradient, config.policy_learning_rate, axis_name
         )
         # The loss of the temperature is linear in its logarithm.
         wanted = config.entropy_per_action * state.env.action_size
         excess = about_policy["entropy"] - wanted
-        learner = descend(
+        learner = apply_gradient(
             learner,
             "log_temperature",
             excess,
             config.temperature_learning_rate,
             axis_name,
         )
-        learner = follow(learner, "target_critics", "critics", config.target_rate)
+        learner = polyak_update(
+            learner, "target_critics", "critics", config.target_rate
+        )
         report |= about_policy
         report["temperature"] = jnp.exp(learner.weights["log_temperature"])
         return learner, report
 
     policy = state.learner.weights["policy"]
-    state, acted = act_and_remember(
+    state, acted = act_and_store(
         state, lambda observation, noise: act(policy, observation, noise)[0], axis_name
     )
     return learn(
@@ -195,6 +201,8 @@ SAC = Algorithm(
     init=init,
     update=update,
     partition=partition,
-    policy=deterministic_policy,
+    policy=functools.partial(
+        deterministic_policy, outputs_per_action=OUTPUTS_PER_ACTION
+    ),
 )
 """SAC for the shared loop."""

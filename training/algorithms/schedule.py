@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxrod.training.settings import Scalar
 
 
-class Underway(Protocol):
+class HasProgress(Protocol):
     """A train state that knows how far it is."""
 
     @property
@@ -24,7 +24,7 @@ class Underway(Protocol):
 
 
 def along_the_run(
-    state: Underway, first: Scalar, last: Scalar, dtype: DTypeLike
+    state: HasProgress, first: Scalar, last: Scalar, dtype: DTypeLike
 ) -> Float[Array, ""]:
     """Linear interpolation from `first` to `last` over the run."""
     remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)

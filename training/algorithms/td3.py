@@ -22,13 +22,14 @@ from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
+    apply_gradient,
     critic_loss,
     critic_values,
-    descend,
-    follow,
     initial_critics,
+    initial_policy,
     optimiser,
     policy_network,
+    polyak_update,
 )
 from jaxrod.training.algorithms.off_policy import (
     OffPolicyConfig,
@@ -38,7 +39,7 @@ from jaxrod.training.algorithms.off_policy import (
     partition,
     start,
 )
-from jaxrod.training.algorithms.off_policy_update import Batch, act_and_remember, learn
+from jaxrod.training.algorithms.off_policy_update import Batch, act_and_store, learn
 from jaxrod.training.algorithms.schedule import along_the_run
 from jaxrod.training.settings import (
     Scalar,
@@ -104,12 +105,9 @@ def init(
 
     def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
         keys = jax.random.split(key)
-        dummy = jnp.zeros(env.observation_size, dtype)
-        sizes = config.hidden_sizes
-        network = policy_network(sizes, env.action_size, dtype)
         weights: dict[str, Any] = {
-            "policy": network.init(keys[0], dummy)["params"],
-            "critics": initial_critics(keys[1], env, sizes, config.critics, dtype),
+            "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
+            "critics": initial_critics(keys[1], env, config, config.critics, dtype),
         }
         memory = {name: optimiser().init(part) for name, part in weights.items()}
         targets = {f"target_{name}": part for name, part in weights.items()}
@@ -119,7 +117,7 @@ def init(
     return start(key, env, config, env_params, updates, learner)
 
 
-def blurred(
+def smoothed_target_action(
     action: Float[Array, "*batch action"],
     noise: Float[Array, "*batch action"],
     spread: Scalar,
@@ -139,16 +137,15 @@ def blurred(
 def update(
     state: OffPolicyState, axis_name: str | None = None
 ) -> tuple[OffPolicyState, Metrics]:
-    """One update: act, remember, and make the gradient steps.
+    """One update: act, store, and make the gradient steps.
 
     Args:
         state: the train state.
         axis_name: mapped axis over which the environments are spread, if any.
     """
     config: TD3Config = state.config
-    sizes = config.hidden_sizes
     dtype = state.environments.observation.dtype
-    network = policy_network(sizes, state.env.action_size, dtype)
+    network = policy_network(config, state.env.action_size, dtype)
 
     spread = along_the_run(
         state,
@@ -158,27 +155,28 @@ def update(
     )
 
     def act(weights: Any, observation: Array) -> Array:
-        return jnp.tanh(network.apply({"params": weights}, observation))
+        output = network.apply({"params": weights}, observation).astype(dtype)
+        return jnp.tanh(output)
 
     def explore(observation: Array, noise: Array) -> Array:
         action = act(state.learner.weights["policy"], observation)
         return action + spread * noise
 
-    def following_value(weights: dict[str, Any], batch: Batch) -> Array:
-        observation = batch.transition.following
-        action = blurred(
+    def next_value(weights: dict[str, Any], batch: Batch) -> Array:
+        observation = batch.transition.next_observation
+        action = smoothed_target_action(
             act(weights["target_policy"], observation),
             batch.noise[0],
             config.target_noise,
             config.target_noise_limit,
         )
-        values = critic_values(sizes, weights["target_critics"], observation, action)
+        values = critic_values(config, weights["target_critics"], observation, action)
         return jnp.min(values, axis=0)
 
     def policy_loss(policy: Any, critics: tuple[Any, ...], batch: Batch) -> Array:
         observation = batch.transition.observation
         action = act(policy, observation)
-        return -jnp.mean(critic_values(sizes, critics[:1], observation, action))
+        return -jnp.mean(critic_values(config, critics[:1], observation, action))
 
     def gradient_step(
         learner: Learner, batches: list[Batch]
@@ -186,25 +184,25 @@ def update(
         for batch in batches:
             gradient, report = jax.grad(critic_loss, has_aux=True)(
                 learner.weights["critics"],
-                sizes,
+                config,
                 batch.transition,
-                following_value(learner.weights, batch),
+                next_value(learner.weights, batch),
                 config.discount,
             )
-            learner = descend(
+            learner = apply_gradient(
                 learner, "critics", gradient, config.critic_learning_rate, axis_name
             )
         gradient = jax.grad(policy_loss)(
             learner.weights["policy"], learner.weights["critics"], batches[-1]
         )
-        learner = descend(
+        learner = apply_gradient(
             learner, "policy", gradient, config.policy_learning_rate, axis_name
         )
         for name in ("policy", "critics"):
-            learner = follow(learner, f"target_{name}", name, config.target_rate)
+            learner = polyak_update(learner, f"target_{name}", name, config.target_rate)
         return learner, report
 
-    state, acted = act_and_remember(state, explore, axis_name)
+    state, acted = act_and_store(state, explore, axis_name)
     return learn(
         state,
         gradient_step,

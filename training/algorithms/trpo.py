@@ -17,9 +17,13 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
-from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
+from jaxrod.training.algorithm import (
+    Algorithm,
+    Metrics,
+    mean_over_devices,
+    steps_per_update,
+)
 from jaxrod.training.algorithms.advantages import standardised
-from jaxrod.training.algorithms.device_mean import mean_over_devices
 from jaxrod.training.algorithms.on_policy import (
     Experience,
     OnPolicyConfig,
@@ -30,6 +34,7 @@ from jaxrod.training.algorithms.on_policy import (
     log_density,
     partition,
     policy_network,
+    predicted_value,
     start,
     value_network,
 )
@@ -235,7 +240,7 @@ def _fit_value(
     optimiser = _value_optimiser()
 
     def loss(weights: Any, observation: Array, target: Array) -> Array:
-        value = network.apply({"params": weights}, observation)[..., 0]
+        value = predicted_value(network, weights, observation)
         return 0.5 * jnp.mean((value - target) ** 2)
 
     def minibatch_step(
@@ -247,9 +252,7 @@ def _fit_value(
         )
         gradient = mean_over_devices(gradient, axis_name)
         direction, memory = optimiser.update(gradient, memory)
-        weights = jax.tree.map(
-            lambda w, d: w - config.value_learning_rate * d, weights, direction
-        )
+        weights = optax.tree.add_scale(weights, -config.value_learning_rate, direction)
         return (weights, memory), error
 
     shuffle_key, epochs_key = jax.random.split(state.shuffle_key)

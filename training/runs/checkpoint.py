@@ -18,11 +18,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.files import OBJECT, check_entries, reading, whole, write_atomically
+from jaxrod.training.leaves import (
+    described,
+    differences_of_leaves,
+    from_array,
+    named_leaves,
+    to_array,
+    with_leaves,
+)
 
 NAMES = r"[0-9]{10}\.npz"
 """Names of the files, as a regular expression."""
@@ -72,14 +78,14 @@ class Checkpoints:
         """
         if step == self._latest:
             return
-        leaves = _leaves(state)
+        leaves = named_leaves(state, _STATE)
         about = {
             "format": FORMAT,
             "step": step,
             "facts": facts,
-            "leaves": {name: _described(leaf) for name, leaf in leaves.items()},
+            "leaves": {name: described(leaf) for name, leaf in leaves.items()},
         }
-        arrays = {name: _to_array(leaf) for name, leaf in leaves.items()}
+        arrays = {name: to_array(leaf) for name, leaf in leaves.items()}
         arrays[_ABOUT] = np.array(json.dumps(about, allow_nan=False))
         self.folder.mkdir(parents=True, exist_ok=True)
         write_atomically(
@@ -120,17 +126,14 @@ class Checkpoints:
         if about["step"] != step:
             raise ValueError(f"{file} is checkpoint {about['step']}, renamed")
         check(about["facts"])
-        leaves = _leaves(template)
+        leaves = named_leaves(template, _STATE)
         _check_structure(file, leaves, about["leaves"])
         with reading(file):
             restored = {
-                name: _from_array(arrays[name], leaf) for name, leaf in leaves.items()
+                name: from_array(arrays[name], leaf) for name, leaf in leaves.items()
             }
         self._latest = step
-        state = jax.tree_util.tree_map_with_path(
-            lambda path, leaf: restored.get(_name(path), leaf), template
-        )
-        return state, about["facts"]
+        return with_leaves(template, _STATE, restored), about["facts"]
 
 
 def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -151,68 +154,7 @@ def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) -> None:
     """Raises ValueError unless what was stored fits the train state."""
-    wanted = {name: _described(leaf) for name, leaf in leaves.items()}
-    apart = [f"lacks {name}" for name in sorted(wanted.keys() - found.keys())]
-    apart += [f"has {name} besides" for name in sorted(found.keys() - wanted.keys())]
-    apart += [
-        f"holds {found[name]} at {name}, this run needs {wanted[name]}"
-        for name in sorted(wanted.keys() & found.keys())
-        if wanted[name] != found[name]
-    ]
+    wanted = {name: described(leaf) for name, leaf in leaves.items()}
+    apart = differences_of_leaves(wanted, found)
     if apart:
-        more = f", and {len(apart) - 3} more" if len(apart) > 3 else ""
-        raise ValueError(
-            f"checkpoint {file} {', '.join(apart[:3])}{more}{_hint(apart)}"
-        )
-
-
-def _hint(apart: list[str]) -> str:
-    """The usual cause of numbers that all differ."""
-    double = all("float32" in one and "float64" in one for one in apart[:3])
-    return " (is JAX_ENABLE_X64 as it was?)" if double else ""
-
-
-def _leaves(tree: Any) -> dict[str, Any]:
-    """The leaves under their paths; empty ones hold nothing to remember."""
-    leaves = jax.tree.leaves_with_path(tree)
-    return {_name(path): leaf for path, leaf in leaves if leaf.size}
-
-
-def _name(path: Any) -> str:
-    return _STATE + jax.tree_util.keystr(path)
-
-
-def _described(leaf: Any) -> str:
-    """Kind and shape of a leaf."""
-    return f"{leaf.dtype}{list(_plain(leaf).shape)}"
-
-
-def _plain(leaf: Any) -> Any:
-    """A leaf, or the words of one that is a key."""
-    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
-
-
-def _to_array(leaf: Any) -> np.ndarray:
-    """A leaf as an array that NumPy can write: bfloat16 and its kin as integers."""
-    array = np.asarray(_plain(leaf))
-    return array.view(f"u{array.itemsize}") if array.dtype.kind == "V" else array
-
-
-def _from_array(array: np.ndarray, leaf: Any) -> Any:
-    """An array as a leaf of the kind of another one.
-
-    Raises:
-        ValueError: it is of another kind or shape.
-    """
-    plain = _plain(leaf)
-    dtype = np.dtype(plain.dtype)
-    array = array.view(dtype) if dtype.kind == "V" else array
-    if (array.dtype, array.shape) != (dtype, plain.shape):
-        raise ValueError(f"an array is {array.dtype}{list(array.shape)} in truth")
-    if not _is_key(leaf):
-        return array
-    return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
-
-
-def _is_key(leaf: Any) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        raise ValueError(f"checkpoint {file} {apart}")

@@ -23,6 +23,13 @@ def device_mesh(devices: Sequence[jax.Device]) -> Mesh:
     )
 
 
+def partition_of(algorithm: Algorithm, state: Any) -> Any:
+    """Specifications of a train state: those of the algorithm, or all repeated."""
+    if algorithm.partition is None:
+        return PartitionSpec()
+    return algorithm.partition(state)
+
+
 def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
     """Puts a tree where its specifications, a tree prefix, say."""
 
@@ -51,21 +58,23 @@ def compile_updates(
         `(state, count) -> (state, metrics)`. The state given is consumed. The
         metrics have a leading axis of `capacity`, valid up to `count`.
     """
-    specs = algorithm.partition(state)
+    specs = partition_of(algorithm, state)
+    # Without a partition there is one device, and nothing to average over.
+    axis = () if algorithm.partition is None else (DEVICE_AXIS,)
     # Tree prefixes: each stands for all leaves of what has another type.
     repeated: Any = PartitionSpec()
     along_devices: Any = PartitionSpec(None, None, DEVICE_AXIS)
     metric_specs = Metrics(scalars=repeated, episodes=along_devices)
 
     def updates(state: Any, count: Int[Array, ""]) -> tuple[Any, Metrics]:
-        shapes = jax.eval_shape(lambda s: algorithm.update(s, DEVICE_AXIS)[1], state)
+        shapes = jax.eval_shape(lambda s: algorithm.update(s, *axis)[1], state)
         metrics = jax.tree.map(
             lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shapes
         )
 
         def body(i: Int[Array, ""], carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
             state, metrics = carry
-            state, new = algorithm.update(state, DEVICE_AXIS)
+            state, new = algorithm.update(state, *axis)
             return state, jax.tree.map(lambda a, b: a.at[i].set(b), metrics, new)
 
         return jax.lax.fori_loop(0, count, body, (state, metrics))

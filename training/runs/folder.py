@@ -14,13 +14,9 @@ folder is left alone.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import jax
-import numpy as np
 
 from jaxrod.files import (
     NUMBER,
@@ -137,27 +133,9 @@ class RunFolder(OwnedFolder):
         write_atomically(self.summary_file, as_json(SUMMARY, summary))
 
 
-def recorded(settings: Any) -> dict[str, Any]:
-    """The settings of a learner, a dataclass, as `config.json` keeps them."""
-    return {
-        field.name: plain(getattr(settings, field.name))
-        for field in dataclasses.fields(settings)
-    }
-
-
 def renamed(config: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration with the task under its name, which was `case` in older runs."""
     return {"task" if name == "case" else name: config[name] for name in config}
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON holds it; what JSON cannot hold stays what it is."""
-    if isinstance(value, tuple | list):
-        return [plain(one) for one in value]
-    if isinstance(value, dict):
-        return {name: plain(one) for name, one in value.items()}
-    arrays = (jax.Array, np.ndarray, np.generic)
-    return value.tolist() if isinstance(value, arrays) else value
 
 
 def differences(

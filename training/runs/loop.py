@@ -13,10 +13,12 @@ import jax
 
 from jaxrod.envs import Environment
 from jaxrod.envs.registry import made
-from jaxrod.training.algorithm import Algorithm, find_algorithm
+from jaxrod.training.algorithm import Algorithm, recorded_name
 from jaxrod.training.runs.checkpoint import Checkpoints
-from jaxrod.training.runs.folder import RunFolder, differences, plain, recorded
+from jaxrod.training.runs.contract import resolve, updates_of
+from jaxrod.training.runs.folder import RunFolder, differences
 from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.recorded_settings import plain, recorded
 from jaxrod.training.runs.run import Result, Run
 from jaxrod.training.settings import check_steps
 from jaxrod.validation import check_count, check_seed
@@ -52,7 +54,7 @@ def train(
         env: the environment. Of one that `jaxrod.envs.make` has made the run records
             how, so that `jaxrod evaluate` and `jaxrod render` make it again; of
             another they say that they cannot.
-        algorithm: a name, or an `Algorithm`.
+        algorithm: a name, an import path `module:NAME`, or an `Algorithm`.
         steps: control steps, rounded up to whole updates.
         seed: the seed of all randomness.
         out: folder of the run, see `jaxrod.training.runs.folder`; None writes
@@ -68,7 +70,8 @@ def train(
             in any case.
         chunk_steps: a chunk is at least this many control steps, in whole
             updates.
-        devices: devices to spread the environments over, None for all.
+        devices: devices to spread the environments over, None for all; one for an
+            algorithm without a `partition`.
         progress: show a progress bar on stderr.
         log: called with every row of the progress table.
 
@@ -81,20 +84,19 @@ def train(
         FloatingPointError: learning diverged; the checkpoints are from before.
     """
     steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
-    learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
-    config = learner.checked(config)
-    devices = jax.devices() if devices is None else devices
-    if not devices:
-        raise ValueError("devices must hold at least one device, got none")
+    learner, config = resolve(algorithm, config)
+    name = algorithm if isinstance(algorithm, str) else recorded_name(learner)
+    devices = _devices(learner, devices)
     learner.validate(config, len(devices))
-    check_steps(steps, learner.steps_per_update(config))
+    check_steps(steps, updates_of(learner, config))
     _check_sizes(
         score_window=score_window,
         evaluation_episodes=evaluation_episodes,
         checkpoint_seconds=checkpoint_seconds,
         chunk_steps=chunk_steps,
     )
-    asked = _describe(env, learner, config, steps, seed, score_window)
+    settings = {} if out is None else recorded(config)
+    asked = _describe(env, name, settings, steps, seed, score_window)
     if out is None and resume:
         raise ValueError("resume needs the folder of a run, got out=None")
     folder = None if out is None else RunFolder(out)
@@ -121,6 +123,22 @@ def train(
         ).go(evaluation_episodes)
 
 
+def _devices(
+    learner: Algorithm, devices: Sequence[jax.Device] | None
+) -> Sequence[jax.Device]:
+    """The devices of a run."""
+    if devices is None:
+        return jax.devices() if learner.partition else jax.devices()[:1]
+    if not devices:
+        raise ValueError("devices must hold at least one device, got none")
+    if len(devices) > 1 and learner.partition is None:
+        raise ValueError(
+            f"devices must be one for {learner.name}, whose Algorithm has no "
+            f"partition, got {len(devices)}"
+        )
+    return devices
+
+
 def _check_sizes(
     *,
     score_window: int,
@@ -144,8 +162,8 @@ def _check_sizes(
 
 def _describe(
     env: Environment,
-    learner: Algorithm,
-    config: Any,
+    algorithm: str,
+    settings: dict[str, Any],
     steps: int,
     seed: int,
     score_window: int,
@@ -153,11 +171,11 @@ def _describe(
     """The request, as `config.json` keeps it."""
     return {
         **_origin(env),
-        "algorithm": learner.name,
+        "algorithm": algorithm,
         "steps": steps,
         "seed": seed,
         "score_window": score_window,
-        "settings": recorded(config),
+        "settings": settings,
     }
 
 

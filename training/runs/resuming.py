@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.files import (
@@ -18,16 +19,18 @@ from jaxrod.files import (
     reading,
     whole,
 )
+from jaxrod.structure import pytree
+from jaxrod.training.leaves import is_key
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.folder import (
     LEARNING_CURVE,
     REPLAY,
     RunFolder,
     differences,
-    plain,
     renamed,
 )
 from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.recorded_settings import plain
 from jaxrod.training.runs.table import check_mark
 
 _FACTS = {
@@ -38,6 +41,16 @@ _FACTS = {
     "episodes": OBJECT,
 }
 """Facts that a checkpoint holds beside the train state."""
+
+
+@pytree
+class Stored:
+    """What a checkpoint holds."""
+
+    learner: Any
+    """The train state of the algorithm."""
+    env_params: Any
+    """Parameters of the environment: a run goes on only in the one it began in."""
 
 
 class DamagedCheckpointWarning(UserWarning):
@@ -57,19 +70,24 @@ def facts_of(
     }
 
 
+def stored(state: Any, env_params: Any) -> Stored:
+    """What is stored of a train state and the parameters of its environment."""
+    return Stored(state, jax.tree.map(jnp.asarray, env_params))
+
+
 def restore(
-    folder: RunFolder, checkpoints: Checkpoints, asked: dict[str, Any], template: Any
-) -> tuple[Any, dict[str, Any]] | None:
+    folder: RunFolder, checkpoints: Checkpoints, asked: dict[str, Any], template: Stored
+) -> tuple[Stored, dict[str, Any]] | None:
     """Reads the newest checkpoint that can be read and cuts the tables back to it.
 
     Args:
         folder: of the run.
         checkpoints: of the run.
         asked: its configuration.
-        template: a train state of the same structure and shapes.
+        template: what is stored, of the same structure and shapes.
 
     Returns:
-        The train state and the facts; None where there is no checkpoint, for a run
+        What was stored and the facts; None where there is no checkpoint, for a run
         that was killed before the first one starts over.
 
     Raises:
@@ -132,6 +150,8 @@ def _check_same_task(stored: Any, given: Any) -> None:
     for (path, was), now in zip(
         jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
     ):
+        if is_key(now):
+            was, now = jax.random.key_data(was), jax.random.key_data(now)
         # Another machine may have computed the last digit otherwise.
         if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
             raise ValueError(

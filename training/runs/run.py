@@ -19,13 +19,20 @@ import numpy as np
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
-from jaxrod.training.policy import Policy, save_policy
+from jaxrod.training.policy import Policy
+from jaxrod.training.policy_files import save_policy
 from jaxrod.training.runs.checkpoint import Checkpoints
-from jaxrod.training.runs.devices import compile_updates, device_mesh, place
+from jaxrod.training.runs.contract import check_state, updates_of
+from jaxrod.training.runs.devices import (
+    compile_updates,
+    device_mesh,
+    partition_of,
+    place,
+)
 from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.progress import ProgressBar
-from jaxrod.training.runs.resuming import facts_of, restore
+from jaxrod.training.runs.resuming import facts_of, restore, stored
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
 
@@ -75,7 +82,7 @@ class Run:
         self.env, self.learner, self.env_params = env, learner, env_params
         self.asked, self.folder, self.devices = asked, folder, devices
         self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log
-        self.per_update = learner.steps_per_update(config)
+        self.per_update = updates_of(learner, config)
         self.total = check_steps(asked["steps"], self.per_update)
         self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
         self.done = 0
@@ -90,12 +97,13 @@ class Run:
         start = jax.jit(learner.init, static_argnums=(1, 4))
         key = jax.random.key(asked["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
+        check_state(learner, state, env)
         if folder and resume:
             state = self._restore(state)
         elif folder:
             # Not before the state could be made: what fails here costs nothing.
             folder.begin(asked)
-        self.state = place(state, learner.partition(state), self.mesh)
+        self.state = place(state, partition_of(learner, state), self.mesh)
 
     @property
     def env_steps(self) -> int:
@@ -208,7 +216,8 @@ class Run:
         self._stop_if(["the policy"] if lost else [])
         if self.folder and self.checkpoints:
             facts = facts_of(self.folder, self.asked, self.done, self._clock())
-            self.checkpoints.save(self.done, self.state, facts)
+            kept = stored(self.state, self.env_params)
+            self.checkpoints.save(self.done, kept, facts)
             # So that a run can be evaluated and drawn while it goes on.
             self._export(policy)
 
@@ -226,14 +235,19 @@ class Run:
     def _restore(self, template: Any) -> Any:
         """The train state to go on from, with all that is known of the run so far."""
         assert self.checkpoints and self.folder
-        found = restore(self.folder, self.checkpoints, self.asked, template)
+        found = restore(
+            self.folder,
+            self.checkpoints,
+            self.asked,
+            stored(template, self.env_params),
+        )
         if found is None:
             return template
-        state, facts = found
+        kept, facts = found
         self.episodes.restore(self.folder.episodes.read())
         self.done = facts["updates"]
         self.wall_s = self.wall_before = facts["wall_s"]
-        return state
+        return kept.learner
 
     def _evaluate(
         self, policy: Policy, episodes: int

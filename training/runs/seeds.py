@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
 from jaxrod.envs import Environment
-from jaxrod.training.algorithm import Algorithm, find_algorithm
+from jaxrod.training.algorithm import Algorithm
+from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.settings import check_steps
 from jaxrod.validation import check_count, check_seed
 
@@ -32,7 +33,7 @@ def train_seeds(
 
     Args:
         env: the environment.
-        algorithm: a name, or an `Algorithm`.
+        algorithm: a name, an import path `module:NAME`, or an `Algorithm`.
         steps: control steps of each run, rounded up to whole updates.
         seeds: the seeds.
         config: settings of the algorithm, None for its defaults.
@@ -47,8 +48,7 @@ def train_seeds(
     Raises:
         ValueError: an argument or a setting makes no sense.
     """
-    learner = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
-    config = learner.checked(config)
+    learner, config = resolve(algorithm, config)
     learner.validate(config, 1)
     steps = check_count("steps", steps, 1)
     if not isinstance(seeds, Sequence):
@@ -56,7 +56,7 @@ def train_seeds(
     if not seeds:
         raise ValueError("seeds must hold at least one seed, got none")
     seeds = [check_seed(seed, "seeds") for seed in seeds]
-    per_update = learner.steps_per_update(config)
+    per_update = updates_of(learner, config)
     updates = check_steps(steps, per_update)
     params = env.default_params() if env_params is None else env_params
 

@@ -22,7 +22,7 @@ def split_output(
     return mean, jnp.clip(log_std, *LOG_STD_LIMITS)
 
 
-def squash(
+def tanh_gaussian(
     mean: Float[Array, "*batch action"],
     log_std: Float[Array, "*batch action"],
     noise: Float[Array, "*batch action"],

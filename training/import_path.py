@@ -1,0 +1,96 @@
+"""Objects by import path, `module:NAME`: how a run finds a user's code again."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+
+def find_object(path: str) -> Any:
+    """Imports the object that an import path names.
+
+    Modules are also looked for in the current folder.
+
+    Args:
+        path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM".
+
+    Raises:
+        ValueError: it is no import path.
+        ImportError: there is no such module or object, or importing it failed.
+    """
+    name, colon, attribute = path.partition(":")
+    if not (name and colon and attribute):
+        raise ValueError(f"an import path is module:NAME, got {path!r}")
+    module = _import(name, path)
+    try:
+        return reduce(getattr, attribute.split("."), module)
+    except AttributeError:
+        raise ImportError(f"{path}: module {name} has no {attribute}") from None
+
+
+def import_path(value: Any) -> str | None:
+    """Import path of a function or class, None if it cannot be found by one.
+
+    A module run as a script is named after its file.
+    """
+    module = getattr(value, "__module__", None)
+    name = getattr(value, "__qualname__", None)
+    if not isinstance(module, str) or not isinstance(name, str):
+        return None
+    return _path(module, name, value)
+
+
+def import_path_in(module: str, value: Any) -> str | None:
+    """Import path of an object that a module holds, None if it does not hold it."""
+    held = getattr(sys.modules.get(module), "__dict__", {})
+    names = [name for name, one in held.items() if one is value]
+    return _path(module, names[0], value) if names else None
+
+
+def _path(module: str, name: str, value: Any) -> str | None:
+    try:
+        found = reduce(getattr, name.split("."), sys.modules[module])
+    except (AttributeError, KeyError):  # A lambda, or defined in a function.
+        return None
+    importable = _importable(module)
+    return f"{importable}:{name}" if found is value and importable else None
+
+
+def _importable(module: str) -> str | None:
+    """Name under which a module is imported in another process."""
+    if module != "__main__":
+        return module
+    main = sys.modules["__main__"]
+    spec = getattr(main, "__spec__", None)
+    if spec is not None:  # python -m package.module
+        return spec.name
+    file = getattr(main, "__file__", None)
+    return Path(file).stem if file else None
+
+
+def _import(name: str, path: str) -> Any:
+    if _importable("__main__") == name:
+        return sys.modules["__main__"]  # Not a second time, with other objects.
+    here = os.getcwd()
+    sys.path.append(here)
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name and f"{name}.".startswith(f"{error.name}."):
+            raise ImportError(
+                f"{path}: there is no module {error.name}, neither installed nor in "
+                f"{here}"
+            ) from None
+        raise
+    except ImportError:
+        raise
+    except Exception as error:
+        raise ImportError(
+            f"{path}: importing {name} failed: {type(error).__name__}: {error}"
+        ) from error
+    finally:
+        sys.path.remove(here)

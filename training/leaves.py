@@ -1,0 +1,84 @@
+"""Leaves of a pytree by their paths, as arrays that NumPy writes without pickle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def named_leaves(tree: Any, root: str) -> dict[str, Any]:
+    """Leaves by name, the root and the path; empty ones hold nothing to store."""
+    leaves = jax.tree.leaves_with_path(tree)
+    return {_name(root, path): leaf for path, leaf in leaves if leaf.size}
+
+
+def with_leaves(template: Any, root: str, leaves: dict[str, Any]) -> Any:
+    """A tree like another one, with the leaves of these names put in."""
+    return jax.tree_util.tree_map_with_path(
+        lambda path, leaf: leaves.get(_name(root, path), leaf), template
+    )
+
+
+def described(leaf: Any) -> str:
+    """Kind and shape of a leaf."""
+    return f"{leaf.dtype}{list(_numbers(leaf).shape)}"
+
+
+def to_array(leaf: Any) -> np.ndarray:
+    """A leaf as an array that NumPy can write: bfloat16 and its kin as integers."""
+    array = np.asarray(_numbers(leaf))
+    return array.view(f"u{array.itemsize}") if array.dtype.kind == "V" else array
+
+
+def from_array(array: np.ndarray, leaf: Any) -> Any:
+    """An array as a leaf of the kind of another one.
+
+    Raises:
+        ValueError: it is of another kind or shape.
+    """
+    numbers = _numbers(leaf)
+    dtype = np.dtype(numbers.dtype)
+    array = array.view(dtype) if dtype.kind == "V" else array
+    if (array.dtype, array.shape) != (dtype, numbers.shape):
+        raise ValueError(f"an array is {array.dtype}{list(array.shape)} in truth")
+    if not is_key(leaf):
+        return array
+    return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
+
+
+def differences_of_leaves(wanted: dict[str, str], found: dict[str, str]) -> str:
+    """Differences of two sets of described leaves in words, empty if there are none."""
+    apart = [f"lacks {name}" for name in sorted(wanted.keys() - found.keys())]
+    apart += [f"has {name} besides" for name in sorted(found.keys() - wanted.keys())]
+    apart += [
+        f"holds {found[name]} at {name}, this run needs {wanted[name]}"
+        for name in sorted(wanted.keys() & found.keys())
+        if wanted[name] != found[name]
+    ]
+    if not apart:
+        return ""
+    more = f", and {len(apart) - 3} more" if len(apart) > 3 else ""
+    return f"{', '.join(apart[:3])}{more}{_hint(apart)}"
+
+
+def is_key(leaf: Any) -> bool:
+    """Whether a leaf is a typed random key."""
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _hint(apart: list[str]) -> str:
+    """What mostly makes every number another one."""
+    double = all("float32" in one and "float64" in one for one in apart[:3])
+    return " (is JAX_ENABLE_X64 as it was?)" if double else ""
+
+
+def _name(root: str, path: Any) -> str:
+    return root + jax.tree_util.keystr(path)
+
+
+def _numbers(leaf: Any) -> Any:
+    """A leaf, or the words of one that is a key."""
+    return jax.random.key_data(leaf) if is_key(leaf) else leaf

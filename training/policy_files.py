@@ -1,0 +1,267 @@
+"""Policies as two files without pickle: policy.json and policy.npz.
+
+A multilayer perceptron (format 1) is written so that anything can read it: its layers,
+its activation, its normalisation. Of any other policy (format 2) the arrays are written
+under their paths in the pytree; what they are put back into is made by the code that
+trained it, see `load_policy`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.files import (
+    OBJECT,
+    check_entries,
+    one_of,
+    read_json,
+    reading,
+    whole,
+    write_atomically,
+)
+from jaxrod.training.leaves import (
+    differences_of_leaves,
+    named_leaves,
+    to_array,
+    with_leaves,
+)
+from jaxrod.training.normalisation import RunningMoments
+from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy, held_for
+
+PERCEPTRON, PYTREE = 1, 2
+"""Formats of the files; there will be others when their meaning changes."""
+
+_ROOT = "policy"
+_MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
+
+
+def save_policy(
+    policy: Any, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> None:
+    """Writes `policy.json` (what it is) and `policy.npz` (its numbers).
+
+    Args:
+        policy: an `MLPPolicy`, or any other pytree of arrays.
+        folder: made if missing.
+        about: further facts for the JSON file, such as the task.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(policy, MLPPolicy):
+        description, arrays = _perceptron(policy)
+    else:
+        description, arrays = _pytree(policy)
+    description |= {"action_repeat": held_for(policy), "about": dict(about or {})}
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    write_atomically(folder / "policy.npz", buffer.getvalue())
+    text = json.dumps(description, indent=2) + "\n"
+    write_atomically(folder / "policy.json", text.encode())
+
+
+def load_policy(folder: str | Path, like: Any = None) -> Any:
+    """Reads a policy written by `save_policy`.
+
+    Args:
+        folder: that of the policy.
+        like: a policy of the same structure, whose numbers do not matter; see
+            `jaxrod.training.untrained_policy`. Only needed for what is no
+            `MLPPolicy`. `jaxrod.training.restore_policy` makes it from a run.
+
+    Returns:
+        An `MLPPolicy`, or a policy like `like`.
+
+    Raises:
+        ValueError: the folder holds no policy, or one of another format or structure,
+            or a file is damaged or holds what no policy can be; with the name of the
+            file.
+    """
+    folder = Path(folder)
+    texts, numbers = folder / "policy.json", folder / "policy.npz"
+    for file in (texts, numbers):
+        if not file.is_file():
+            raise ValueError(
+                f"{folder} must hold policy.json and policy.npz, lacks {file.name}"
+            )
+    description = read_json(texts)
+    with reading(texts):
+        _check_description(description)
+    perceptron = description["format"] == PERCEPTRON
+    if not perceptron and like is None:
+        raise ValueError(
+            f"{folder} holds a policy that is no multilayer perceptron: it is read "
+            "with like=, a policy of the same structure, or by "
+            "jaxrod.training.restore_policy, which asks the run it is of"
+        )
+    with reading(numbers):
+        if not zipfile.is_zipfile(numbers):
+            raise ValueError("it is torn")
+        with np.load(numbers, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        if perceptron:
+            _check_numbers(arrays, description)
+    if not perceptron:
+        return _put_into(like, numbers, arrays)
+    found = {name: jnp.asarray(array) for name, array in arrays.items()}
+    return MLPPolicy(
+        moments=RunningMoments(
+            found["observation_count"],
+            found["observation_mean"],
+            found["observation_variance"],
+        ),
+        limit=found["observation_limit"],
+        layers=tuple(
+            (found[f"kernel_{i}"], found[f"bias_{i}"])
+            for i in range(description["layers"])
+        ),
+        activation=description["activation"],
+        output=description["output"],
+        # Policies written before it was told decided at every control step.
+        action_repeat=description.get("action_repeat", 1),
+    )
+
+
+def needs_structure(folder: str | Path) -> bool:
+    """Whether `load_policy` needs `like` for the policy in a folder."""
+    file = Path(folder) / "policy.json"
+    return file.is_file() and read_json(file).get("format") == PYTREE
+
+
+def _perceptron(policy: MLPPolicy) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Description and numbers of a multilayer perceptron."""
+    arrays = {
+        "observation_count": policy.moments.count,
+        "observation_mean": policy.moments.mean,
+        "observation_variance": policy.moments.variance,
+        "observation_limit": policy.limit,
+    }
+    for i, (kernel, bias) in enumerate(policy.layers):
+        arrays |= {f"kernel_{i}": kernel, f"bias_{i}": bias}
+    description = {
+        "format": PERCEPTRON,
+        "activation": policy.activation,
+        "output": policy.output,
+        "layers": len(policy.layers),
+        "observation_size": int(policy.layers[0][0].shape[0]),
+        "action_size": int(policy.layers[-1][1].shape[0]),
+    }
+    return description, {name: np.asarray(array) for name, array in arrays.items()}
+
+
+def _pytree(policy: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Description and numbers of any other policy."""
+    leaves = named_leaves(jax.tree.map(jnp.asarray, policy), _ROOT)
+    kinds = {name: str(leaf.dtype) for name, leaf in leaves.items()}
+    arrays = {name: to_array(leaf) for name, leaf in leaves.items()}
+    return {"format": PYTREE, "leaves": kinds}, arrays
+
+
+def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
+    """A policy of the structure of another one, with the numbers of a file.
+
+    Of floating-point numbers the width may be another one: policies are evaluated in
+    other precisions than they were trained in.
+
+    Raises:
+        ValueError: they are not the numbers of such a policy.
+    """
+    leaves = named_leaves(like, _ROOT)
+    for name in leaves.keys() & arrays.keys():
+        dtype = np.dtype(leaves[name].dtype)
+        if dtype.kind == "V" and arrays[name].dtype == f"u{dtype.itemsize}":
+            arrays[name] = arrays[name].view(dtype)
+    apart = differences_of_leaves(
+        {name: _kind(leaf) for name, leaf in leaves.items()},
+        {name: _kind(array) for name, array in arrays.items()},
+    )
+    if apart:
+        raise ValueError(
+            f"{file} is of another policy than the algorithm and the settings of this "
+            f"run make: it {apart}"
+        )
+    with reading(file):
+        for name, array in arrays.items():
+            if np.isnan(array).any():
+                raise ValueError(f"{name!r} holds what is not a number")
+    # Leaves without elements hold nothing and are not stored.
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
+    found = {name: jnp.asarray(array) for name, array in arrays.items()}
+    return with_leaves(empty, _ROOT, found)
+
+
+def _kind(array: Any) -> str:
+    """Kind and shape of an array, whatever its precision."""
+    return f"{np.dtype(array.dtype).name.rstrip('0123456789')}{list(array.shape)}"
+
+
+def _check_description(description: dict[str, Any]) -> None:
+    """Raises ValueError unless this can describe a policy."""
+    if description.get("format") == PYTREE:
+        check_entries(description, {"leaves": OBJECT}, _MAY_LACK)
+        return
+    if description.get("format") != PERCEPTRON:
+        raise ValueError(
+            f"it is of format {description.get('format')!r}, this version reads "
+            f"formats {PERCEPTRON} and {PYTREE}"
+        )
+    check_entries(
+        description,
+        {
+            "activation": one_of(*ACTIVATIONS),
+            "output": one_of(*OUTPUTS),
+            "layers": whole(1, 1000),
+            "observation_size": whole(1),
+            "action_size": whole(1),
+        },
+        _MAY_LACK,
+    )
+
+
+def _check_numbers(
+    arrays: dict[str, np.ndarray], description: Mapping[str, Any]
+) -> None:
+    """Raises ValueError unless these are the numbers of the policy described."""
+    layers = range(description["layers"])
+    names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
+    names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}
+    for name in sorted(names ^ arrays.keys()):
+        if name in names:
+            raise ValueError(f"it lacks {name!r}, which follows from policy.json")
+        raise ValueError(f"it has {name!r}, which does not follow from policy.json")
+    sizes = [description["observation_size"]]
+    sizes += [arrays[f"bias_{i}"].size for i in layers[:-1]]
+    sizes += [description["action_size"]]
+    shapes: dict[str, tuple[int, ...]] = {
+        "observation_count": (),
+        "observation_limit": (),
+        "observation_mean": (sizes[0],),
+        "observation_variance": (sizes[0],),
+    }
+    for i in layers:
+        shapes |= {
+            f"kernel_{i}": (sizes[i], sizes[i + 1]),
+            f"bias_{i}": (sizes[i + 1],),
+        }
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if array.shape != shape:
+            raise ValueError(
+                f"{name!r} has the shape {array.shape}, not {shape}, which follows "
+                "from policy.json"
+            )
+        if array.dtype.kind != "f" or not np.isfinite(array).all():
+            raise ValueError(f"{name!r} must hold finite numbers")
+    for name in ("observation_count", "observation_variance"):
+        if (arrays[name] < 0).any():
+            raise ValueError(f"{name!r} must not be negative")
+    if arrays["observation_limit"] <= 0:
+        raise ValueError("'observation_limit' must be positive")

@@ -1,0 +1,174 @@
+"""Checks of an algorithm: that it keeps to what `Algorithm` says, in words."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import PartitionSpec
+
+from jaxrod.envs import Environment, EpisodeRecord
+from jaxrod.training.algorithm import Algorithm, Metrics, find_algorithm
+from jaxrod.validation import check_count
+
+
+def resolve(algorithm: str | Algorithm, config: Any) -> tuple[Algorithm, Any]:
+    """The algorithm of a name, and its configuration.
+
+    Args:
+        algorithm: a name, an import path or an `Algorithm`.
+        config: its configuration, None for the defaults.
+
+    Raises:
+        ValueError: there is no such algorithm, the configuration is of another one, or
+            either is not what `Algorithm` says; with the name of what is wrong.
+    """
+    if isinstance(algorithm, str):
+        algorithm = find_algorithm(algorithm)
+    if not isinstance(algorithm, Algorithm):
+        raise ValueError(
+            "algorithm must be a name, an import path or a jaxrod.training.Algorithm, "
+            f"got {algorithm!r:.80}"
+        )
+    name = algorithm.name
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"an algorithm's name must be text, got {name!r}")
+    for part in ("steps_per_update", "init", "update", "policy", "validate"):
+        if not callable(getattr(algorithm, part)):
+            raise ValueError(f"{part} of {name} must be a function")
+    if algorithm.partition is not None and not callable(algorithm.partition):
+        raise ValueError(f"partition of {name} must be a function or None")
+    kind = algorithm.config_type
+    if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
+        raise ValueError(f"config_type of {name} must be a class made by jaxrod.pytree")
+    config = algorithm.checked(config)
+    for path, leaf in jax.tree.leaves_with_path(config):
+        if leaf is config:
+            raise ValueError(
+                f"config_type of {name}, {kind.__name__}, must be made by jaxrod.pytree"
+            )
+        if not isinstance(leaf, int | float | np.ndarray | np.generic | jax.Array):
+            raise ValueError(
+                f"{jax.tree_util.keystr(path)[1:]} of {kind.__name__} must be a "
+                f"number, or declared as jaxrod.static(), got {leaf!r:.80}"
+            )
+    return algorithm, config
+
+
+def updates_of(algorithm: Algorithm, config: Any) -> int:
+    """Control steps of one update, checked."""
+    steps = algorithm.steps_per_update(config)
+    return check_count(f"steps_per_update of {algorithm.name}", steps, 1)
+
+
+def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
+    """Checks what an algorithm makes of its first train state; computes nothing.
+
+    Args:
+        algorithm: that made the state.
+        state: as `init` returned it.
+        env: the environment.
+
+    Raises:
+        ValueError: `update`, `policy` or `partition` is not what `Algorithm` says.
+    """
+    name = algorithm.name
+    after = jax.eval_shape(lambda state: algorithm.update(state), state)
+    if not (isinstance(after, tuple) and len(after) == 2):
+        raise ValueError(f"update of {name} must return (state, Metrics)")
+    _check_same_form(name, state, after[0])
+    _check_metrics(name, after[1])
+    _check_policy(name, jax.eval_shape(algorithm.policy, state), env)
+    if algorithm.partition is not None:
+        specs = algorithm.partition(state)
+        try:
+            jax.tree.map(
+                lambda spec, part: None,
+                specs,
+                state,
+                is_leaf=lambda leaf: isinstance(leaf, PartitionSpec),
+            )
+        except ValueError as error:
+            raise ValueError(
+                f"partition of {name} must return a tree prefix of the train state: "
+                f"{error}"
+            ) from None
+
+
+def _check_same_form(name: str, before: Any, after: Any) -> None:
+    """Raises ValueError unless two states have the same structure and types."""
+    forms = [
+        {
+            jax.tree_util.keystr(path): f"{leaf.dtype}{list(leaf.shape)}"
+            for path, leaf in jax.tree.leaves_with_path(state)
+        }
+        for state in (before, after)
+    ]
+    for path in sorted(forms[0].keys() | forms[1].keys()):
+        was, becomes = (form.get(path, "nothing") for form in forms)
+        if was != becomes:
+            raise ValueError(
+                f"update of {name} must keep the form of the train state: state{path} "
+                f"was {was} and becomes {becomes}"
+            )
+    structures: list[Any] = [jax.tree.structure(state) for state in (before, after)]
+    if structures[0] != structures[1]:
+        raise ValueError(f"update of {name} must keep the structure of the train state")
+
+
+def _check_metrics(name: str, metrics: Any) -> None:
+    """Raises ValueError unless these are the metrics of an update."""
+    if not isinstance(metrics, Metrics):
+        raise ValueError(
+            f"update of {name} must return Metrics beside the state, got "
+            f"{type(metrics).__name__}"
+        )
+    scalars = metrics.scalars
+    if not isinstance(scalars, dict) or not all(
+        isinstance(key, str) and getattr(value, "shape", None) == ()
+        for key, value in scalars.items()
+    ):
+        raise ValueError(f"metrics.scalars of {name} must be single numbers by name")
+    episodes = metrics.episodes
+    shapes = {leaf.shape for leaf in jax.tree.leaves(episodes)}
+    if (
+        not isinstance(episodes, EpisodeRecord)
+        or len(shapes) != 1
+        or len(next(iter(shapes))) != 2
+    ):
+        raise ValueError(
+            f"metrics.episodes of {name} must be an EpisodeRecord with arrays of shape "
+            f"(steps, num_envs), as VectorEnvironment.step returns them"
+        )
+
+
+def _check_policy(name: str, policy: Any, env: Environment) -> None:
+    """Raises ValueError unless this is a policy for an environment."""
+    if not callable(policy):
+        raise ValueError(
+            f"policy of {name} must return what is called as policy(observation), got "
+            f"a {type(policy).__name__}"
+        )
+    if any(
+        jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        for leaf in jax.tree.leaves(policy)
+    ):
+        raise ValueError(f"policy of {name} must be deterministic, it holds a key")
+    size, actions = env.observation_size, env.action_size
+    # A batch of a size that nothing else has.
+    for leading in ((), (size + actions + 1,)):
+        observation = jax.ShapeDtypeStruct((*leading, size), jnp.result_type(float))
+        demand = (
+            f"policy of {name} must map observations of shape {observation.shape} to "
+            f"actions of shape {(*leading, actions)}"
+        )
+        try:
+            action = jax.eval_shape(lambda p, o: p(o), policy, observation)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{demand}: {error}") from error
+        if getattr(action, "shape", None) != (*leading, actions):
+            shape = getattr(action, "shape", type(action).__name__)
+            raise ValueError(f"{demand}, got {shape}")

@@ -1,0 +1,73 @@
+"""The policy of a run, whatever algorithm and network it is of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxrod.envs import Environment
+from jaxrod.files import reading
+from jaxrod.training.algorithm import Algorithm
+from jaxrod.training.policy import Policy
+from jaxrod.training.policy_files import load_policy, needs_structure
+from jaxrod.training.runs.contract import resolve, updates_of
+from jaxrod.training.runs.folder import RunFolder
+from jaxrod.training.runs.owned_folder import CONFIG
+from jaxrod.training.runs.recorded_settings import restored
+
+
+def restore_policy(
+    run: str | Path, env: Environment, *, env_params: Any = None
+) -> Policy:
+    """Reads the policy of a run.
+
+    Args:
+        run: folder of the run.
+        env: the environment it was trained on.
+        env_params: parameters of the environment, None for its own.
+
+    Raises:
+        ValueError: there is no run, it has no policy yet, or a file is damaged; with
+            its name.
+        ImportError: the algorithm or a network that it was trained with is not found.
+    """
+    folder = RunFolder(run)
+    stored = folder.config()
+    if not needs_structure(folder.policy):
+        return load_policy(folder.policy)
+    with reading(folder.path / CONFIG):
+        algorithm, config = resolve(stored["algorithm"], None)
+        config = restored(config, stored["settings"])
+    like = untrained_policy(env, algorithm, config, env_params=env_params)
+    return load_policy(folder.policy, like)
+
+
+def untrained_policy(
+    env: Environment,
+    algorithm: str | Algorithm = "ppo",
+    config: Any = None,
+    *,
+    env_params: Any = None,
+) -> Any:
+    """Structure of the policy that training would make; computes nothing.
+
+    Args:
+        env: the environment.
+        algorithm: a name, an import path or an `Algorithm`.
+        config: settings of the algorithm, None for its defaults.
+        env_params: parameters of the environment, None for its own.
+
+    Returns:
+        The policy, with shapes and types (`jax.ShapeDtypeStruct`) in place of numbers.
+    """
+    algorithm, config = resolve(algorithm, config)
+    algorithm.validate(config, 1)
+    params = env.default_params() if env_params is None else env_params
+    steps = updates_of(algorithm, config)
+
+    def make(key: jax.Array) -> Any:
+        return algorithm.policy(algorithm.init(key, env, config, params, steps))
+
+    return jax.eval_shape(make, jax.random.key(0))
