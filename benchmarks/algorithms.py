@@ -43,7 +43,7 @@ tables with its default, and every one that the grid sets in the first or the th
 
 A decision is one control step, or `action_repeat` of them under the same action, whose
 rewards are added up. Control steps are what is counted everywhere. An exported policy
-says for how many its actions are to be held (`action_repeat` of the policy); evaluations and
+says for how many its actions are to be held (its `action_repeat`); evaluations and
 replays do so.
 
 Off-policy learners alternate: `num_envs * rollout_steps` decisions, then
