@@ -20,7 +20,7 @@ Variants:
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -84,6 +84,8 @@ class TrackingState:
 
     arm: RodState
     """The arm."""
+    muscles: Any
+    """Memory of its muscles."""
     target: Target
     """The target."""
     steps: Int[Array, ""]
@@ -158,7 +160,12 @@ class Tracking:
     ) -> tuple[Float[Array, " observation"], TrackingState]:
         """The arm straight and at rest, the target anywhere in its box."""
         target = moving_target.start(key, params.target)
-        state = TrackingState(params.arm.rest, target, jnp.zeros((), jnp.int32))
+        state = TrackingState(
+            arm=params.arm.rest,
+            muscles=params.arm.relaxed(),
+            target=target,
+            steps=jnp.zeros((), jnp.int32),
+        )
         return self.observe(state), state
 
     def step(
@@ -179,10 +186,8 @@ class Tracking:
         bends = jnp.reshape(action, (2, N_CONTROLS))
         controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
         before = state.arm
-        # Muscles that remember nothing: their spline is read again even where an
-        # action repeats the one before.
-        arm, _, crashed = params.arm.advance(
-            before, params.arm.relaxed(), controls, params.dt, self.substeps
+        arm, muscles, crashed = params.arm.advance(
+            before, state.muscles, controls, params.dt, self.substeps
         )
         # The published walls are tested after every half step.
         target = moving_target.fly(
@@ -193,7 +198,7 @@ class Tracking:
         velocity = jnp.where(
             turning, moving_target.heading(key, params.target.speed), target.velocity
         )
-        state = TrackingState(arm, Target(target.position, velocity), steps)
+        state = TrackingState(arm, muscles, Target(target.position, velocity), steps)
 
         distance_squared = jnp.sum((arm.tip - target.position) ** 2)
         reward = distance_reward(distance_squared, params.bonus)
