@@ -5,11 +5,17 @@ from __future__ import annotations
 import argparse
 import ast
 import dataclasses
+import itertools
+import textwrap
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from jaxrod.cli.field_meanings import field_meanings
+
+_WIDTH = 88
+"""Columns of a listing."""
 _USUAL = "default"
 """Word for the function that is used where a setting names none."""
 
@@ -82,18 +88,29 @@ def options(words: Sequence[str]) -> dict[str, Any]:
 
 
 def listing(defaults: Any) -> str:
-    """Every setting with its default."""
+    """Every setting with its default and its meaning."""
     from jaxrod.training.import_path import import_path
     from jaxrod.training.runs.recorded_settings import is_function
 
-    lines = []
+    meanings = field_meanings(type(defaults))
+    rows = []
     for field in dataclasses.fields(defaults):
         value = getattr(defaults, field.name)
         shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
         if is_function(value):
             shown = _USUAL if value is None else import_path(value) or value
-        lines.append(f"{field.name}={shown}")
-    return "\n".join(lines)
+        rows.append((f"{field.name}={shown}", meanings.get(field.name, "")))
+    width = max(len(setting) for setting, _ in rows) + 2
+    lines = [
+        textwrap.wrap(
+            f"{setting:<{width}}{meaning}",
+            _WIDTH,
+            subsequent_indent=" " * width,
+            drop_whitespace=True,
+        )
+        for setting, meaning in rows
+    ]
+    return "\n".join(itertools.chain.from_iterable(lines))
 
 
 def count(text: str) -> int:

@@ -47,7 +47,7 @@ examples:
   jaxrod train tracking --set network=my_module:my_network        your own network
   jaxrod train tracking --json > result.json               for a script: summary.json
 
-`--set help` lists the settings of the algorithm with their defaults.
+`--set help` lists the settings of the algorithm, their defaults and what they mean.
 """
 
 

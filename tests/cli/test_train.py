@@ -245,8 +245,12 @@ def test_what_is_no_count_is_told_in_words(run):
 def test_settings_can_be_listed(run):
     code, out, _ = run("train", "trivial", "--set", "help")
     assert code == 0
-    assert "learning_rate=0.001" in out.splitlines()
-    assert "hidden_sizes=64,64" in out.splitlines()
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert "learning_rate=0.001 Step size of Adam at the start." in lines
+    # Of a base class, and of the learner itself: none without a meaning.
+    settings = [line for line in out.splitlines() if "=" in line.split()[0]]
+    assert any(line.startswith("hidden_sizes=64,64 ") for line in settings)
+    assert all(len(line.split()) > 2 for line in settings)
 
 
 @pytest.mark.parametrize(

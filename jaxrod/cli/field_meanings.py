@@ -1,0 +1,45 @@
+"""The meaning of a dataclass's fields, as their source says it."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from typing import Any
+
+
+def field_meanings(kind: type) -> dict[str, str]:
+    """The string under each field of a class and its bases, on one line.
+
+    Python keeps no docstrings of fields: they are read from the source, and a field of
+    a class without one (typed into an interpreter) has none.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        found |= _own_meanings(base)
+    return found
+
+
+def _own_meanings(kind: type) -> dict[str, str]:
+    try:
+        source = textwrap.dedent(inspect.getsource(kind))
+    except (OSError, TypeError):
+        return {}
+    (definition,) = ast.parse(source).body
+    assert isinstance(definition, ast.ClassDef)
+    pairs = zip(definition.body, definition.body[1:], strict=False)
+    return {
+        before.target.id: " ".join(text.split())
+        for before, after in pairs
+        if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name)
+        if (text := _text(after))
+    }
+
+
+def _text(statement: ast.stmt) -> str:
+    """A statement that is a string alone; empty for any other."""
+    if not isinstance(statement, ast.Expr):
+        return ""
+    value: Any = statement.value
+    is_text = isinstance(value, ast.Constant) and isinstance(value.value, str)
+    return value.value if is_text else ""
