@@ -21,7 +21,7 @@ def drawable(env: Environment) -> TypeGuard[Drawable]:
 
 
 def missing(env: Environment) -> str:
-    """What an environment lacks to be drawn, in a sentence; empty if nothing."""
+    """Missing parts of an environment that is to be drawn, in a sentence; empty if nothing."""
     lacks = []
     if not callable(getattr(env, "snapshot", None)):
         lacks.append("no method snapshot(state, params)")
@@ -134,7 +134,7 @@ def _nodes(seen: Snapshot) -> Float[np.ndarray, "rods 3 n+1"]:
 
 
 def _lasting(name: str, values: Any) -> np.ndarray:
-    """What is the same in all frames."""
+    """Parts that are the same in all frames."""
     if not np.array_equal(values, np.broadcast_to(values[:1], values.shape)):
         raise ValueError(f"{name} of a snapshot must not change during an episode")
     return values[0]

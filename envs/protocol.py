@@ -110,7 +110,7 @@ class Drawable(Environment, Protocol):
         """Time between actions [s]."""
 
     def snapshot(self, state: State, params: Params) -> Snapshot:
-        """What there is to see.
+        """Bodies to be drawn.
 
         Args:
             state: of the moment.

@@ -79,7 +79,7 @@ By identity, because what is equal may have been made otherwise, or not by `make
 def _made_by(
     task: str, build: Callable[..., Any], options: Mapping[str, Any]
 ) -> Environment:
-    """What a callable of somebody's own makes, if that is an environment."""
+    """Environment that a callable of somebody's own makes."""
     try:
         env = build(**options)
         check_facts(env)

@@ -21,7 +21,7 @@ DEVICE_AXIS = "env"
 
 @pytree
 class Metrics:
-    """What one update reports.
+    """Report of one update.
 
     Attributes:
         scalars: named numbers, the same on every device.

@@ -217,7 +217,7 @@ class NetworkPolicy:
     action_size: int = static()
     """Number of actions: the first outputs."""
     output: str = static(default="clip")
-    """What bounds the action: "clip" or "tanh"."""
+    """Bound of the action: "clip" or "tanh"."""
     action_repeat: int = static(default=1)
     """Control steps for which an action is to be held, as in training."""
 

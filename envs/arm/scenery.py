@@ -1,4 +1,4 @@
-"""What there is to see of a task of the benchmark: arm, target, obstacles."""
+"""Scenery of a task of the benchmark: arm, target, obstacles."""
 
 from __future__ import annotations
 

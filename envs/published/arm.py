@@ -117,7 +117,7 @@ class PublishedArm:
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
     def scene(self, couples: Float[Array, "3 n"] | None = None) -> Scene:
-        """What acts on the arm.
+        """Scene of the arm: all that acts on it.
 
         Args:
             couples: Of the muscles on the elements, material frame [N m]; `None` for

@@ -27,7 +27,7 @@ from jaxrod.validation import Numbers
 
 
 class CleanTask(Drawable, Protocol):
-    """What is asked of a task of the benchmark: all four have it."""
+    """Parts of a task of the benchmark that a problem needs: all four have them."""
 
     @property
     def variant(self) -> str:

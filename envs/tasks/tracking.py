@@ -80,7 +80,7 @@ class TrackingParams:
 
 @pytree
 class TrackingState:
-    """What changes during an episode."""
+    """State of an episode."""
 
     arm: RodState
     """The arm."""

@@ -50,7 +50,7 @@ FILES = (
     "convergence.png",
     "replay.html",
 )
-"""What is written, beside config.json."""
+"""Files that are written, beside config.json."""
 
 ASKED = (
     "task",
@@ -66,7 +66,7 @@ ASKED = (
     "elements",
     "double",
 )
-"""What config.json keeps of what was asked for."""
+"""The request, as config.json keeps it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -23,7 +23,7 @@ PAPER_CASES = {
     "structured": "Case3",
     "unstructured": "Case4",
 }
-"""What the paper calls a task."""
+"""The paper's names of the tasks."""
 
 _SCORE_WINDOWS = {"structured": 10, "unstructured": 10}
 _SCORE_WINDOW = 50
@@ -187,7 +187,7 @@ def describe(config: Mapping[str, Any]) -> str:
 
 
 def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
-    """What the paper reached at this; None where scores do not compare.
+    """The paper's result at this; None where scores do not compare.
 
     Args:
         config: as in `config.json`.

@@ -319,7 +319,7 @@ def _default_variant(task: str) -> str | None:
 def _chosen(
     given: Any, stored: Mapping[str, Any] | None, name: str, default: Any
 ) -> Any:
-    """What was given now, else what the run was started with, else the default."""
+    """The value given now, else that of the run when it began, else the default."""
     if given is not None:
         return given
     return stored.get(name, default) if stored else default

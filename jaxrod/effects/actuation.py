@@ -99,7 +99,7 @@ class ControlSpline:
         return _combined(self.basis(points), controls)
 
     def basis(self, points: Float[Array, " m"]) -> Float[Array, "m n_controls"]:
-        """What each control value contributes at the given arc lengths [m]."""
+        """Contribution of each control value at the given arc lengths [m]."""
         piece = jnp.sum(points[:, None] >= self.breaks[None, :], axis=1)
         local = points - self.origins[piece]
         powers = jnp.stack([jnp.ones_like(local), local, local**2, local**3])

@@ -25,7 +25,7 @@ Reach = Literal["neighbours", "any"]
 
 @pytree
 class StabilityBound:
-    """What an effect may add to the stiffness and drag of a rod: upper bounds.
+    """Upper bounds of what an effect adds to the stiffness and drag of a rod.
 
     Each is one number, or one per node or element, or `None` where there is none.
     `stable_dt` adds them up.
@@ -43,7 +43,7 @@ class StabilityBound:
 
 @pytree
 class Reaction:
-    """What a support does to a rod."""
+    """Force, couple and power of a support on a rod."""
 
     force: Float[Array, "3"]
     """On the node it holds, world frame [N]."""
@@ -161,7 +161,7 @@ class Effect:
         return None
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction | None:
-        """What the effect does to hold the rod; `None` if it does not.
+        """Force, couple and power that hold the rod; `None` if the effect does not.
 
         Args:
             rod: The rod.
@@ -202,7 +202,7 @@ class Effect:
 
     @property
     def twists(self) -> str | None:
-        """What of this effect twists a rod or turns with it about its axis, in words.
+        """The part that twists a rod or turns with it about its axis, in words.
 
         A scene without twist refuses such an effect whatever its numbers; what it can
         find out by calling `loads` needs not be said.
@@ -210,7 +210,7 @@ class Effect:
         return None
 
     def wall(self, rod: Rod) -> Wall | None:
-        """What the orientation at an end is held by, if this effect holds one.
+        """The wall that holds the orientation at an end, if this effect holds one.
 
         A scene without twist takes the frames of elements from there. The couple of an
         elastic joint has to be all there is to `loads`.

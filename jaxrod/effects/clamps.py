@@ -169,7 +169,7 @@ class FixedEnd(Effect):
         return Wall(self.orientation, None, self.end)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """What keeps the end node and the end element as they are."""
+        """The force and couple that keep the end node and the end element."""
         assert needed.couples is not None
         return _reaction_at(self.end, motion, needed, needed.couples)
 

@@ -16,7 +16,7 @@ End = Literal["start", "finish"]
 
 @pytree
 class Wall:
-    """What holds the orientation of the element at one end of a rod."""
+    """Support of the orientation of the element at one end of a rod."""
 
     orientation: Float[Array, "4"]
     """The element's orientation at rest (w, x, y, z)."""

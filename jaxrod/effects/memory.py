@@ -1,4 +1,4 @@
-"""What effects remember from step to step: fields declared with `memory()`.
+"""Memory of effects from step to step: fields declared with `memory()`.
 
 The values are part of the state, `RodState.memory`; those in the scene are what they
 begin with.
@@ -32,7 +32,7 @@ def remembers(effects: tuple[Effect, ...]) -> bool:
 
 
 def memory_of(effects: tuple[Effect, ...]) -> Memory:
-    """What the effects remember, as arrays."""
+    """Memory of the effects, as arrays."""
     return tuple(
         tuple(jax.tree.map(jnp.asarray, getattr(effect, n)) for n in _names(effect))
         for effect in effects

@@ -23,7 +23,7 @@ class Now:
     step: Int[Array, ""]
     """Whole steps since time zero."""
     memory: Memory
-    """What the effects remember."""
+    """Memory of the effects."""
 
 
 def scene_at(scene: Scene, now: Now, fraction: ArrayLike, dt: Array) -> Scene:
@@ -34,7 +34,7 @@ def scene_at(scene: Scene, now: Now, fraction: ArrayLike, dt: Array) -> Scene:
 
 
 def memory_in(scene: Scene, state: RodState) -> Memory:
-    """What the effects of a scene remember in a state."""
+    """Memory of the effects of a scene in a state."""
     return memory_of(scene.effects) if state.memory is None else state.memory
 
 

@@ -45,7 +45,7 @@ _FACTS = {
 
 @pytree
 class Stored:
-    """What a checkpoint holds."""
+    """Content of a checkpoint."""
 
     learner: Any
     """The train state of the algorithm."""
@@ -71,7 +71,7 @@ def facts_of(
 
 
 def stored(state: Any, env_params: Any) -> Stored:
-    """What is stored of a train state and the parameters of its environment."""
+    """Stored parts of a train state and the parameters of its environment."""
     return Stored(state, jax.tree.map(jnp.asarray, env_params))
 
 
