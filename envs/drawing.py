@@ -21,7 +21,7 @@ def drawable(env: Environment) -> TypeGuard[Drawable]:
 
 
 def missing(env: Environment) -> str:
-    """Missing parts of an environment that is to be drawn, in a sentence; empty if nothing."""
+    """Parts that an environment lacks to be drawn, in a sentence; empty if none."""
     lacks = []
     if not callable(getattr(env, "snapshot", None)):
         lacks.append("no method snapshot(state, params)")
