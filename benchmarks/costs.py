@@ -69,8 +69,8 @@ def scenes() -> dict[str, tuple[Scene, RodState]]:
     arm = (effects["clamp"], effects["damping"], couples)
     table["consistent, clamped, damped, actuated"] = jaxrod.make_scene(rod, *arm), state
     held = (effects["fixed end"], effects["damping"], couples)
-    legacy = jaxrod.make_scene(rod, method=jaxrod.pyelastica())
-    table["pyelastica, bare"] = legacy, state
+    published = jaxrod.make_scene(rod, method=jaxrod.pyelastica())
+    table["pyelastica, bare"] = published, state
     table["pyelastica, clamped, damped, actuated"] = (
         jaxrod.make_scene(rod, *held, method=jaxrod.pyelastica()),
         state,

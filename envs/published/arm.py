@@ -33,7 +33,7 @@ from jaxrod import (
 )
 from jaxrod.envs.arm.cylinders import Cylinders
 from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, published_rod
-from jaxrod.envs.published.contact import LegacyContact
+from jaxrod.envs.published.contact import PublishedContact
 from jaxrod.envs.published.law import ViscousDrag
 from jaxrod.envs.published.muscles import MuscleParams, Muscles, contract, relaxed
 from jaxrod.methods.planar_verlet import PlaneName
@@ -58,7 +58,7 @@ class PublishedArm:
     """Viscous drag of the medium."""
     muscles: MuscleParams
     """Parameters of the muscles."""
-    contact: LegacyContact | None
+    contact: PublishedContact | None
     """Contact with the obstacles; `None` where there are none."""
     method: PyElastica | Planar
     """Method of PyElastica's law, in the plane of motion where there is one."""
@@ -161,7 +161,7 @@ def published_arm(
 
     contact = None
     if obstacles is not None:
-        contact = LegacyContact(
+        contact = PublishedContact(
             obstacles, number(CONTACT_STIFFNESS), number(CONTACT_DAMPING), plane
         )
     return PublishedArm(

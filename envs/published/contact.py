@@ -46,7 +46,7 @@ PARALLEL = 1e-6
 
 
 @pytree
-class LegacyContact(Effect):
+class PublishedContact(Effect):
     """The published contact of an arm with cylinders; PyElastica mode only.
 
     Listed after everything else that exerts forces.
@@ -64,7 +64,7 @@ class LegacyContact(Effect):
     def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
         """Forces of contact, which depend on all forces found so far."""
         if before.forces is None:
-            raise ValueError("LegacyContact needs the forces found so far")
+            raise ValueError("PublishedContact needs the forces found so far")
         forces = self._seen(before.forces)
         # Without the barrier XLA works them out again wherever the sweep reads them.
         normals, pushes = lax.optimization_barrier(self.encounters(rod, motion))

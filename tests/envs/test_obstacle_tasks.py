@@ -9,7 +9,6 @@ import pytest
 
 from jaxrod.envs import make
 from jaxrod.envs.arm.nest import published_nest, random_nest
-from legacy_oracle import ALONG_Z, LegacyArm, Obstacle
 from playing import (
     KEY,
     check_vmap_is_a_loop,
@@ -17,6 +16,7 @@ from playing import (
     start,
     stepping,
 )
+from published_oracle import ALONG_Z, Obstacle, OracleArm
 
 VARIANTS = pytest.mark.parametrize("variant", ["paper", "clean"])
 NAMES = pytest.mark.parametrize("name", ["structured", "unstructured"])
@@ -45,7 +45,7 @@ def obstacles_of(name):
 
 
 def independent(name, knots=(0.4, 0.9)):
-    return LegacyArm(
+    return OracleArm(
         n=50,
         base=(0.0, 0.5, 0.0),
         frame=ALONG_Z,

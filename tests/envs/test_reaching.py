@@ -15,7 +15,6 @@ from jaxrod.envs.tasks.reaching import (
     reaching_reward,
     tip_frame,
 )
-from legacy_oracle import LegacyArm
 from playing import (
     KEY,
     check_vmap_is_a_loop,
@@ -25,6 +24,7 @@ from playing import (
     start,
     stepping,
 )
+from published_oracle import OracleArm
 
 VARIANTS = pytest.mark.parametrize("variant", ["paper", "clean"])
 
@@ -48,7 +48,7 @@ def test_paper_arm_moves_as_an_independent_implementation_says(paper):
     # Held actions leave the couples as they are.
     actions = jnp.concatenate([actions, jnp.tile(actions[-1:], (20, 1))])
     states, obs, *_ = play(paper, actions)
-    arm = LegacyArm()
+    arm = OracleArm()
     for action in np.asarray(actions):
         arm.control_step(action)
     assert np.max(np.abs(arm.x[-1] - [0, 1, 0])) > 0.05  # it did move

@@ -12,7 +12,7 @@ from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.moving_target import Target
 from jaxrod.envs.tasks.tracking import HEADING_STEPS, tracking
 from jaxrod.tradeoff import reference, tracking_arm
-from legacy_oracle import LegacyArm
+from published_oracle import OracleArm
 
 KEY = jax.random.key(0)
 
@@ -48,7 +48,7 @@ def test_paper_arm_moves_as_an_independent_implementation_says():
     # Short numbers: moving from one to another by their difference is exact.
     actions = jnp.round(1024 * actions) / 1024
     states, *_ = play(make("tracking", variant="paper"), actions)
-    arm = LegacyArm()
+    arm = OracleArm()
     for action in np.asarray(actions):
         arm.control_step(action)
     assert np.max(np.abs(arm.x[-1] - [0, 1, 0])) > 0.05  # it did move

@@ -7,10 +7,10 @@ import pytest
 
 from jaxrod import Loads, Motion, straight_rod
 from jaxrod.envs.arm.cylinders import cylinders
-from jaxrod.envs.published.contact import LegacyContact, boxes_overlap
+from jaxrod.envs.published.contact import PublishedContact, boxes_overlap
 from jaxrod.geometry import vectors
-from legacy_oracle import Obstacle
-from legacy_oracle import shortest as shortest_vector
+from published_oracle import Obstacle
+from published_oracle import shortest as shortest_vector
 
 N, M = 7, 5
 RADIUS, LENGTH = 0.05, 1.0
@@ -56,7 +56,7 @@ def random_case(seed):
 
 
 def contact_with(starts, directions, normals, radius=0.1):
-    return LegacyContact(
+    return PublishedContact(
         cylinders(starts, directions, normals, length=LENGTH, radius=radius),
         jnp.asarray(K),
         jnp.asarray(NU),

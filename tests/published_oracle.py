@@ -24,7 +24,7 @@ ALONG_Z = ([0.0, 1, 0], [-1, 0, 0], [0, 0, 1])
 """Rows d1, d2, d3 in Cases 3 and 4."""
 
 
-class LegacyArm:
+class OracleArm:
     """The arm of a case, by default that of Cases 1 and 2."""
 
     def __init__(
