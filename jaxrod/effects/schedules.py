@@ -85,7 +85,7 @@ class Table(Schedule):
 
 @pytree
 class Time(Schedule):
-    """Time itself [s]: for an effect of one's own with a formula of its own."""
+    """Time itself [s]: for an effect with a formula of its own."""
 
     def __call__(self, clock: Clock) -> Array:
         """The time [s]."""
@@ -93,8 +93,8 @@ class Time(Schedule):
 
     @property
     def largest(self) -> Array:
-        """None: time has no bound."""
-        return jnp.asarray(jnp.inf)
+        """Any moment, for checks of planes: time has no bound [s]."""
+        return jnp.asarray(0.739)
 
 
 def ramp(
@@ -174,7 +174,10 @@ def table(times: Numbers, values: Numbers) -> Table:
 
 
 def time() -> Time:
-    """Time itself [s]: what a field of an effect of one's own may be."""
+    """Time itself [s], for a field of an effect of your own.
+
+    Time has no bound: the effect's `stability_bound` must hold at all times without it.
+    """
     return Time()
 
 
