@@ -261,6 +261,7 @@ def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
 
 def total_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     """Kinetic plus potential energy [J]."""
+    scene = scene_of(scene, state)
     return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
 
 

@@ -224,6 +224,7 @@ def _check_counter(n_steps: Array, name: str = "n_steps") -> None:
 
 def _check_first(scene: Scene, first: int | Array) -> Array | None:
     """The step to begin with, for a scene to which it matters."""
+    check_scene(scene)
     if isinstance(first, jax.Array):
         _check_counter(first, "first")
     else:

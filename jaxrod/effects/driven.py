@@ -20,11 +20,11 @@ from jaxrod.effects.nodes import (
     end_node,
     force_at,
     own_couple,
-    unit,
 )
 from jaxrod.effects.paths import Path, Placed, Turned, Turning
 from jaxrod.effects.time import Schedule, as_timed
 from jaxrod.geometry import vectors
+from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState, check_one
@@ -173,7 +173,8 @@ def driven(
         raise ValueError("axis must say what the wall turns about by that angle")
     wall = None
     if not free_to_turn:
-        along = unit("axis", (0, 0, 1) if axis is None else axis, state.positions.dtype)
+        about = unit_vector("axis", (0, 0, 1) if axis is None else axis)
+        along = jnp.asarray(about, state.positions.dtype)
         wall = Turning(state.orientations[:, index], along, turn)
     return Driven(path, wall, end, axes_named(axes))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -18,7 +16,6 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.validation import Numbers, as_array, is_traced
 
 Axes = tuple[bool, bool, bool]
 """World axes x, y and z: those along which something is held."""
@@ -77,12 +74,3 @@ def axes_named(axes: str) -> Axes:
     if not isinstance(axes, str) or not axes or not set(axes) <= set("xyz"):
         raise ValueError(f'axes must be some of "xyz", got {axes!r}')
     return "x" in axes, "y" in axes, "z" in axes
-
-
-def unit(name: str, value: Numbers, dtype: Any) -> Array:
-    """A direction at length one."""
-    given = as_array(name, value, "", [(3,)])
-    length = vectors.safe_norm(vectors.split(given))
-    if not is_traced(given) and not np.any(np.asarray(given)):
-        raise ValueError(f"{name} must have a direction, got zero")
-    return (given / length).astype(dtype)

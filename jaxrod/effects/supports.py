@@ -23,9 +23,9 @@ from jaxrod.effects.nodes import (
     end_node,
     force_at,
     own_couple,
-    unit,
 )
 from jaxrod.geometry import vectors
+from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.rotations import (
     directors,
     split_quaternion,
@@ -190,7 +190,7 @@ def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
     check_kind("state", state, RodState)
     check_one(state)
     index = 0 if check_end(end) == "start" else -1
-    along = unit("axis", axis, state.positions.dtype)
+    along = jnp.asarray(unit_vector("axis", axis), state.positions.dtype)
     frame = directors(at_end(split_quaternion(state.orientations), end))
     own = vectors.join(to_material(frame, vectors.split(along)))
     return Hinge(state.positions[:, index], along, own, end)

@@ -208,6 +208,7 @@ def tracking_run(tmp_path):
     return SimpleNamespace(folder=folder, env=env, policy=policy)
 
 
+@pytest.mark.slow
 def test_the_arm_of_the_tracking_task_is_drawn_as_it_moves(tracking_run):
     env, policy = tracking_run.env, tracking_run.policy
     replay = recording.record(env, policy, seconds=0.05)

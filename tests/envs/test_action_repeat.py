@@ -66,6 +66,7 @@ def test_an_action_is_held_at_least_once():
         ActionRepeat(Trivial(), 0)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_run_counts_control_steps():
     config = SACConfig(

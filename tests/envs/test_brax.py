@@ -244,6 +244,7 @@ def test_what_brax_calls_is_there_inside_and_gone_outside():
     assert not hasattr(jax, "device_put_replicated")
 
 
+@pytest.mark.slow
 def test_ppo_of_brax_trains():
     network = functools.partial(
         ppo_networks.make_ppo_networks,

@@ -204,6 +204,7 @@ def test_an_unhealthy_clean_arm_is_truncated_not_punished():
     np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_clean_arm_is_as_accurate_as_it_says():
     """0.55 % of the length under bang-bang actions of a trained policy."""
     problem = tracking_arm()

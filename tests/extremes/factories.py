@@ -174,6 +174,8 @@ MAY_BE_NONE = {
     ("scale_inertia", "dt"),
     ("signed_distance", "parameters"),
     ("equilibrium", "tolerance"),
+    ("sine", "mean"),
+    ("driven", "axis"),
 }
 
 MAY_BE_WILD = {("limit_rate", "applied"), ("limit_rate", "commanded")}
@@ -247,6 +249,21 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "couple_per_length": [4.0, 5.0, 6.0],
     },
     "exponential_damping": {"translational_rate": 3.0, "rotational_rate": 2.0},
+    "ramp": {
+        "first": [1.0, 2.0],
+        "last": [3.0, 4.0],
+        "duration": 2.0,
+        "start": 0.5,
+    },
+    "sine": {"amplitude": 2.0, "period": 0.3, "mean": 1.0, "phase": 0.2},
+    "table": {"times": [0.0, 1.0], "values": [1.0, 2.0]},
+    "hinge": {"state": ..., "axis": [0.0, 2.0, 1.0]},
+    "driven": {
+        "state": ...,
+        "displacement": [0.0, 0.1, 0.0],
+        "axis": [0.0, 2.0, 1.0],
+        "angle": 0.3,
+    },
     "sphere": {"centre": [1.0, 2.0, 3.0], "radius": 0.5},
     "capsule": {"start": [1.0, 2.0, 3.0], "end": [0.0, 0.0, 1.0], "radius": 0.5},
     "cylinder": {"start": [1.0, 2.0, 3.0], "end": [0.0, 0.0, 1.0], "radius": 0.5},
@@ -307,8 +324,22 @@ COUNTED: dict[str, dict[str, Any]] = {
     "natural_frequencies": {"scene": ..., "state": ..., "n_modes": ...},
     "frequency_changes": {"scaling": ..., "state": ..., "n_modes": ...},
     "rollout_times": {"dt": 1e-3, "n_steps": ..., "every": ...},
-    "advance": {"scene": ..., "state": ..., "dt": 1e-4, "n_steps": ...},
-    "rollout": {"scene": ..., "state": ..., "dt": 1e-4, "n_steps": ..., "every": ...},
+    "step": {"scene": ..., "state": ..., "dt": 1e-4, "first": ...},
+    "advance": {
+        "scene": ...,
+        "state": ...,
+        "dt": 1e-4,
+        "n_steps": ...,
+        "first": ...,
+    },
+    "rollout": {
+        "scene": ...,
+        "state": ...,
+        "dt": 1e-4,
+        "n_steps": ...,
+        "every": ...,
+        "first": ...,
+    },
     "equilibrium": {"scene": ..., "state": ..., "max_iterations": ...},
     "configure_cpu": {"devices": ...},
 }
@@ -321,12 +352,17 @@ COUNT_NAMES = {
     "n_modes",
     "n_steps",
     "every",
+    "first",
     "devices",
 }
 
 OF_KINDS: dict[str, dict[str, Any]] = {
     "clamp": {"state": ...},
     "fixed_end": {"state": ...},
+    "pin": {"state": ...},
+    "hinge": {"state": ..., "axis": (0.0, 1.0, 0.0)},
+    "driven": {"state": ...},
+    "reactions": {"scene": ..., "state": ...},
     "compensated": {"state": ...},
     "make_scene": {"rod": ...},
     "unstressed": {"rod": ..., "state": ...},
@@ -409,7 +445,7 @@ def wrong_cases() -> list[Case]:
                 cases += [Case(function, argument, k, SCALARS[k]) for k in WRONG]
     for function in ("straight_rod", "rod_along", "control_spline"):
         cases += [Case(function, "dtype", k, v) for k, v in DTYPES.items()]
-    for function in ("clamp", "fixed_end", "end_load"):
+    for function in ("clamp", "fixed_end", "end_load", "hinge", "driven"):
         cases += [Case(function, "end", k, v) for k, v in WORDS.items()]
     cases += [Case("make_scene", "method", k, v) for k, v in KINDS.items()]
     cases += [Case("planar", "plane", k, v) for k, v in WORDS.items()]
@@ -442,6 +478,8 @@ def call(case: Case) -> Any:
             "end_load": {},
             "clamp": {"state": ...},
             "fixed_end": {"state": ...},
+            "hinge": {"state": ..., "axis": (0.0, 1.0, 0.0)},
+            "driven": {"state": ...},
             "make_scene": {"rod": ...},
             "planar": {"plane": "xy"},
         }[case.function]

@@ -32,6 +32,7 @@ def check(result, record):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_extreme_actions_on_the_benchmarks_arm(record):
     check(run(48, 0.14, batch=48), record)

@@ -42,6 +42,7 @@ def test_the_overshoot_of_six_equidistant_points_is_the_documented_one():
     assert float(highest) == pytest.approx(1.67, abs=0.005)
 
 
+@pytest.mark.slow
 def test_the_load_does_not_depend_on_the_number_of_elements(record):
     """Total couple and first moment are the spline's, where elements end at breaks."""
     spline = jaxrod.control_spline(6, dtype=jnp.float64)

@@ -87,6 +87,7 @@ def energy_drift(n, dt_over_spacing, mode="consistent"):
     return np.max(np.abs(change)), change[-1]
 
 
+@pytest.mark.slow
 def test_the_butterfly_keeps_its_energy(record):
     worst, _ = energy_drift(20, 0.01)
     record(

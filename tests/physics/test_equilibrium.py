@@ -203,6 +203,7 @@ def test_forward_mode_and_second_derivatives_of_an_equilibrium():
     assert float(curvature(at)) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 )

@@ -90,6 +90,7 @@ def test_runs_go_on_where_they_ended(rod_and_state):
     assert float(relaxing) == pytest.approx(kept * float(half.memory[1][0]), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_and_batches_go_through_memory(rod_and_state):
     rod, state = rod_and_state
 

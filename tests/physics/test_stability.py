@@ -107,6 +107,7 @@ def examine(counts, seeds, record):
     )
 
 
+@pytest.mark.slow
 def test_the_stable_step_is_safe_and_close(record):
     examine(FEW, range(18), record)
 
@@ -342,6 +343,7 @@ def accelerations(scene, state, moves):
     return after.velocities / dt, spins / dt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stretch", [0.5, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
     rod, state = arm(2, radius=0.02)

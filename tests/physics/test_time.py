@@ -84,6 +84,7 @@ def test_one_step_at_a_time_is_advance(rod_and_state):
     np.testing.assert_allclose(one.positions, many.positions, rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_gradients_by_a_schedule_are_those_of_differences(rod_and_state):
     rod, state = rod_and_state
 

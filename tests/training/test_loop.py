@@ -378,7 +378,10 @@ def broken(part):
     return dataclasses.replace(usual, **{part: changed[part]})
 
 
-@pytest.mark.parametrize(("part", "name"), [("update", "loss"), ("policy", "policy")])
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [pytest.param("update", "loss", marks=pytest.mark.slow), ("policy", "policy")],
+)
 def test_what_diverged_is_said_and_not_saved(tmp_path, part, name):
     with pytest.raises(FloatingPointError, match=f"{name}.* is not a number after 512"):
         train(

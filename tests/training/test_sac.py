@@ -276,6 +276,7 @@ def test_policy_is_tanh_of_the_mean(six_updates):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
 def test_noise_stays_as_similar_as_was_asked_for(correlation):
     config = dataclasses.replace(

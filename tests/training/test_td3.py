@@ -101,6 +101,7 @@ def test_targets_follow_slowly_and_only_when_the_policy_moves():
             assert np.any(np.asarray(start) != np.asarray(source))
 
 
+@pytest.mark.slow
 def test_exploration_noise_falls_along_the_run():
     config = TD3Config(
         **SIZES | {"learning_starts": 0.0},
