@@ -33,7 +33,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elastic_tangents import element_tangent, joint_tangent, times_inverse
 from jaxrod.rods.elasticity import ElasticLaw, internal_loads
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import Scene
+from jaxrod.scene import Scene, constrain_rates
 from jaxrod.statics.assembly import assembled
 from jaxrod.statics.block_tridiagonal import BlockTridiagonal
 from jaxrod.statics.blocks import blocks, unblocked
@@ -82,12 +82,14 @@ class Balance:
         )
         rates = vectors.scale(self.pace, moves.turn)
         momentum = vectors.multiply(self._inertia, rates)
-        return replace(
+        moved = replace(
             displaced(self.base, moves.displacement),
             orientation=orientation,
             velocity=vectors.scale(self.pace, moves.displacement),
             spin=to_world(directors(orientation), momentum),
         )
+        # What is driven has moved already: its rate does not follow from its move.
+        return moved if self.at_rest else constrain_rates(self.scene, moved)
 
     def residual(self, moves: Moves) -> Float[Array, "n+1 6"]:
         """Inertia and damping less the loads, zero for what the scene holds.

@@ -201,6 +201,36 @@ def test_a_driven_end_is_where_it_is_driven():
     assert jaxrod.health(scene.at(0.0), after, 5e-4).largest_violation > 0.1
 
 
+@jaxrod.pytree
+class Dashpot(jaxrod.Effect):
+    """Between the first two nodes: nothing in a rod that moves as a whole."""
+
+    drag: jax.Array
+
+    def loads(self, rod, motion):
+        pulls = [self.drag * (v[1] - v[0]) for v in motion.velocity]
+        none = jnp.zeros_like(motion.position[0])
+        forces = tuple(none.at[0].set(pull).at[1].set(-pull) for pull in pulls)
+        return jaxrod.Loads(forces=forces)
+
+
+def test_loads_of_implicit_steps_see_how_fast_an_end_is_driven():
+    """A rod that is towed as fast as it moves stays as it is."""
+    rod, state = along_x(3, 1e5)
+    pace, end = 0.5, 0.1
+    moving = replace(state, velocities=state.velocities.at[1].set(pace))
+    path = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, pace, 0.0), 1.0)
+    scene = jaxrod.make_scene(
+        rod,
+        jaxrod.driven(state, displacement=path, free_to_turn=True),
+        Dashpot(0.1),
+        method=jaxrod.implicit(),
+    )
+    after = jaxrod.advance(scene, moving, end / 10, 10)
+    there = state.positions.at[1].add(pace * end)
+    np.testing.assert_allclose(after.positions, there, rtol=0, atol=1e-12)
+
+
 def test_bad_supports_are_refused_in_words():
     rod, state = along_x(4)
     shake = jaxrod.sine((0.0, 0.0, 0.01), 0.3)
