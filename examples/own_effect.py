@@ -49,7 +49,7 @@ def simulate(strength=0.05, seconds=1.0):
     dt = jaxrod.stable_dt(scene).dt
     steps = int(seconds / dt) // 50 * 50
     records = jaxrod.rollout(scene, state, dt, steps, every=steps // 50)
-    return records.tip, records.memory[-1][1][-1]
+    return records.tip, records.memory[-1]["freshness"][-1]
 
 
 if __name__ == "__main__":

@@ -105,7 +105,14 @@ _NAMES = {
         "total_energy",
     ),
     "statics.equilibrium": ("Equilibrium", "equilibrium"),
-    "stepping": ("UnstableStepWarning", "advance", "rollout", "rollout_times", "step"),
+    "stepping": (
+        "UnstableStepWarning",
+        "advance",
+        "rollout",
+        "rollout_times",
+        "step",
+        "with_memory",
+    ),
     "structure": ("memory", "pytree", "static"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }

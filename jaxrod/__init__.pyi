@@ -111,6 +111,7 @@ from jaxrod.stepping import advance as advance
 from jaxrod.stepping import rollout as rollout
 from jaxrod.stepping import rollout_times as rollout_times
 from jaxrod.stepping import step as step
+from jaxrod.stepping import with_memory as with_memory
 from jaxrod.structure import memory as memory
 from jaxrod.structure import pytree as pytree
 from jaxrod.structure import static as static

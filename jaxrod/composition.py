@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
-from jaxrod.effects.memory import remembers
+from jaxrod.effects.memory import memory_fields, remembers
 from jaxrod.effects.time import at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.methods.consistent import Consistent
@@ -58,9 +58,9 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     scene = Scene(rod, listed, method)
     _check_evolution(scene)
     method.check(scene.at(0.0))
-    if scene.depends_on_time:
+    if scene.evolves:
         # Zero now may be out of the plane or about the axis later.
-        method.check(scene.at_largest)
+        method.check(scene.stirred)
     return scene
 
 
@@ -70,6 +70,11 @@ def _check_evolution(scene: Scene) -> None:
         if not (depends_on_time(effect) or remembers((effect,))):
             continue
         name = type(effect).__name__
+        memories = [getattr(effect, field) for field in memory_fields(effect)]
+        if depends_on_time(memories):
+            raise ValueError(
+                f"what {name} remembers begins with a number, not with a schedule"
+            )
         if type(effect).damping_rates is not Effect.damping_rates:
             raise ValueError(
                 f"damping rates are worked out once, but {name}, which has some, "

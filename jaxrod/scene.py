@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects.base import Effect
-from jaxrod.effects.memory import memory_of, recalled, remembers
+from jaxrod.effects.memory import memory_of, recalled, remembers, stirred
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
@@ -135,6 +135,20 @@ class Scene:
             return self
         return replace(self, effects=at_largest(self.effects))
 
+    @property
+    def stirred(self) -> Scene:
+        """The scene as it may become: memories and schedules not what they begin with.
+
+        For checks of what effects do: zero now may be out of a plane later.
+        """
+        effects = recalled(self.effects, stirred(memory_of(self.effects)))
+        return replace(self, effects=effects).at_largest
+
+    @property
+    def evolves(self) -> bool:
+        """Whether it depends on time or remembers."""
+        return self.depends_on_time or self.remembers
+
     def recalling(self, state: RodState) -> Scene:
         """The scene with what its effects remember as it is in a state."""
         if state.memory is None or not self.remembers:
@@ -184,13 +198,18 @@ def check_memory(scene: Scene, state: RodState) -> None:
     """Raises a `ValueError` if a state remembers what effects of the scene do not."""
     if state.memory is None:
         return
-    given: Any = jax.tree.structure(state.memory)
-    own: Any = jax.tree.structure(memory_of(scene.effects))
+    given, own = map(_described, (state.memory, memory_of(scene.effects)))
     if not scene.remembers or given != own:
         raise ValueError(
             "state.memory must be of the effects of this scene: "
             "dataclasses.replace(state, memory=None) begins anew"
         )
+
+
+def _described(memory: Any) -> Any:
+    """Names and shapes of a memory."""
+    leaves, structure = jax.tree.flatten(memory)
+    return structure, [jnp.shape(leaf) for leaf in leaves]
 
 
 def check_scene_and_state(scene: Scene, state: RodState) -> None:

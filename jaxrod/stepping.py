@@ -18,7 +18,14 @@ from jaxrod.effects.memory import memory_of
 from jaxrod.effects.time import Clock
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Evolvable, Scene, Stepper, check_scene, check_scene_and_state
-from jaxrod.validation import as_array, check_array, check_count, is_traced
+from jaxrod.validation import (
+    MOST,
+    as_array,
+    check_array,
+    check_count,
+    check_kind,
+    is_traced,
+)
 
 Carry = TypeVar("Carry")
 
@@ -50,7 +57,7 @@ def step(
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
         TypeError: If `scene` or `state` is something else.
     """
-    begin = _check_first(scene, first)
+    begin = _check_first(scene, first, 1)
     return _static_compiled(scene, state, _check(scene, state, dt, begin), 1, begin)
 
 
@@ -96,16 +103,16 @@ def advance(
         _check_counter(n_steps)
     else:
         n_steps = check_count("n_steps", n_steps, 0)
-    begin = _check_first(scene, first)
+    begin = _check_first(scene, first, n_steps)
     dt = _check(scene, state, dt, begin)
     if is_traced(scene, state, dt, n_steps, begin):
         if isinstance(n_steps, int):
             return _static_compiled(scene, state, dt, n_steps, begin)
         return _traced_compiled(scene, state, dt, n_steps, begin)
-    near_bound = check_step(scene, dt, state)
+    near_bound = check_step(scene.recalling(state), dt, state)
     after = _traced_compiled(scene, state, dt, jnp.asarray(n_steps), begin)
-    if near_bound:
-        check_step(scene, dt, after)
+    if near_bound or scene.remembers:
+        check_step(scene.recalling(after), dt, after)
     return after
 
 
@@ -140,14 +147,15 @@ def rollout(
         UnstableStepWarning: If `dt` is above the stability bound.
     """
     records = _check_records(n_steps, every)
-    begin = _check_first(scene, first)
+    begin = _check_first(scene, first, n_steps)
     dt = _check(scene, state, dt, begin)
     if is_traced(scene, state, dt, begin):
         return _rollout_compiled(scene, state, dt, records, every, begin)
-    near_bound = check_step(scene, dt, state)
+    near_bound = check_step(scene.recalling(state), dt, state)
     states = _rollout_compiled(scene, state, dt, records, every, begin)
-    if near_bound:
-        check_step(scene, dt, jax.tree.map(lambda leaf: leaf[-1], states))
+    if near_bound or scene.remembers:
+        last = jax.tree.map(lambda leaf: leaf[-1], states)
+        check_step(scene.recalling(last), dt, last)
     return states
 
 
@@ -222,20 +230,33 @@ def _check_counter(n_steps: Array, name: str = "n_steps") -> None:
         )
 
 
-def _check_first(scene: Scene, first: int | Array) -> Array | None:
+def _check_first(
+    scene: Scene, first: int | Array, n_steps: int | Array
+) -> Array | None:
     """The step to begin with, for a scene to which it matters."""
     check_scene(scene)
     if isinstance(first, jax.Array):
         _check_counter(first, "first")
     else:
-        first = check_count("first", first, 0)
-    if not (scene.depends_on_time or scene.remembers):
+        known = n_steps if isinstance(n_steps, int) else 0
+        first = check_count("first", first, 0, MOST - known)
+    if not scene.evolves:
         return None
     return jnp.asarray(first, jnp.int32)
 
 
-def _with_memory(scene: Scene, state: RodState) -> RodState:
-    """The state with what the scene's effects begin with, if it has nothing yet."""
+def with_memory(scene: Scene, state: RodState) -> RodState:
+    """The state with the memory that the scene's effects begin with, if it has none.
+
+    Runs do this themselves. A loop of your own (`jax.lax.scan`) and `freeze` need it
+    before the first run, so that states before and after it are alike.
+
+    Args:
+        scene: The scene.
+        state: A state of its rod.
+    """
+    check_scene(scene)
+    check_kind("state", state, RodState)
     if state.memory is not None or not scene.remembers:
         return state
     return replace(state, memory=memory_of(scene.effects))
@@ -267,16 +288,16 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike, first: Array | None) ->
         if first is not None:
             now = now.at(Clock(first, jnp.zeros_like(step), step))
         scene.method.check_state(now, state)
-        if scene.depends_on_time:
+        if scene.evolves:
             # Zero now may be out of the plane or about the axis later.
-            scene.method.check_state(scene.recalling(state).at_largest, state)
+            scene.method.check_state(scene.stirred, state)
     return step
 
 
 def _run_traced(
     scene: Scene, state: RodState, dt: Array, n_steps: Array, first: Array | None
 ) -> RodState:
-    state = _with_memory(scene, state)
+    state = with_memory(scene, state)
     after = _run(scene, state, dt, n_steps, first, _repeat_traced)
     return jax.tree.map(
         lambda after, before: jnp.where(n_steps > 0, after, before), after, state
@@ -286,7 +307,7 @@ def _run_traced(
 def _run_static(
     scene: Scene, state: RodState, dt: Array, n_steps: int, first: Array | None
 ) -> RodState:
-    state = _with_memory(scene, state)
+    state = with_memory(scene, state)
     if n_steps == 0:
         return state
     return _run(scene, state, dt, n_steps, first, repeat)
@@ -363,7 +384,7 @@ def _rollout_compiled(
     every: int,
     first: Array | None,
 ) -> RodState:
-    state = _with_memory(scene, state)
+    state = with_memory(scene, state)
 
     def block(state: RodState, count: Array | None) -> RodState:
         begin = None if first is None or count is None else first + every * count

@@ -34,7 +34,7 @@ from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState, check_size
-from jaxrod.scene import Scene, check_moment, momentum
+from jaxrod.scene import Scene, check_memory, check_moment, check_scene, momentum
 from jaxrod.structure import pytree
 from jaxrod.validation import check_array, is_traced
 
@@ -158,8 +158,10 @@ def health(
         ValueError: If the state is not of the scene's rod, or `dt` or `n_steps` is
             known and not positive.
     """
+    check_scene(scene)
     check_moment(scene)
     check_size(scene.rod, state)
+    check_memory(scene, state)
     scene = scene.recalling(state)
     for name, value, unit in (("dt", dt, "s"), ("n_steps", n_steps, "")):
         if not is_traced(value):

@@ -16,6 +16,7 @@ from jaxrod.effects.nodes import (
     Axes,
     at_node,
     axes_named,
+    check_straight_end,
     distance_from,
     end_node,
     force_at,
@@ -112,6 +113,11 @@ class Driven(Effect):
         return (
             apart if joint is None else jnp.maximum(apart, joint.violation(rod, state))
         )
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
+        """The same path and wall; a rod that is curved there has no counterpart."""
+        check_straight_end(rod, self.end)
+        return self
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
         """The force along the path's axes, the joint's couple, and their power."""

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 
 from jaxrod.effects.base import Effect
 
-Memory = tuple[tuple[Any, ...], ...]
-"""Of each effect of a scene, the values of its fields declared with `memory()`."""
+Memory = tuple[dict[str, Any], ...]
+"""Of each effect of a scene, its fields declared with `memory()`, by name."""
 
 
-def _names(effect: Effect) -> list[str]:
+def memory_fields(effect: Effect) -> list[str]:
     """Fields of an effect that it remembers."""
     fields: tuple[dataclasses.Field[Any], ...] = ()
     if dataclasses.is_dataclass(type(effect)):
@@ -28,13 +28,16 @@ def _names(effect: Effect) -> list[str]:
 
 def remembers(effects: tuple[Effect, ...]) -> bool:
     """Whether any effect has something to remember."""
-    return any(map(_names, effects))
+    return any(map(memory_fields, effects))
 
 
 def memory_of(effects: tuple[Effect, ...]) -> Memory:
     """Memory of the effects, as arrays."""
     return tuple(
-        tuple(jax.tree.map(jnp.asarray, getattr(effect, n)) for n in _names(effect))
+        {
+            name: jax.tree.map(jnp.asarray, getattr(effect, name))
+            for name in memory_fields(effect)
+        }
         for effect in effects
     )
 
@@ -42,8 +45,16 @@ def memory_of(effects: tuple[Effect, ...]) -> Memory:
 def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
     """The effects with other memories."""
     return tuple(
-        dataclasses.replace(effect, **dict(zip(names, values, strict=True)))  # type: ignore[type-var]
-        if (names := _names(effect))
-        else effect
+        dataclasses.replace(effect, **values) if values else effect  # type: ignore[type-var]
         for effect, values in zip(effects, memory, strict=True)
     )
+
+
+def stirred(memory: Memory) -> Memory:
+    """A memory of no particular values, to try out what effects do with it."""
+
+    def other(leaf: Any) -> Any:
+        inexact = jnp.issubdtype(leaf.dtype, jnp.floating)
+        return leaf + jnp.asarray(0.739, leaf.dtype) if inexact else leaf
+
+    return jax.tree.map(other, memory)

@@ -74,3 +74,13 @@ def axes_named(axes: str) -> Axes:
     if not isinstance(axes, str) or not axes or not set(axes) <= set("xyz"):
         raise ValueError(f'axes must be some of "xyz", got {axes!r}')
     return "x" in axes, "y" in axes, "z" in axes
+
+
+def check_straight_end(rod: Rod, end: End) -> None:
+    """Raises a `ValueError` if a rod is curved at rest at an end."""
+    index = 0 if end == "start" else -1
+    if np.any(np.asarray(rod.rest_curvatures[:, index]) != 0):
+        raise ValueError(
+            "what holds the end of a rod that is curved at rest there cannot be "
+            "resampled: make it anew for the new rod"
+        )

@@ -92,8 +92,10 @@ class Turning(Schedule):
 
     @property
     def largest(self) -> Turned:
-        """Turned as far as it goes, at rest."""
-        return Turned(self._turned(self.angle.largest), jnp.zeros_like(self.axis))
+        """Turned by an odd angle if it turns at all: whole turns would not show."""
+        largest = self.angle.largest
+        angle = jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
+        return Turned(self._turned(angle), jnp.zeros_like(self.axis))
 
     def _turned(self, angle: Array) -> Array:
         turn = rotation_exp(vectors.scale(angle, vectors.split(self.axis)))

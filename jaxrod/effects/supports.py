@@ -19,6 +19,7 @@ from jaxrod.effects.nodes import (
     Axes,
     at_node,
     axes_named,
+    check_straight_end,
     distance_from,
     end_node,
     force_at,
@@ -141,6 +142,11 @@ class Hinge(Effect):
         return jnp.maximum(
             distance_from(self.position, node, ALL_AXES, rod, state), tilt
         )
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Hinge:
+        """The same hinge; the end of a rod that is curved there has no counterpart."""
+        check_straight_end(rod, self.end)
+        return self
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
         """The force that keeps the node in place, and the joint's couple."""

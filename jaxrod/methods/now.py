@@ -41,7 +41,35 @@ def memory_in(scene: Scene, state: RodState) -> Memory:
 def remembering(scene: Scene, motion: Motion, dt: Array, now: Now) -> Now:
     """One step later, with what the effects remember then."""
     effects = tuple(e.after_step(scene.rod, motion, dt) for e in scene.effects)
-    memory = jax.tree.map(
-        lambda new, old: jnp.asarray(new, old.dtype), memory_of(effects), now.memory
-    )
-    return Now(now.step + 1, memory)
+    for before, after in zip(scene.effects, effects, strict=True):
+        if type(after) is not type(before):
+            raise TypeError(
+                f"{type(before).__name__}.after_step must return an effect of its own "
+                f"class, got {type(after).__name__}"
+            )
+    return Now(now.step + 1, _alike(memory_of(effects), now.memory))
+
+
+def _alike(new: Memory, old: Memory) -> Memory:
+    """A memory in the types of the one before.
+
+    Raises:
+        TypeError: If it has other shapes, or numbers where there were counts.
+    """
+    before, after = jax.tree.leaves_with_path(old), jax.tree.leaves_with_path(new)
+    if [path for path, _ in before] != [path for path, _ in after]:
+        raise TypeError("after_step must keep the structure of what it remembers")
+    for (path, was), (_, is_now) in zip(before, after, strict=True):
+        name = path[1].key
+        if was.shape != is_now.shape:
+            raise TypeError(
+                f"after_step must keep the shape of {name}, which was {was.shape}, got "
+                f"{is_now.shape}"
+            )
+        whole = not jnp.issubdtype(was.dtype, jnp.floating)
+        if whole and jnp.issubdtype(is_now.dtype, jnp.floating):
+            raise TypeError(
+                f"after_step makes a number of {name}, which began as {was.dtype}: "
+                "begin with 0.0"
+            )
+    return jax.tree.map(lambda was, is_now: is_now.astype(was.dtype), old, new)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import jax
@@ -182,7 +183,13 @@ def _shares_of_effects(
     rod = scene.rod
     out = PLANES[method.plane][2]
     stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
-    motion = stepper.view(stepper.enter(state))
+    entered = stepper.enter(state)
+    motion = stepper.view(entered)
+    # What is in the plane at rest may leave it as the rod bends there.
+    odd = 0.4 * jnp.cos(
+        1.1 * jnp.arange(rod.n_elements, dtype=state.positions.dtype) + 0.3
+    )
+    bent = stepper.view(replace(entered, turn=entered.turn + odd))
     zero = jnp.zeros_like(rod.rest_lengths[0])
     # An element that is held feels couples from the rounding of its own angle.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)
@@ -190,9 +197,9 @@ def _shares_of_effects(
     force = couple = tilt = zero
     still = jnp.zeros_like(motion.position[0]), jnp.zeros_like(rod.rest_lengths)
     nothing = Loads(forces=(still[0],) * 3, couples=(still[1],) * 3)
-    for effect in scene.effects:
+    for effect, seen in itertools.product(scene.effects, (motion, bent)):
         # Each by itself: a small load must not hide behind a large one.
-        loads = effect.loads_after(rod, motion, nothing)
+        loads = effect.loads_after(rod, seen, nothing)
         if loads.forces is not None:
             share = _share(loads.forces[out], jnp.stack(loads.forces), 0)
             force = jnp.maximum(force, share)
@@ -201,6 +208,7 @@ def _shares_of_effects(
             outside = jnp.stack([n2 * c1 - n1 * c2, c3])
             share = _share(outside, jnp.stack(loads.couples), rounding)
             couple = jnp.maximum(couple, share)
+    for effect in scene.effects:
         tilt = jnp.maximum(tilt, _tilt(effect, scene, motion, out))
     return force, couple, tilt
 

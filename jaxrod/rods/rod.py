@@ -108,7 +108,7 @@ class RodState:
     remainders: Float[Array, "3 n+1"] | None = None
     """Accumulated round-off of the positions (Kahan) [m]; `None` unless
     `compensated`."""
-    memory: tuple[tuple[Any, ...], ...] | None = None
+    memory: tuple[dict[str, Any], ...] | None = None
     """Memory of the effects of a scene, see `jaxrod.memory`; `None` without, or as long
     as it is what the scene begins with."""
 
@@ -207,6 +207,11 @@ def check_size(rod: Rod, state: RodState) -> None:
         ValueError: If its numbers of elements and nodes are others.
     """
     check_one(state)
+    shape = jnp.shape(rod.rest_lengths)
+    if len(shape) != 1:
+        raise ValueError(
+            f"rod must be one rod, got a batch of shape {shape[:-1]}: use jax.vmap"
+        )
     n = rod.n_elements
     elements, nodes = state.orientations.shape[-1], state.positions.shape[-1]
     if elements != n:

@@ -60,8 +60,9 @@ def test_what_an_effect_remembers_goes_on_in_every_method(name, rod_and_state):
     rod, state = rod_and_state
     scene = muscled(rod, state, METHODS[name])
     after = jaxrod.advance(scene, state, DT, 150)
-    (nothing, (activation,)) = after.memory
-    assert nothing == ()
+    nothing, memory = after.memory
+    activation = memory["activation"]
+    assert nothing == {}
     exact = 0.8 * (1 - np.exp(-150 * DT / RISE))
     assert float(activation) == pytest.approx(exact, rel=1e-12)
     # The impulse: of the middle of the first step nothing, of the last 149 steps' end.
@@ -76,18 +77,22 @@ def test_runs_go_on_where_they_ended(rod_and_state):
     rod, state = rod_and_state
     scene = muscled(rod, state)
     records = jaxrod.rollout(scene, state, DT, 40, 20)
-    assert records.memory[1][0].shape == (3,)
+    assert records.memory[1]["activation"].shape == (3,)
     half = jaxrod.advance(scene, state, DT, 20)
     whole = jaxrod.advance(scene, half, DT, 20)
     np.testing.assert_allclose(
         whole.positions, records.positions[-1], rtol=0, atol=1e-15
     )
-    np.testing.assert_allclose(whole.memory[1][0], records.memory[1][0][-1])
+    np.testing.assert_allclose(
+        whole.memory[1]["activation"], records.memory[1]["activation"][-1]
+    )
     # A command that changes between runs does not touch what is remembered.
     other = muscled(rod, state, command=0.0)
-    relaxing = jaxrod.advance(other, half, DT, 20).memory[1][0]
+    relaxing = jaxrod.advance(other, half, DT, 20).memory[1]["activation"]
     kept = np.exp(-20 * DT / RISE)
-    assert float(relaxing) == pytest.approx(kept * float(half.memory[1][0]), rel=1e-12)
+    assert float(relaxing) == pytest.approx(
+        kept * float(half.memory[1]["activation"]), rel=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -132,3 +137,98 @@ def test_energies_and_health_see_what_is_remembered(rod_and_state):
     after = jaxrod.advance(scene, state, DT, 3)
     assert float(jaxrod.potential_energy(scene, state)) == pytest.approx(1.0)
     assert float(jaxrod.potential_energy(scene, after)) == pytest.approx(8.0)
+
+
+@jaxrod.pytree
+class Bender(jaxrod.Effect):
+    """Couples about a material axis that begin at zero."""
+
+    axis: int = jaxrod.static()
+    activation: jax.Array = jaxrod.memory(default=0.0)
+
+    def loads(self, rod, motion):
+        along = jnp.full_like(rod.rest_lengths, self.activation)
+        couples = [jnp.zeros_like(along)] * 3
+        couples[self.axis] = along
+        return jaxrod.Loads(couples=tuple(couples))
+
+    def after_step(self, rod, motion, dt):
+        return replace(self, activation=self.activation + dt)
+
+
+def test_what_is_zero_at_first_is_refused_where_it_may_not_become_something(
+    rod_and_state,
+):
+    rod, state = rod_and_state
+    with pytest.raises(ValueError, match="loads"):
+        jaxrod.make_scene(rod, Bender(0), method=jaxrod.torsion_free())
+    normal = int(np.argmax(np.abs(np.asarray(state.directors)[:, 1, 0])))
+    other = 1 - normal
+    fine = jaxrod.make_scene(rod, Bender(normal), method=jaxrod.planar("zx"))
+    jaxrod.advance(fine, state, DT, 1)
+    tilting = jaxrod.make_scene(rod, Bender(other), method=jaxrod.planar("zx"))
+    with pytest.raises(ValueError, match="couples of effects"):
+        jaxrod.advance(tilting, state, DT, 1)
+
+
+@pytest.mark.parametrize(
+    ("begin", "change", "words"),
+    [
+        (0, lambda x, dt: x + dt, "makes a number of value, which began as int"),
+        (0.0, lambda x, dt: jnp.zeros(3), r"keep the shape of value"),
+    ],
+)
+def test_memory_keeps_its_type_and_shape(rod_and_state, begin, change, words):
+    @jaxrod.pytree
+    class Counter(jaxrod.Effect):
+        value: jax.Array = jaxrod.memory(default=0.0)
+
+        def after_step(self, rod, motion, dt):
+            return replace(self, value=change(self.value, dt))
+
+    rod, state = rod_and_state
+    with pytest.raises(TypeError, match=words):
+        jaxrod.advance(jaxrod.make_scene(rod, Counter(begin)), state, DT, 2)
+
+
+def test_memory_is_not_taken_for_that_of_other_effects(rod_and_state):
+    rod, state = rod_and_state
+    after = jaxrod.advance(muscled(rod, state), state, DT, 1)
+
+    @jaxrod.pytree
+    class Spring(jaxrod.Effect):
+        rest: jax.Array = jaxrod.memory(default=0.0)
+
+    other = jaxrod.make_scene(rod, jaxrod.gravity((0.0, 0.0, 0.0)), Spring())
+    with pytest.raises(ValueError, match="memory must be of the effects"):
+        jaxrod.advance(other, after, DT, 1)
+
+
+def test_a_loop_of_ones_own_begins_with_memory(rod_and_state):
+    rod, state = rod_and_state
+    scene = muscled(rod, state)
+    body = lambda s, _: (jaxrod.advance(scene, s, DT, 2), None)
+    start = jaxrod.with_memory(scene, state)
+    after, _ = jax.jit(lambda s: jax.lax.scan(body, s, length=3))(start)
+    once = jaxrod.advance(scene, state, DT, 6)
+    np.testing.assert_allclose(after.positions, once.positions, rtol=0, atol=1e-15)
+    frozen = jaxrod.freeze(jnp.asarray(True), start, once)
+    np.testing.assert_array_equal(frozen.positions, state.positions)
+
+
+def test_a_stiffness_that_has_grown_is_warned_of(rod_and_state):
+    @jaxrod.pytree
+    class Stiffening(jaxrod.Effect):
+        stiffness: jax.Array = jaxrod.memory(default=0.0)
+
+        def stability_bound(self, rod):
+            nodes = jnp.zeros_like(rod.node_masses).at[-1].set(self.stiffness)
+            return jaxrod.StabilityBound(nodes=nodes)
+
+        def after_step(self, rod, motion, dt):
+            return replace(self, stiffness=self.stiffness + 1e9)
+
+    rod, state = rod_and_state
+    scene = jaxrod.make_scene(rod, Stiffening())
+    with pytest.warns(jaxrod.UnstableStepWarning):
+        jaxrod.advance(scene, state, jaxrod.stable_dt(scene).dt, 1)

@@ -288,3 +288,18 @@ def test_batches_are_refused_with_the_word_vmap():
         with pytest.raises(ValueError, match=r"use jax\.vmap"):
             ask()
     assert jax.vmap(jaxrod.stable_dt)(scenes).dt.shape == (2,)
+
+
+def test_supports_that_leave_the_plane_only_later_are_refused():
+    rod, state = along_x(4)
+    turning = jaxrod.driven(
+        state, axes="xy", axis=(1, 0, 0), angle=jaxrod.ramp(0.0, 2 * np.pi, 1.0)
+    )
+    for effect in (turning, jaxrod.hinge(state, (1.0, 0.0, 1.0))):
+        scene = jaxrod.make_scene(rod, effect, method=jaxrod.planar("xy"))
+        with pytest.raises(ValueError, match="couples of effects"):
+            jaxrod.advance(scene, state, 1e-5, 1)
+    upright = jaxrod.make_scene(
+        rod, jaxrod.hinge(state, (0.0, 0.0, 1.0)), method=jaxrod.planar("xy")
+    )
+    jaxrod.advance(upright, state, 1e-5, 1)

@@ -251,6 +251,10 @@ def test_bad_schedules_are_refused_in_words(rod_and_state):
             "first must be at least 0",
         ),
         (
+            lambda: jaxrod.advance(shaken(rod), state, 1e-4, 10, first=2**31 - 5),
+            "first must be at most",
+        ),
+        (
             lambda: jaxrod.advance(shaken(rod), state, 1e-4, 1, first=1.5),
             "first must be an integer",
         ),
