@@ -79,6 +79,7 @@ class Method:
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> Stepper:
         """The integrator, its constants worked out for one call."""
+        # Not abstract: checks of single effects make scenes that are never stepped.
         raise NotImplementedError
 
     def check(self, scene: Scene) -> None:

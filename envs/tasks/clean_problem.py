@@ -89,6 +89,7 @@ def clean_problem(
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         if law != "consistent":
             raise ValueError("the clean variants have the consistent law only")
+        # All four tasks are dataclasses, which their common protocol does not say.
         finer = dataclasses.replace(task, n_elements=n_elements)  # type: ignore[type-var]
         arm: CleanArm = finer.default_params().arm
         return dataclasses.replace(arm.scene(), method=consistent()), arm.rest

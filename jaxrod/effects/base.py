@@ -198,6 +198,7 @@ class Effect:
         are couples in the world frame but for this. `None` if they are constant, too.
         An effect without this hook is differentiated automatically.
         """
+        # Not `return None`, which says that the couples are constant.
         raise NotImplementedError
 
     @property

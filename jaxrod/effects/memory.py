@@ -22,6 +22,7 @@ def memory_fields(effect: Effect) -> list[str]:
     """Fields of an effect that it remembers."""
     fields: tuple[dataclasses.Field[Any], ...] = ()
     if dataclasses.is_dataclass(type(effect)):
+        # An effect is a dataclass by its decorator, which its type does not say.
         fields = dataclasses.fields(type(effect))  # type: ignore[arg-type]
     return [field.name for field in fields if field.metadata.get("memory")]
 
@@ -44,6 +45,7 @@ def memory_of(effects: tuple[Effect, ...]) -> Memory:
 
 def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
     """The effects with other memories."""
+    # What remembers is a dataclass by its decorator, which its type does not say.
     return tuple(
         dataclasses.replace(effect, **values) if values else effect  # type: ignore[type-var]
         for effect, values in zip(effects, memory, strict=True)

@@ -7,6 +7,7 @@ a schedule have no clock, and their programs are the same as ever.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -99,21 +100,21 @@ def _product(a: Array, b: Array) -> tuple[Array, Array]:
     return product, ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2
 
 
-class Schedule:
+class Schedule(ABC):
     """Base of numbers that depend on time; a subclass is a pytree.
 
     `largest` is what bounds of stability and checks of planes and axes go by: it must
     be at least as large as any value, component by component.
     """
 
+    @abstractmethod
     def __call__(self, clock: Clock) -> Any:
         """The value at a time."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def largest(self) -> Any:
         """Bound on the size of every component at all times, of the same shape."""
-        raise NotImplementedError
 
 
 Timed = Numbers | Schedule

@@ -10,6 +10,7 @@ def need_matplotlib() -> None:
         ModuleNotFoundError: It is.
     """
     try:
+        # Only to see whether it is there.
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as missing:
         if missing.name != "matplotlib":

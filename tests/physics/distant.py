@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import jax
 import jax.numpy as jnp
 
@@ -10,11 +12,12 @@ from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 
 
-class Potential(jaxrod.Effect):
+class Potential(jaxrod.Effect, ABC):
     """Forces on the nodes that are minus the gradient of an energy."""
 
+    @abstractmethod
     def potential(self, rod, positions):
-        raise NotImplementedError
+        """The energy [J]."""
 
     def loads(self, rod, motion):
         slope = jax.grad(self.potential, 1)(rod, jnp.stack(motion.position))

@@ -232,3 +232,14 @@ def test_a_stiffness_that_has_grown_is_warned_of(rod_and_state):
     scene = jaxrod.make_scene(rod, Stiffening())
     with pytest.warns(jaxrod.UnstableStepWarning):
         jaxrod.advance(scene, state, jaxrod.stable_dt(scene).dt, 1)
+
+
+def test_two_of_a_kind_remember_each_its_own(rod_and_state):
+    rod, state = rod_and_state
+    muscles = Muscle(0.8, 0.0), jaxrod.gravity((0.0, 0.0, 0.0)), Muscle(-0.5, 0.0)
+    after = jaxrod.advance(jaxrod.make_scene(rod, *muscles), state, DT, 50)
+    share = 1 - np.exp(-50 * DT / RISE)
+    first, nothing, second = after.memory
+    assert float(first["activation"]) == pytest.approx(0.8 * share, rel=1e-12)
+    assert float(second["activation"]) == pytest.approx(-0.5 * share, rel=1e-12)
+    assert nothing == {}

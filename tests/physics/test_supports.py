@@ -303,3 +303,28 @@ def test_supports_that_leave_the_plane_only_later_are_refused():
         rod, jaxrod.hinge(state, (0.0, 0.0, 1.0)), method=jaxrod.planar("xy")
     )
     jaxrod.advance(upright, state, 1e-5, 1)
+
+
+def test_neither_origin_nor_order_matters_to_what_supports_do():
+    shift = jnp.asarray([30.0, -20.0, 50.0])
+    shake = jaxrod.sine((0.0, 0.0, 0.01), 0.1, phase=0.25)
+    rod, state = along_x(3, 1e6)
+
+    def run(state, order):
+        effects = [
+            jaxrod.driven(state, displacement=shake, free_to_turn=True),
+            jaxrod.pin(state, "finish", axes="yz"),
+            jaxrod.gravity(),
+        ]
+        scene = jaxrod.make_scene(rod, *effects[::order])
+        after = jaxrod.advance(scene, state, 2e-4, 300)
+        return after, jaxrod.reactions(scene.at(300 * 2e-4), after)[::order]
+
+    here, held = run(state, 1)
+    moved = replace(state, positions=state.positions + shift[:, None])
+    for start, order, offset in ((moved, 1, shift), (state, -1, 0 * shift)):
+        there, also_held = run(start, order)
+        back = there.positions - offset[:, None]
+        np.testing.assert_allclose(back, here.positions, rtol=0, atol=1e-9)
+        for one, other in zip(held[:2], also_held[:2], strict=True):
+            np.testing.assert_allclose(one.force, other.force, rtol=0, atol=1e-4)
