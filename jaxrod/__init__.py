@@ -114,6 +114,18 @@ _NAMES = {
         "with_memory",
     ),
     "structure": ("memory", "pytree", "static"),
+    "systems.coupling": ("Coupling",),
+    "systems.hinges": ("hinge_joint", "rigid_joint"),
+    "systems.rigid_bodies": (
+        "BodyState",
+        "RigidBodies",
+        "rigid_body",
+        "stacked_bodies",
+    ),
+    "systems.springs": ("ball_joint", "spring"),
+    "systems.system": ("System", "make_system"),
+    "systems.ties": ("tie",),
+    "systems.welds": ("attach", "weld"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

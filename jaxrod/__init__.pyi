@@ -115,6 +115,20 @@ from jaxrod.stepping import with_memory as with_memory
 from jaxrod.structure import memory as memory
 from jaxrod.structure import pytree as pytree
 from jaxrod.structure import static as static
+from jaxrod.systems.coupling import Coupling as Coupling
+from jaxrod.systems.hinges import hinge_joint as hinge_joint
+from jaxrod.systems.hinges import rigid_joint as rigid_joint
+from jaxrod.systems.rigid_bodies import BodyState as BodyState
+from jaxrod.systems.rigid_bodies import RigidBodies as RigidBodies
+from jaxrod.systems.rigid_bodies import rigid_body as rigid_body
+from jaxrod.systems.rigid_bodies import stacked_bodies as stacked_bodies
+from jaxrod.systems.springs import ball_joint as ball_joint
+from jaxrod.systems.springs import spring as spring
+from jaxrod.systems.system import System as System
+from jaxrod.systems.system import make_system as make_system
+from jaxrod.systems.ties import tie as tie
+from jaxrod.systems.welds import attach as attach
+from jaxrod.systems.welds import weld as weld
 from jaxrod.tradeoff.tuning import Tuned as Tuned
 from jaxrod.tradeoff.tuning import tune as tune
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
@@ -157,6 +158,72 @@ class Scene:
         return replace(self, effects=recalled(self.effects, state.memory))
 
 
+class Composite(ABC):
+    """Base of what is more than one scene, and is stepped and asked like one.
+
+    The functions that take a scene take it too, with its own kind of state.
+    """
+
+    @property
+    @abstractmethod
+    def depends_on_time(self) -> bool:
+        """Whether a number is a schedule."""
+
+    @property
+    @abstractmethod
+    def remembers(self) -> bool:
+        """Whether an effect has something that it remembers."""
+
+    @property
+    @abstractmethod
+    def evolves(self) -> bool:
+        """Whether it depends on time or remembers."""
+
+    @abstractmethod
+    def recalling(self, state: Any) -> Any:
+        """Itself with what its effects remember as it is in a state."""
+
+    @abstractmethod
+    def check_run(self, state: Any, dt: ArrayLike) -> Array:
+        """Checks the arguments of a run; gives the step its type."""
+
+    @abstractmethod
+    def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
+        """The integrator of a run; `first` counts where it evolves."""
+
+    @abstractmethod
+    def with_memory(self, state: Any) -> Any:
+        """The state with the memory that its effects begin with, if it has none."""
+
+    @abstractmethod
+    def step_warning(self, dt: Array) -> str | None:
+        """Words about a concrete step that is not stable; `None` for one that is."""
+
+    @abstractmethod
+    def stable_step(self, safety: ArrayLike) -> Any:
+        """The largest stable step times a safety factor, in its field `dt`."""
+
+    @abstractmethod
+    def health(self, state: Any, dt: ArrayLike, limits: Any) -> Any:
+        """Flags and what is behind them."""
+
+    @abstractmethod
+    def kinetic_energy(self, state: Any) -> Float[Array, ""]:
+        """Kinetic energy [J]."""
+
+    @abstractmethod
+    def potential_energy(self, state: Any) -> Float[Array, ""]:
+        """Stored energy and potentials [J]."""
+
+    @abstractmethod
+    def momentum(self, state: Any) -> Float[Array, "3"]:
+        """Linear momentum [kg m/s]."""
+
+    @abstractmethod
+    def angular_momentum(self, state: Any) -> Float[Array, "3"]:
+        """Angular momentum about the origin [kg m^2/s]."""
+
+
 def check_scene(scene: Scene) -> None:
     """Checks that something is a scene, and one alone.
 
@@ -260,8 +327,10 @@ def damping_rates(scene: Scene) -> tuple[Array, Array] | None:
     return total
 
 
-def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
+def kinetic_energy(rod: Rod | Composite, state: Any) -> Float[Array, ""]:
     """Kinetic energy of translation and rotation [J]."""
+    if isinstance(rod, Composite):
+        return rod.kinetic_energy(state)
     check_state(rod, state)
     translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
     spin = angular_velocities(rod, state)
@@ -270,8 +339,10 @@ def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     return translation + 0.5 * jnp.sum(inertia * spin**2)
 
 
-def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
+def potential_energy(scene: Scene | Composite, state: Any) -> Float[Array, ""]:
     """Stored elastic energy plus the potential of all effects [J]."""
+    if isinstance(scene, Composite):
+        return scene.potential_energy(state)
     scene = scene_of(scene, state)
     total = stored_energy(scene.rod, state)
     for effect in scene.effects:
@@ -279,20 +350,26 @@ def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
     return total
 
 
-def total_energy(scene: Scene, state: RodState) -> Float[Array, ""]:
+def total_energy(scene: Scene | Composite, state: Any) -> Float[Array, ""]:
     """Kinetic plus potential energy [J]."""
+    if isinstance(scene, Composite):
+        return scene.kinetic_energy(state) + scene.potential_energy(state)
     scene = scene_of(scene, state)
     return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
 
 
-def momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
+def momentum(rod: Rod | Composite, state: Any) -> Float[Array, "3"]:
     """Linear momentum, world frame [kg m/s]."""
+    if isinstance(rod, Composite):
+        return rod.momentum(state)
     check_state(rod, state)
     return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
 
 
-def angular_momentum(rod: Rod, state: RodState) -> Float[Array, "3"]:
+def angular_momentum(rod: Rod | Composite, state: Any) -> Float[Array, "3"]:
     """Angular momentum about the origin, world frame [kg m^2/s]."""
+    if isinstance(rod, Composite):
+        return rod.angular_momentum(state)
     check_state(rod, state)
     position = vectors.split(state.positions)
     velocity = vectors.split(state.velocities)

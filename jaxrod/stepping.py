@@ -17,7 +17,13 @@ from jaxrod.analysis.stability import compression, stable_dt
 from jaxrod.effects.memory import memory_of
 from jaxrod.effects.time import Clock
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Evolvable, Scene, Stepper, check_scene, check_scene_and_state
+from jaxrod.scene import (
+    Composite,
+    Evolvable,
+    Scene,
+    check_scene,
+    check_scene_and_state,
+)
 from jaxrod.validation import (
     MOST,
     as_array,
@@ -28,6 +34,9 @@ from jaxrod.validation import (
 )
 
 Carry = TypeVar("Carry")
+State = TypeVar("State")
+Model = Scene | Composite
+"""What is stepped: one rod with what acts on it, or a system of several members."""
 
 COMPRESSED = 0.9
 """Of the bound, what is left of it in consistent mode however a rod is compressed."""
@@ -35,18 +44,25 @@ ROUNDING = 1e-4
 """Of the bound, what is lost to rounding of positions where nothing is compressed."""
 
 
+_ADVICE = (
+    ": expect the simulation to blow up, with or without NaN. Use "
+    "jaxrod.stable_dt(scene).dt, fewer elements, or a softer or thicker rod; "
+    'warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes this an error.'
+)
+
+
 class UnstableStepWarning(UserWarning):
     """The time step is above the stability bound of the scene."""
 
 
 def step(
-    scene: Scene, state: RodState, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
-) -> RodState:
+    scene: Model, state: State, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
+) -> State:
     """One step: half drift, kick, half drift. Pure; works inside jit, vmap and grad.
 
     Args:
-        scene: The scene.
-        state: Where the rod is and how it moves.
+        scene: The scene, or a system of several rods and bodies.
+        state: Where the rod is and how it moves; of a system, a dict by member.
         dt: Step size [s].
         first: Steps since time zero, where the scene depends on time.
 
@@ -62,13 +78,13 @@ def step(
 
 
 def advance(
-    scene: Scene,
-    state: RodState,
+    scene: Model,
+    state: State,
     dt: ArrayLike,
     n_steps: int | Int[Array, ""],
     *,
     first: int | Int[Array, ""] = 0,
-) -> RodState:
+) -> State:
     """`n_steps` steps of size `dt`, neighbouring half drifts merged.
 
     Called with plain arrays it runs a program compiled once for any `dt`, any
@@ -81,8 +97,8 @@ def advance(
     compiled once for every `int` number of steps, or once for all traced ones.
 
     Args:
-        scene: The scene.
-        state: The initial state.
+        scene: The scene, or a system of several rods and bodies.
+        state: The initial state; of a system, a dict by member.
         dt: Step size [s].
         n_steps: How many steps, from 0 to 2147483647; an array below 0 counts as 0.
         first: Steps since time zero when it begins, where the scene depends on time:
@@ -117,19 +133,19 @@ def advance(
 
 
 def rollout(
-    scene: Scene,
-    state: RodState,
+    scene: Model,
+    state: State,
     dt: ArrayLike,
     n_steps: int,
     every: int = 1,
     *,
     first: int | Int[Array, ""] = 0,
-) -> RodState:
+) -> State:
     """`n_steps` steps, recorded every `every` steps; differentiable in reverse mode.
 
     Args:
-        scene: The scene.
-        state: The initial state.
+        scene: The scene, or a system of several rods and bodies.
+        state: The initial state; of a system, a dict by member.
         dt: Step size [s].
         n_steps: How many steps, a multiple of `every`.
         every: Steps between records, at least 1.
@@ -180,7 +196,7 @@ def rollout_times(
     return jnp.arange(records + 1) * (every * step)
 
 
-def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
+def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
     """Warns when a concrete time step is above the scene's stability bound.
 
     Args:
@@ -196,6 +212,8 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
     Raises:
         ValueError: If `dt` is not a positive number.
     """
+    if isinstance(scene, Composite):
+        return _warn_of_system(scene, dt)
     check_scene(scene)
     check_array("dt", dt, [()], "s", positive=True)
     if not scene.method.explicit:
@@ -212,13 +230,18 @@ def check_step(scene: Scene, dt: Array, state: RodState | None = None) -> bool:
         return near
     warnings.warn(
         f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
-        f"{bound.limiting_mode}{where}: expect the simulation to blow up, with or "
-        "without NaN. Use jaxrod.stable_dt(scene).dt, fewer elements, or a softer or "
-        'thicker rod; warnings.simplefilter("error", jaxrod.UnstableStepWarning) makes '
-        "this an error.",
+        f"{bound.limiting_mode}{where}" + _ADVICE,
         UnstableStepWarning,
         stacklevel=3,
     )
+    return False
+
+
+def _warn_of_system(system: Composite, dt: Array) -> bool:
+    """Warns when a concrete step is above a system's bound; there is no near."""
+    words = system.step_warning(dt)
+    if words is not None:
+        warnings.warn(words + _ADVICE, UnstableStepWarning, stacklevel=4)
     return False
 
 
@@ -231,10 +254,11 @@ def _check_counter(n_steps: Array, name: str = "n_steps") -> None:
 
 
 def _check_first(
-    scene: Scene, first: int | Array, n_steps: int | Array
+    scene: Model, first: int | Array, n_steps: int | Array
 ) -> Array | None:
     """The step to begin with, for a scene to which it matters."""
-    check_scene(scene)
+    if not isinstance(scene, Composite):
+        check_scene(scene)
     if isinstance(first, jax.Array):
         _check_counter(first, "first")
     else:
@@ -245,7 +269,7 @@ def _check_first(
     return jnp.asarray(first, jnp.int32)
 
 
-def with_memory(scene: Scene, state: RodState) -> RodState:
+def with_memory(scene: Model, state: Any) -> Any:
     """The state with the memory that the scene's effects begin with, if it has none.
 
     Runs do this themselves. A loop of your own (`jax.lax.scan`) and `freeze` need it
@@ -255,6 +279,8 @@ def with_memory(scene: Scene, state: RodState) -> RodState:
         scene: The scene.
         state: A state of its rod.
     """
+    if isinstance(scene, Composite):
+        return scene.with_memory(state)
     check_scene(scene)
     check_kind("state", state, RodState)
     if state.memory is not None or not scene.remembers:
@@ -273,8 +299,10 @@ def _check_records(n_steps: int, every: int) -> int:
     return n_steps // every
 
 
-def _check(scene: Scene, state: RodState, dt: ArrayLike, first: Array | None) -> Array:
+def _check(scene: Model, state: Any, dt: ArrayLike, first: Array | None) -> Array:
     """Checks the arguments of a run; gives the step the type of the scene."""
+    if isinstance(scene, Composite):
+        return scene.check_run(state, dt)
     check_scene_and_state(scene, state)
     dtype = scene.rod.rest_lengths.dtype
     step = as_array("dt", dt, "s", positive=True, dtype=dtype)
@@ -295,8 +323,8 @@ def _check(scene: Scene, state: RodState, dt: ArrayLike, first: Array | None) ->
 
 
 def _run_traced(
-    scene: Scene, state: RodState, dt: Array, n_steps: Array, first: Array | None
-) -> RodState:
+    scene: Model, state: Any, dt: Array, n_steps: Array, first: Array | None
+) -> Any:
     state = with_memory(scene, state)
     after = _run(scene, state, dt, n_steps, first, _repeat_traced)
     return jax.tree.map(
@@ -305,8 +333,8 @@ def _run_traced(
 
 
 def _run_static(
-    scene: Scene, state: RodState, dt: Array, n_steps: int, first: Array | None
-) -> RodState:
+    scene: Model, state: Any, dt: Array, n_steps: int, first: Array | None
+) -> Any:
     state = with_memory(scene, state)
     if n_steps == 0:
         return state
@@ -314,21 +342,23 @@ def _run_static(
 
 
 def _run(
-    scene: Scene,
-    state: RodState,
+    scene: Model,
+    state: Any,
     dt: Array,
     n_steps: int | Array,
     first: Array | None,
     loop: Callable[[Callable[[Any], Any], Any, Any], Any],
-) -> RodState:
+) -> Any:
     """At least one step."""
     integrator = stepper(scene, state, dt, first)
     cycles = n_steps - integrator.steps_of_end
     return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
 
 
-def stepper(scene: Scene, state: RodState, dt: Array, first: Array | None) -> Stepper:
+def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Any:
     """The integrator of a scene; `first` counts where it depends on time."""
+    if isinstance(scene, Composite):
+        return scene.run_stepper(state, dt, first)
     if first is None:
         return scene.method.stepper(scene, state, dt)
     start = scene.at(Clock(first, jnp.zeros_like(dt), dt))
@@ -377,20 +407,20 @@ _static_compiled = jax.jit(_run_static, static_argnames="n_steps")
 
 @jax.jit(static_argnames=("records", "every"))
 def _rollout_compiled(
-    scene: Scene,
-    state: RodState,
+    scene: Model,
+    state: Any,
     dt: Array,
     records: int,
     every: int,
     first: Array | None,
-) -> RodState:
+) -> Any:
     state = with_memory(scene, state)
 
-    def block(state: RodState, count: Array | None) -> RodState:
+    def block(state: Any, count: Array | None) -> Any:
         begin = None if first is None or count is None else first + every * count
         return _run_static(scene, state, dt, every, begin)
 
-    def record(carry: RodState, count: Array | None) -> tuple[RodState, RodState]:
+    def record(carry: Any, count: Array | None) -> tuple[Any, Any]:
         after = jax.checkpoint(block, prevent_cse=False)(carry, count)
         return after, after
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,14 @@ from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState, check_size
-from jaxrod.scene import Scene, check_memory, check_moment, check_scene, momentum
+from jaxrod.scene import (
+    Composite,
+    Scene,
+    check_memory,
+    check_moment,
+    check_scene,
+    momentum,
+)
 from jaxrod.structure import pytree
 from jaxrod.validation import check_array, is_traced
 
@@ -124,22 +131,22 @@ class Health:
 
 
 def health(
-    scene: Scene,
-    state: RodState,
+    scene: Scene | Composite,
+    state: Any,
     dt: ArrayLike,
     *,
     limits: HealthLimits | None = None,
     energy_before: ArrayLike | None = None,
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
-) -> Health:
+) -> Any:
     """Examines a state. Cheap; works inside jit and vmap.
 
     Where nothing ties the rod to a place (no held end, no contact), speeds and kinetic
     energy count relative to its mean motion.
 
     Args:
-        scene: The scene.
+        scene: The scene, or a system: of that no energy is examined.
         state: The state to examine.
         dt: The step size in use [s]. If it is traced and not positive, speed and spin
             are flagged.
@@ -158,6 +165,8 @@ def health(
         ValueError: If the state is not of the scene's rod, or `dt` or `n_steps` is
             known and not positive.
     """
+    if isinstance(scene, Composite):
+        return scene.health(state, dt, limits)
     check_scene(scene)
     check_moment(scene)
     check_size(scene.rod, state)

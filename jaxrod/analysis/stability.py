@@ -33,7 +33,7 @@ $h\,\omega_{\max} < 2$.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +49,7 @@ from jaxrod.analysis.frequency import (
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_scene, damping_rates, scene_of
+from jaxrod.scene import Composite, Scene, check_scene, damping_rates, scene_of
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array
 
@@ -79,8 +79,8 @@ class StableStep:
 
 
 def stable_dt(
-    scene: Scene, safety: ArrayLike = 0.8, *, state: RodState | None = None
-) -> StableStep:
+    scene: Any, safety: ArrayLike = 0.8, *, state: RodState | None = None
+) -> Any:
     """The largest step at which a scene is stable, times a safety factor.
 
     Without a state: a bound in closed form for the unstressed shape, never above the
@@ -89,7 +89,7 @@ def stable_dt(
     strongly compressed in PyElastica mode, or to have the last few per cent.
 
     Args:
-        scene: The scene; of a schedule, the bound on its size counts.
+        scene: The scene, or a system; of a schedule, the bound on its size counts.
         safety: Fraction of the limit to use, in (0, 1]: 0.5 is cautious, 0.9 fast.
             Above 0.9 a rod that is compressed while it moves may blow up.
         state: The deformation at which to measure, if any.
@@ -102,6 +102,11 @@ def stable_dt(
             rod.
         TypeError: If `scene` or `state` is something else.
     """
+    if isinstance(scene, Composite):
+        if state is not None:
+            raise ValueError("state: of a system the bound is for any state")
+        factor = as_array("safety", safety, "", positive=True, at_most=1)
+        return scene.stable_step(factor)
     check_scene(scene)
     dtype = scene.rod.rest_lengths.dtype
     factor = as_array("safety", safety, "", positive=True, at_most=1, dtype=dtype)

@@ -30,7 +30,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law, internal_loads
-from jaxrod.rods.motion import Motion, motion_of, state_of
+from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import (
     Method,
@@ -104,11 +104,20 @@ class ConsistentStepper(Verlet):
         turned = replace(motion, orientation=normalise(twisted))
         return constrain(self.scene, turned.moved(dt))
 
-    def kick(self, motion: Motion) -> Motion:
-        """Changes velocities and angular momenta by all loads over one step."""
+    def kick(self, motion: Motion, others: Loads | None = None) -> Motion:
+        """Changes velocities and angular momenta by all loads over one step.
+
+        Args:
+            motion: The motion in the middle of the step.
+            others: Loads of what is not in the scene, if any.
+        """
         internal = internal_loads(self.law, motion)
         assert internal.forces is not None and internal.couples is not None
-        loads = external_loads(self.scene, motion, internal.forces, internal.couples)
+        forces, couples = internal.forces, internal.couples
+        if others is not None:
+            forces = accumulate(forces, others.forces)
+            couples = accumulate(couples, others.couples)
+        loads = external_loads(self.scene, motion, forces, couples)
         assert loads.forces is not None and loads.couples is not None
         couples = to_world(directors(motion.orientation), loads.couples)
         kicked = replace(

@@ -34,7 +34,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import joint_rotations
-from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
+from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
 from jaxrod.rods.rod import Rod, RodState, angular_velocities, with_angular_velocities
 from jaxrod.scene import (
     Law,
@@ -155,11 +155,20 @@ class PyElasticaStepper(Verlet):
         )
         return Loads(forces=vectors.difference(force), couples=couples)
 
-    def kick(self, motion: Motion) -> Motion:
-        """Changes velocities and angular velocities by all loads over one step."""
+    def kick(self, motion: Motion, others: Loads | None = None) -> Motion:
+        """Changes velocities and angular velocities by all loads over one step.
+
+        Args:
+            motion: The motion in the middle of the step.
+            others: Loads of what is not in the scene, if any.
+        """
         internal = self.internal_loads(motion)
         assert internal.forces is not None and internal.couples is not None
-        loads = external_loads(self.scene, motion, internal.forces, internal.couples)
+        forces, couples = internal.forces, internal.couples
+        if others is not None:
+            forces = accumulate(forces, others.forces)
+            couples = accumulate(couples, others.couples)
+        loads = external_loads(self.scene, motion, forces, couples)
         assert loads.forces is not None and loads.couples is not None
         accelerations = vectors.scale(self.inverse_masses, loads.forces)
         stretch = motion.lengths * self.inverse_lengths

@@ -1,0 +1,1 @@
+"""Several rods and rigid bodies, and what ties and couples them."""

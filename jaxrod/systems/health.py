@@ -1,0 +1,107 @@
+"""Numerical health of a system's state: of every member, and of what ties them."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from jaxrod.analysis.health import Health, HealthLimits, health
+from jaxrod.geometry import vectors
+from jaxrod.structure import pytree
+from jaxrod.systems.assembly import Assembly, SystemState
+from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
+
+
+@pytree
+class BodyHealth:
+    """Flags and the measured values behind them, of the rigid bodies of one member."""
+
+    finite: Bool[Array, ""]
+    """Every number of the state is finite, and so are their squares."""
+    spin: Bool[Array, ""]
+    """Flag: a body turns more than a radian per step."""
+    norm: Bool[Array, ""]
+    """Flag: an orientation is not a unit quaternion."""
+    largest_spin: Float[Array, ""]
+    """Largest angular velocity [rad/s]."""
+    largest_norm_error: Float[Array, ""]
+    """Largest error of the square of a quaternion's norm [1]."""
+
+    @property
+    def flagged(self) -> Bool[Array, ""]:
+        """Whether anything is wrong."""
+        return ~self.finite | self.spin | self.norm
+
+
+@pytree
+class SystemHealth:
+    """Health of a system's state."""
+
+    members: dict[str, Health | BodyHealth]
+    """Of each member; of equal rods with a leading axis."""
+    violation: Bool[Array, ""]
+    """Flag: what is tied or attached has come apart, or contact is missed."""
+    largest_violation: Float[Array, ""]
+    """Largest violation of what couplings tie [1]."""
+
+    @property
+    def flagged(self) -> Bool[Array, ""]:
+        """Whether anything is wrong anywhere."""
+        each = [jnp.any(own.flagged) for own in self.members.values()]
+        return functools.reduce(jnp.logical_or, each, self.violation)
+
+
+def system_health(
+    system: Assembly,
+    state: SystemState,
+    dt: ArrayLike,
+    *,
+    limits: HealthLimits | None = None,
+) -> SystemHealth:
+    """Examines a state of a system. Works inside jit and vmap.
+
+    Args:
+        system: The system, without schedules (`system.at(time)`).
+        state: The state to examine.
+        dt: The step size in use [s].
+        limits: Limits beyond which a state is flagged.
+    """
+    limits = HealthLimits() if limits is None else limits
+    system = system.recalling(state)
+    members: dict[str, Health | BodyHealth] = {}
+    for name, member in system.members.items():
+        own = state[name]
+        if isinstance(member, RigidBodies):
+            members[name] = _of_bodies(own, dt, limits)
+        elif member.rod.rest_lengths.ndim == 1:
+            members[name] = health(member, own, dt, limits=limits)
+        else:
+            each: Any = jax.vmap(lambda s, x: health(s, x, dt, limits=limits))
+            members[name] = each(member, own)
+    seen, couplings = seen_at_rest(system, state)
+    found = [coupling.violation(seen) for coupling in couplings]
+    zero = jnp.zeros((), system.dtype)
+    worst = functools.reduce(
+        jnp.maximum, [value for value in found if value is not None], zero
+    )
+    # Written so that NaN counts as wrong.
+    return SystemHealth(members, ~(worst <= limits.largest_violation), worst)
+
+
+def _of_bodies(state: BodyState, dt: ArrayLike, limits: HealthLimits) -> BodyHealth:
+    spins = vectors.safe_norm(vectors.split(state.angular_velocities))
+    norms = jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1)
+    spin, norm = jnp.max(spins), jnp.max(norms)
+    squares = jnp.sum(state.positions**2) + jnp.sum(state.velocities**2)
+    return BodyHealth(
+        finite=jnp.isfinite(squares + spin + norm),
+        spin=~((spin * dt <= limits.largest_turn) & (jnp.asarray(dt) > 0)),
+        norm=~(norm <= limits.largest_norm_error),
+        largest_spin=spin,
+        largest_norm_error=norm,
+    )

@@ -1,0 +1,181 @@
+"""Steppers of a system's members: rods, equal rods in one leaf, rigid bodies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Protocol
+
+import jax
+from jaxtyping import Array
+
+from jaxrod.geometry.rotations import directors, to_world
+from jaxrod.methods.verlet import Verlet
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.structure import pytree, static
+from jaxrod.systems.parts import Parts, Seen, in_one_row, in_rows
+from jaxrod.systems.rigid_stepper import RigidStepper
+
+
+class MemberStepper(Protocol):
+    """One member's part of a step; `Motion` is as the member's own stepper has it."""
+
+    def enter(self, state: Any) -> Motion:
+        """Takes a state apart."""
+
+    def leave(self, motion: Motion) -> Any:
+        """Puts the state together again."""
+
+    def drift(self, motion: Motion, dt: Array) -> Motion:
+        """Moves at unchanged rates for a time `dt` [s]."""
+
+    def kick(self, motion: Motion, loads: Loads) -> Motion:
+        """Changes the rates by all of its own loads and by others, over one step."""
+
+    def supported(self, motion: Motion) -> Motion:
+        """With the rates that supports give now."""
+
+    def seen(self, motion: Motion) -> Seen:
+        """The member as couplings see it."""
+
+    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
+        """The member's motion with what was changed in a view of it."""
+
+    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
+        """Changes rates by impulses, forces and couples in the world frame."""
+
+
+@pytree
+class RodStepper:
+    """Of a scene: one rod and its effects."""
+
+    verlet: Verlet
+    """The stepper of the scene."""
+    parts: Parts
+    """Constants of the rod."""
+
+    def enter(self, state: Any) -> Motion:
+        """Takes a state apart."""
+        return self.verlet.enter(state)
+
+    def leave(self, motion: Motion) -> Any:
+        """Puts the state together again."""
+        return self.verlet.leave(motion)
+
+    def drift(self, motion: Motion, dt: Array) -> Motion:
+        """Moves at unchanged rates."""
+        return self.verlet.drift(motion, dt)
+
+    def kick(self, motion: Motion, loads: Loads) -> Motion:
+        """Changes the rates by internal loads, effects and others."""
+        return self.verlet.kick(motion, loads)
+
+    def supported(self, motion: Motion) -> Motion:
+        """With the rates that supports give now."""
+        return self.verlet.constrain_rates(motion)
+
+    def seen(self, motion: Motion) -> Seen:
+        """The rod, as it is."""
+        return Seen(self.parts, motion)
+
+    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
+        """The changed motion."""
+        return seen
+
+    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
+        """Nodes of rods pass impulses on and take none."""
+        raise NotImplementedError("impulses act on rigid bodies")
+
+
+@pytree
+class RodsStepper:
+    """Of a scene whose leaves have a leading axis: equal rods with their effects."""
+
+    verlet: Verlet
+    """The steppers of the scenes, with a leading axis."""
+    parts: Parts
+    """Constants of the rods, in one row."""
+    count: int = static()
+    """Number of rods."""
+
+    def enter(self, state: Any) -> Motion:
+        """Takes the states apart."""
+        return jax.vmap(lambda one, s: one.enter(s))(self.verlet, state)
+
+    def leave(self, motion: Motion) -> Any:
+        """Puts the states together again."""
+        return jax.vmap(lambda one, m: one.leave(m))(self.verlet, motion)
+
+    def drift(self, motion: Motion, dt: Array) -> Motion:
+        """Moves all at unchanged rates."""
+        return jax.vmap(lambda one, m: one.drift(m, dt))(self.verlet, motion)
+
+    def kick(self, motion: Motion, loads: Loads) -> Motion:
+        """Changes the rates of all."""
+        each = in_rows(loads, self.count)
+        return jax.vmap(lambda one, m, more: one.kick(m, more))(
+            self.verlet, motion, each
+        )
+
+    def supported(self, motion: Motion) -> Motion:
+        """With the rates that supports give now."""
+        return jax.vmap(lambda one, m: one.constrain_rates(m))(self.verlet, motion)
+
+    def seen(self, motion: Motion) -> Seen:
+        """All rods in one row."""
+        return Seen(self.parts, in_one_row(motion))
+
+    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
+        """The changed motions, rod by rod."""
+        return in_rows(seen, self.count)
+
+    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
+        """Nodes of rods pass impulses on and take none."""
+        raise NotImplementedError("impulses act on rigid bodies")
+
+
+@pytree
+class BodiesStepper:
+    """Of rigid bodies."""
+
+    rigid: RigidStepper
+    """Their stepper."""
+
+    def enter(self, state: Any) -> Motion:
+        """Takes a state apart."""
+        return self.rigid.enter(state)
+
+    def leave(self, motion: Motion) -> Any:
+        """Puts the state together again."""
+        return self.rigid.leave(motion)
+
+    def drift(self, motion: Motion, dt: Array) -> Motion:
+        """Moves and turns freely."""
+        return self.rigid.drift(motion, dt)
+
+    def kick(self, motion: Motion, loads: Loads) -> Motion:
+        """Changes the rates by effects and other loads."""
+        return self.rigid.kick(motion, loads)
+
+    def supported(self, motion: Motion) -> Motion:
+        """As it is: supports hold rods."""
+        return motion
+
+    def seen(self, motion: Motion) -> Seen:
+        """The bodies at their origins."""
+        return self.rigid.seen(motion)
+
+    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
+        """Bodies follow nothing."""
+        raise NotImplementedError("nothing ties a rigid body to follow another member")
+
+    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
+        """Changes rates by impulses on the origins."""
+        return self.rigid.pushed(motion, impulses)
+
+
+def to_world_couples(seen: Seen, loads: Loads) -> Loads:
+    """Loads with their couples in the world frame."""
+    if loads.couples is None:
+        return loads
+    frame = directors(seen.motion.orientation)
+    return replace(loads, couples=to_world(frame, loads.couples))

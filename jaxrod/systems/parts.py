@@ -1,0 +1,146 @@
+"""Parts: the nodes and elements of a member, as couplings see them.
+
+All nodes of a member lie in one row, and so do its elements: of `k` equal rods of `n`
+elements first those of the first rod, then those of the second. A rigid body is one
+node and one element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree, static
+from jaxrod.systems.rigid_bodies import RigidBodies
+
+
+@pytree
+class Parts:
+    """Constants of a member, one entry per node or element."""
+
+    node_masses: Float[Array, " nodes"]
+    """Mass of each node, or of each body [kg]."""
+    inertias: Float[Array, "rows elements"]
+    """Of rods transverse and polar (2 rows), of bodies along their axes (3) [kg m^2].
+    """
+    rest_lengths: Float[Array, " elements"] | None = None
+    """Of the elements of rods [m]."""
+    radii: Float[Array, " elements"] | None = None
+    """Of the elements of rods [m]."""
+    bend_twist_stiffness: Float[Array, "3 elements"] | None = None
+    """Of the elements of rods [N m^2]."""
+    linear_density: Float[Array, " elements"] | None = None
+    """Of the elements of rods [kg/m]."""
+    held: Vec3 | None = None
+    """Of each node along each axis, one where a support holds it, else zero."""
+    count: int = static(default=1)
+    """Number of rods or bodies."""
+    n_elements: int = static(default=1)
+    """Elements of each rod; 1 for bodies."""
+    is_rod: bool = static(default=True)
+    """Whether they are rods."""
+
+    @property
+    def first_nodes(self) -> np.ndarray:
+        """First node of each element of rods; the only one of bodies."""
+        rods = np.arange(self.count)[:, None]
+        within = np.arange(self.n_elements)[None, :]
+        per_rod = self.n_elements + 1 if self.is_rod else 1
+        return np.ravel(rods * per_rod + within)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes of all together."""
+        return self.count * (self.n_elements + 1 if self.is_rod else 1)
+
+
+def parts_of(member: Rod | RigidBodies) -> Parts:
+    """The constants of a rod, of equal rods with a leading axis, or of bodies."""
+    if isinstance(member, RigidBodies):
+        return Parts(
+            node_masses=member.masses,
+            inertias=member.principal_inertias,
+            count=member.n_elements,
+            is_rod=False,
+        )
+    if member.rest_lengths.ndim == 1:
+        return _of_rod(member)
+    count, n = member.rest_lengths.shape
+    each = jax.vmap(_of_rod)(member)
+    return replace(in_one_row(each), count=count, n_elements=n)
+
+
+def _of_rod(rod: Rod) -> Parts:
+    return Parts(
+        node_masses=rod.node_masses,
+        inertias=rod.inertias,
+        rest_lengths=rod.rest_lengths,
+        radii=rod.radii,
+        bend_twist_stiffness=rod.bend_twist_stiffness,
+        linear_density=rod.linear_density,
+        n_elements=rod.n_elements,
+    )
+
+
+def in_one_row(tree: Any) -> Any:
+    """Leaves `(k, ..., n)` as `(..., k n)`."""
+
+    def one(leaf: Array) -> Array:
+        moved = jnp.moveaxis(leaf, 0, -2)
+        return moved.reshape(*moved.shape[:-2], -1)
+
+    return jax.tree.map(one, tree)
+
+
+def in_rows(tree: Any, count: int) -> Any:
+    """Leaves `(..., k n)` as `(k, ..., n)`."""
+
+    def one(leaf: Array) -> Array:
+        return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], count, -1), -2, 0)
+
+    return jax.tree.map(one, tree)
+
+
+@pytree
+class Seen:
+    """A member at a moment: its constants, and where its nodes and elements are."""
+
+    parts: Parts
+    """Its constants."""
+    motion: Motion
+    """Positions and rates, all nodes and all elements in one row; of bodies those of
+    their own origin."""
+    inverse_inertia: Matrix | None = None
+    """Of bodies that carry others' masses, in their own frame [1/(kg m^2)]."""
+
+    @property
+    def angular_velocities(self) -> Vec3:
+        """Angular velocities of the elements, world frame [rad/s]."""
+        if self.parts.is_rod:
+            # Motion asks the rod for its inertias alone.
+            rod: Any = self.parts
+            return self.motion.angular_velocities(rod)
+        frame = directors(self.motion.orientation)
+        own = to_material(frame, self.motion.spin)
+        if self.inverse_inertia is None:
+            a, b, c = self.parts.inertias
+            return to_world(frame, (own[0] / a, own[1] / b, own[2] / c))
+        x, y, z = (vectors.dot(row, own) for row in self.inverse_inertia)
+        return to_world(frame, (x, y, z))
+
+
+def mapped(function: Callable[[Array], Array], vector: Vec3) -> Vec3:
+    """A function of each component."""
+    return function(vector[0]), function(vector[1]), function(vector[2])

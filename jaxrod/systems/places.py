@@ -1,0 +1,195 @@
+"""Places on members of a system: nodes of rods and points of bodies, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxrod.rods.rod import RodState
+from jaxrod.structure import pytree, static
+from jaxrod.systems.coupling import AllParts
+from jaxrod.systems.rigid_bodies import BodyState
+from jaxrod.validation import check_count
+
+Place = Sequence[Any]
+"""`("arm", "finish")`, `("arm", 7)`, `("arms", 2, "start")` of equal rods, `("ball",)`
+or `("balls", 3)` of bodies."""
+
+
+class Indices:
+    """Integers that are structure: hashable, and compared by value."""
+
+    def __init__(self, values: Any) -> None:
+        """Keeps a copy."""
+        self.values = np.array(values, np.int32, ndmin=1)
+        self.values.flags.writeable = False
+        self._hash = hash((self.values.shape, self.values.tobytes()))
+
+    def __hash__(self) -> int:
+        """Worked out once."""
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all integers are equal."""
+        return (
+            isinstance(other, Indices)
+            and self._hash == other._hash
+            and np.array_equal(self.values, other.values)
+        )
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.values)
+
+    def __repr__(self) -> str:
+        """The integers."""
+        return f"Indices({self.values.tolist()})"
+
+
+@pytree
+class Points:
+    """Places on one member: their nodes and elements in the member's row."""
+
+    member: str = static()
+    """Name of the member."""
+    nodes: Indices = static()
+    """Nodes, or bodies."""
+    elements: Indices = static()
+    """Elements that turn with them, or bodies."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises a `ValueError` if the member is missing or smaller."""
+        if self.member not in parts:
+            raise ValueError(
+                f"no member is called {self.member!r}; there are "
+                + ", ".join(map(repr, parts))
+            )
+        largest = parts[self.member].n_nodes
+        if np.any(self.nodes.values >= largest):
+            raise ValueError(
+                f"{self.member!r} has {largest} nodes, got node "
+                f"{int(np.max(self.nodes.values))}"
+            )
+
+
+class Layout(NamedTuple):
+    """Numbers of nodes and elements of a member."""
+
+    count: int
+    """Rods or bodies."""
+    n_elements: int
+    """Elements of each rod; 1 for bodies."""
+    is_rod: bool
+    """Whether they are rods."""
+
+
+def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
+    """Layouts of the members of a system, from its state.
+
+    Raises:
+        TypeError: If it is no mapping from names to states of rods and bodies.
+    """
+    if not isinstance(state, Mapping):
+        raise TypeError(
+            "state must be a dict of the states of all members by name, got "
+            f"{type(state).__name__}"
+        )
+    return {name: _layout(name, own) for name, own in state.items()}
+
+
+def _layout(name: str, state: Any) -> Layout:
+    if isinstance(state, BodyState):
+        return Layout(state.positions.shape[-1], 1, False)
+    if not isinstance(state, RodState):
+        raise TypeError(
+            f"state of {name!r} must be a RodState or a BodyState, got "
+            f"{type(state).__name__}"
+        )
+    shape = state.orientations.shape
+    return Layout(shape[0] if len(shape) == 3 else 1, shape[-1], True)
+
+
+def resolved(
+    name: str, place: Place, layouts: Mapping[str, Layout]
+) -> tuple[str, int, int]:
+    """Member, node and element of a place.
+
+    Args:
+        name: Of the argument, for messages.
+        place: See `Place`.
+        layouts: The members there are.
+
+    Raises:
+        ValueError: If there is no such place.
+        TypeError: If it is no place.
+    """
+    if isinstance(place, str) or not isinstance(place, Sequence) or not place:
+        raise TypeError(
+            f'{name} must be a place such as ("arm", "finish"), got {place!r}'
+        )
+    member, *rest = place
+    if member not in layouts:
+        raise ValueError(
+            f"{name}: no member is called {member!r}; there are "
+            + ", ".join(map(repr, layouts))
+        )
+    own = layouts[member]
+    if not own.is_rod:
+        if len(rest) > 1:
+            raise ValueError(f"{name}: a body is named alone, got {place!r}")
+        body = _of_many(name, f"of {member!r}", rest, own.count)
+        return member, body, body
+    if len(rest) not in (1, 2):
+        raise ValueError(
+            f'{name}: of a rod an end ("start", "finish") or a node is needed, '
+            f"got {place!r}"
+        )
+    rod = _of_many(name, f"of {member!r}", rest[:-1], own.count)
+    node = _node(name, member, rest[-1], own)
+    element = min(node, own.n_elements - 1)
+    per_rod = own.n_elements
+    return member, rod * (per_rod + 1) + node, rod * per_rod + element
+
+
+def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
+    if not given:
+        if count > 1:
+            raise ValueError(f"{name}: {where} there are {count}, say which")
+        return 0
+    which = check_count(f"{name}: the number {where}", given[0], 0, count - 1)
+    return int(which)
+
+
+def _node(name: str, member: str, node: Any, layout: Layout) -> int:
+    last = layout.n_elements
+    if node == "start":
+        return 0
+    if node == "finish":
+        return last
+    if isinstance(node, str):
+        raise ValueError(
+            f'{name}: an end is "start" or "finish", got {node!r} of {member!r}'
+        )
+    counted = node + last + 1 if isinstance(node, int) and node < 0 else node
+    return check_count(f"{name}: node of {member!r}", counted, 0, last)
+
+
+def points_of(name: str, places: Sequence[tuple[str, int, int]]) -> Points:
+    """Resolved places of one member together.
+
+    Raises:
+        ValueError: If they are of several.
+    """
+    members = {member for member, _, _ in places}
+    if len(members) != 1:
+        raise ValueError(
+            f"all places of {name} must be of one member, got {sorted(members)}: give "
+            "a coupling for each"
+        )
+    return Points(
+        members.pop(),
+        Indices([node for _, node, _ in places]),
+        Indices([element for _, _, element in places]),
+    )

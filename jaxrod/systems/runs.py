@@ -1,0 +1,116 @@
+"""What a run of a system needs before it begins: checks, memory, a stepper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from jaxrod.effects.memory import memory_of
+from jaxrod.effects.time import Clock
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Scene, Stepper
+from jaxrod.systems.assembly import Assembly, SystemState
+from jaxrod.systems.evolving import EvolvingSystem
+from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
+from jaxrod.systems.stability import stable_system_dt
+from jaxrod.validation import as_array
+
+
+def check_system_state(system: Assembly, state: Any) -> None:
+    """Checks that a state is one of a system's members.
+
+    Raises:
+        TypeError: If it is no mapping, or a member's state is of another kind.
+        ValueError: If members are missing, unknown, or of another size or type.
+    """
+    if not isinstance(state, Mapping):
+        raise TypeError(
+            "state must be a dict of the states of all members by name, got "
+            f"{type(state).__name__}"
+        )
+    if set(state) != set(system.members):
+        raise ValueError(
+            f"state must have the members {sorted(system.members)}, got {sorted(state)}"
+        )
+    for name, member in system.members.items():
+        _check_member(name, member, state[name], system.dtype)
+
+
+def _check_member(name: str, member: Any, state: Any, dtype: Any) -> None:
+    kind = BodyState if isinstance(member, RigidBodies) else RodState
+    if not isinstance(state, kind):
+        raise TypeError(
+            f"state of {name!r} must be a {kind.__name__}, got {type(state).__name__}"
+        )
+    if isinstance(member, RigidBodies):
+        wanted = (3, *member.masses.shape)
+    else:
+        *batch, n = member.rod.rest_lengths.shape
+        wanted = (*batch, 3, n + 1)
+    if state.positions.shape != wanted:
+        raise ValueError(
+            f"positions of {name!r} must have shape {wanted}, got "
+            f"{state.positions.shape}"
+        )
+    if state.positions.dtype != dtype:
+        raise ValueError(
+            f"state of {name!r} must be {dtype}, as the system is, got "
+            f"{state.positions.dtype}"
+        )
+
+
+def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:
+    """Checks the arguments of a run; gives the step the type of the system."""
+    check_system_state(system, state)
+    return as_array("dt", dt, "s", positive=True, dtype=system.dtype)
+
+
+def system_stepper(
+    system: Assembly, state: SystemState, dt: Array, first: Array | None
+) -> Stepper:
+    """The integrator of a system; `first` counts where it depends on time."""
+    if first is None:
+        return system.stepper(state, dt)
+    start = system.at(Clock(first, jnp.zeros_like(dt), dt))
+    stepper = start.stepper(state, dt)
+    parts = system.parts()
+    prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
+    return EvolvingSystem(stepper, system, prepared, first)
+
+
+def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
+    """The state with the memories that effects begin with, where it has none."""
+    return {
+        name: _with_memory(member, state[name])
+        for name, member in system.members.items()
+    }
+
+
+def _with_memory(member: Any, state: Any) -> Any:
+    if isinstance(member, RigidBodies) or not member.remembers:
+        return state
+    if state.memory is not None:
+        return state
+    if member.rod.rest_lengths.ndim == 1:
+        return replace(state, memory=memory_of(member.effects))
+
+    def one(scene: Scene, own: RodState) -> RodState:
+        return replace(own, memory=memory_of(scene.effects))
+
+    return jax.vmap(one)(member, state)
+
+
+def unstable_step(system: Assembly, dt: Array) -> str | None:
+    """Words about a concrete step above the stability bound; `None` below it."""
+    bound = stable_system_dt(system, safety=1.0)
+    if not float(dt) > float(bound.dt):
+        return None
+    return (
+        f"dt = {float(dt):.3g} s is above the stability bound {float(bound.dt):.3g} s "
+        f"set by {bound.limiting_mode}"
+    )

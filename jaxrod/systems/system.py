@@ -1,0 +1,204 @@
+"""A system: rods and rigid bodies that act on each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxrod.analysis.health import HealthLimits
+from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.pyelastica import PyElastica
+from jaxrod.scene import Composite, Scene, Stepper
+from jaxrod.structure import pytree
+from jaxrod.systems.assembly import Assembly, Member, SystemState, held_parts
+from jaxrod.systems.attachments import Attachment
+from jaxrod.systems.coupling import Coupling
+from jaxrod.systems.energies import (
+    system_angular_momentum,
+    system_kinetic_energy,
+    system_momentum,
+    system_potential_energy,
+)
+from jaxrod.systems.health import SystemHealth, system_health
+from jaxrod.systems.rigid_bodies import RigidBodies
+from jaxrod.systems.runs import (
+    check_system_run,
+    check_system_state,
+    system_stepper,
+    system_with_memory,
+    unstable_step,
+)
+from jaxrod.systems.stability import StableSystemStep, stable_system_dt
+from jaxrod.systems.ties import Tie, merged
+
+
+@pytree
+class System(Assembly, Composite):
+    """Rods and rigid bodies by name, and what they do to each other.
+
+    Structure is static, numbers are traced. Only what is listed is in the compiled
+    program. Build one with `make_system`; step it and ask about it with the functions
+    that a scene has: `advance`, `rollout`, `stable_dt`, `health`, `total_energy`,
+    `momentum`, with a dict of states by member.
+    """
+
+    def check_run(self, state: Any, dt: ArrayLike) -> Array:
+        """Checks the arguments of a run; gives the step the system's type."""
+        return check_system_run(self, state, dt)
+
+    def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
+        """The integrator of a run."""
+        return system_stepper(self, state, dt, first)
+
+    def with_memory(self, state: Any) -> dict[str, Any]:
+        """The state with the memories that effects begin with."""
+        return system_with_memory(self, state)
+
+    def step_warning(self, dt: Array) -> str | None:
+        """Words about a concrete step above the stability bound."""
+        return unstable_step(self, dt)
+
+    def stable_step(self, safety: ArrayLike) -> StableSystemStep:
+        """The largest step at which it is stable, times a safety factor."""
+        return stable_system_dt(self, safety)
+
+    def health(
+        self, state: Any, dt: ArrayLike, limits: HealthLimits | None
+    ) -> SystemHealth:
+        """Flags and what is behind them."""
+        check_system_state(self, state)
+        return system_health(self, state, dt, limits=limits)
+
+    def kinetic_energy(self, state: Any) -> Float[Array, ""]:
+        """Of all members [J]."""
+        check_system_state(self, state)
+        return system_kinetic_energy(self, state)
+
+    def potential_energy(self, state: Any) -> Float[Array, ""]:
+        """Of all members and couplings [J]."""
+        check_system_state(self, state)
+        return system_potential_energy(self, state)
+
+    def momentum(self, state: Any) -> Float[Array, "3"]:
+        """Linear momentum [kg m/s]."""
+        check_system_state(self, state)
+        return system_momentum(self, state)
+
+    def angular_momentum(self, state: Any) -> Float[Array, "3"]:
+        """Angular momentum about the origin [kg m^2/s]."""
+        check_system_state(self, state)
+        return system_angular_momentum(self, state)
+
+
+def make_system(
+    members: Mapping[str, Member],
+    *couplings: Coupling | Sequence[Coupling],
+    state: SystemState | None = None,
+) -> System:
+    """A system of rods and rigid bodies.
+
+    Args:
+        members: By name: scenes, each a rod and its effects (or, with a leading axis on
+            every number, equal rods as from `jax.vmap`), and `RigidBodies`.
+        *couplings: What `tie`, `weld`, `attach`, `hinge` and others return.
+        state: A state of the system, if what is attached is to be checked against it.
+
+    Raises:
+        ValueError: If a coupling does not fit the members, types differ, or a member's
+            method has no steps in a system.
+        TypeError: If a member or a coupling is something else.
+    """
+    if not isinstance(members, Mapping) or not members:
+        raise TypeError("members must be a dict of at least one scene or rigid body")
+    for name, member in members.items():
+        _check_member(name, member)
+    listed = list(_flat(couplings))
+    ties = merged([c for c in listed if isinstance(c, Tie)])
+    others = [c for c in listed if not isinstance(c, Tie)]
+    # Ties come last: they have the final word on velocities.
+    ordered = (*others, ties) if ties is not None else tuple(others)
+    system = System(dict(members), ordered)
+    types = {name: System({name: member}).dtype for name, member in members.items()}
+    if len(set(types.values())) > 1:
+        raise ValueError(
+            "members must all be of one type, got "
+            + ", ".join(f"{name!r}: {dtype}" for name, dtype in types.items())
+        )
+    parts = system.parts()
+    if state is not None:
+        parts = held_parts(system, state)
+    couplings_in_type = jax.tree.map(_in_type(system.dtype), ordered)
+    for coupling in ordered:
+        coupling.check(parts)
+    _check_followers(ordered)
+    return replace(system, couplings=couplings_in_type)
+
+
+def _flat(couplings: Any) -> Any:
+    for coupling in couplings:
+        if isinstance(coupling, Coupling):
+            yield coupling
+        elif isinstance(coupling, Sequence) and not isinstance(coupling, str):
+            yield from _flat(coupling)
+        else:
+            raise TypeError(
+                f"couplings must be jaxrod couplings, got {type(coupling).__name__}"
+            )
+
+
+def _check_member(name: Any, member: Any) -> None:
+    if not isinstance(name, str):
+        raise TypeError(f"names of members must be strings, got {name!r}")
+    if isinstance(member, RigidBodies):
+        return
+    if not isinstance(member, Scene):
+        raise TypeError(
+            f"member {name!r} must be a scene from make_scene or a rigid body, got "
+            f"{type(member).__name__}"
+        )
+    if not isinstance(member.method, Consistent | PyElastica):
+        raise ValueError(
+            f"member {name!r} steps with {type(member.method).__name__}, which has no "
+            "steps in a system: use consistent() or pyelastica()"
+        )
+
+
+def _check_followers(couplings: Sequence[Coupling]) -> None:
+    """Raises where a node would follow two bodies, or a body and a tie."""
+    followers: dict[tuple[str, int], str] = {}
+    for coupling in couplings:
+        if isinstance(coupling, Attachment):
+            for node in coupling.points.nodes.values:
+                key = (coupling.points.member, int(node))
+                if key in followers:
+                    raise ValueError(
+                        f"node {key[1]} of {key[0]!r} is attached to "
+                        f"{followers[key]!r} and to {coupling.bodies.member!r}: it can "
+                        "follow one body only"
+                    )
+                followers[key] = coupling.bodies.member
+    for coupling in couplings:
+        if isinstance(coupling, Tie):
+            for points in coupling.points:
+                for node in points.nodes.values:
+                    key = (points.member, int(node))
+                    if key in followers:
+                        raise ValueError(
+                            f"node {key[1]} of {key[0]!r} is tied and attached to "
+                            f"{followers[key]!r}: attach all tied nodes to the body "
+                            "instead"
+                        )
+
+
+def _in_type(dtype: Any) -> Any:
+    def cast(leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        inexact = jnp.issubdtype(array.dtype, jnp.floating)
+        return array.astype(dtype) if inexact else array
+
+    return cast

@@ -1,0 +1,136 @@
+"""Welds: rods joined to rods, and to rigid bodies, with the angle between them kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    conjugate,
+    join_quaternion,
+    multiply_quaternions,
+    rotation_log_and_coupling,
+)
+from jaxrod.geometry.vectors import join
+from jaxrod.systems.attachments import attachment
+from jaxrod.systems.coupling import Coupling
+from jaxrod.systems.elastic_joints import ElasticJoint
+from jaxrod.systems.places import Place, layouts_of, points_of, resolved
+from jaxrod.systems.rest import position_of
+from jaxrod.systems.ties import pairs, tie
+from jaxrod.validation import is_traced
+
+_ALIGNED = 0.5
+"""Angle up to which two elements' joint is like one within a rod [rad]."""
+
+
+def weld(
+    a: Place | Sequence[Place], b: Place | Sequence[Place], state: Mapping[str, Any]
+) -> tuple[Coupling, ...]:
+    """Joins rods: their nodes are one, and between their elements is an elastic joint.
+
+    The joint is that of half an element of each, at rest as in `state`. Two halves of
+    a rod welded end to end are the whole rod.
+
+    Args:
+        a: A place, `("trunk", "finish")` or `("arms", 2, 7)`; or several.
+        b: As many others, each joined to one of `a`.
+        state: State of the system at rest.
+
+    Returns:
+        Couplings for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, or two joined nodes are apart.
+        TypeError: If a place is none.
+    """
+    first, second = pairs(a, b)
+    joints = elastic_joints(first, second, state)
+    return (tie(first, second, state), *joints)
+
+
+def attach(
+    a: Place | Sequence[Place],
+    b: Place | Sequence[Place],
+    state: Mapping[str, Any],
+    *,
+    turning: bool = False,
+) -> tuple[Coupling, ...]:
+    """Makes nodes of rods part of a rigid body, where `state` has both.
+
+    Exact, and free in the time step: the body has the nodes' masses. The element is
+    held at its angle to the body as by a clamp, unless it may turn.
+
+    Args:
+        a: A place on a rod, `("arm", "start")`; or several of one member.
+        b: A body, `("head",)`; or as many as places.
+        state: State of the system at rest.
+        turning: Whether the elements turn freely about their nodes.
+
+    Returns:
+        Couplings for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place.
+        TypeError: If a place is none.
+    """
+    first = pairs(a, a)[0]
+    second = pairs(b, b)[0]
+    if len(second) == 1:
+        second = second * len(first)
+    first, second = pairs(first, second)
+    fixed = attachment(first, second, state)
+    if turning:
+        return (fixed,)
+    return (fixed, *elastic_joints(second, first, state))
+
+
+def elastic_joints(
+    a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
+) -> list[ElasticJoint]:
+    """Elastic joints at rest as in a state, one for each pair of members."""
+    layouts = layouts_of(state)
+    sorted_pairs: dict[tuple[str, str], list[int]] = {}
+    ends = [
+        (resolved("a", one, layouts), resolved("b", two, layouts))
+        for one, two in zip(a, b, strict=True)
+    ]
+    for k, (one, two) in enumerate(ends):
+        sorted_pairs.setdefault((one[0], two[0]), []).append(k)
+    joints = []
+    for which in sorted_pairs.values():
+        frames, rotations = zip(
+            *(
+                _rest(
+                    position_of("a", a[k], state).orientation,
+                    position_of("b", b[k], state).orientation,
+                )
+                for k in which
+            ),
+            strict=True,
+        )
+        joints.append(
+            ElasticJoint(
+                a=points_of("a", [ends[k][0] for k in which]),
+                b=points_of("b", [ends[k][1] for k in which]),
+                rest_frames=jnp.stack(frames, axis=1),
+                rest_rotations=jnp.stack(rotations, axis=1),
+            )
+        )
+    return joints
+
+
+def _rest(a: Quaternion, b: Quaternion) -> tuple[Any, Any]:
+    """Rest frame and rest rotation of a joint."""
+    relative = multiply_quaternions(conjugate(a), b)
+    rotation, _ = rotation_log_and_coupling(relative)
+    rotation_vector = join(rotation)
+    known = not is_traced(rotation_vector)
+    if known and float(np.linalg.norm(np.asarray(rotation_vector))) > _ALIGNED:
+        return join_quaternion(relative), jnp.zeros_like(rotation_vector)
+    zero = jnp.zeros_like(relative[0])
+    return jnp.stack([zero + 1, zero, zero, zero]), rotation_vector

@@ -1,0 +1,259 @@
+"""Welds, ties, attachments and joints against closed forms and one another."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from systems.members import free_system, rod
+
+
+def test_two_halves_are_the_whole(record):
+    whole, of_whole = rod(20, 1.0)
+    left, of_left = rod(10, 0.5)
+    right, of_right = rod(10, 0.5, (0.5, 0, 0))
+    gravity = jaxrod.gravity()
+    state = {"left": of_left, "right": of_right}
+    halves = jaxrod.make_system(
+        {
+            "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), gravity),
+            "right": jaxrod.make_scene(right, gravity),
+        },
+        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+        state=state,
+    )
+    scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), gravity)
+    dt = jaxrod.stable_dt(scene).dt
+    assert jaxrod.stable_dt(halves).dt == pytest.approx(float(dt), rel=1e-12)
+    together = jaxrod.advance(halves, state, dt, 1000)
+    alone = jaxrod.advance(scene, of_whole, dt, 1000)
+    assert alone.tip[2] < -0.4
+    apart = np.hstack(
+        [
+            together["left"].positions - alone.positions[:, :11],
+            together["right"].positions - alone.positions[:, 10:],
+        ]
+    )
+    record(
+        "two welded halves, 1000 steps",
+        "one rod",
+        np.max(np.abs(apart)),
+        at_most=1e-12,
+    )
+
+
+def test_equal_rods_in_one_leaf_are_separate_rods():
+    """And two of them welded are what two members welded are."""
+    starts = jnp.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    rods, states = jax.vmap(lambda start: rod(6, 0.5, start))(starts)
+    scenes = jax.vmap(lambda r: jaxrod.make_scene(r, jaxrod.gravity()))(rods)
+    singles = [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (0, 1)]
+    alone = {"a": singles[0], "b": singles[1]}
+    group = jaxrod.make_system(
+        {"rods": scenes},
+        jaxrod.weld(("rods", 0, "finish"), ("rods", 1, "start"), {"rods": states}),
+    )
+    pair = jaxrod.make_system(
+        {
+            name: jax.tree.map(lambda leaf, k=k: leaf[k], scenes)
+            for k, name in enumerate("ab")
+        },
+        jaxrod.weld(("a", "finish"), ("b", "start"), alone),
+    )
+    kicked = jnp.zeros((3, 7)).at[1, 0].set(1.0)
+    states = replace(states, velocities=states.velocities.at[0].set(kicked))
+    alone["a"] = replace(alone["a"], velocities=kicked)
+    dt = jaxrod.stable_dt(pair).dt
+    assert jaxrod.stable_dt(group).dt == pytest.approx(float(dt), rel=1e-12)
+    one = jaxrod.advance(group, {"rods": states}, dt, 200)["rods"]
+    two = jaxrod.advance(pair, alone, dt, 200)
+    assert np.max(np.abs(two["b"].velocities)) > 0.1
+    for k, name in enumerate("ab"):
+        np.testing.assert_allclose(
+            one.positions[k], two[name].positions, rtol=0, atol=1e-13
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("share", "root"), [(0.5, 1.4200), (1.0, 1.2479), (2.0, 1.0762)]
+)
+def test_cantilever_with_a_tip_mass(share, root, record):
+    """First frequency of a clamped beam with a mass at its end, by the beam's roots."""
+    n, radius = 20, 0.004
+    body, state = rod(n, 1.0, radius=radius, youngs_modulus=1e8)
+    mass = float(jnp.sum(body.element_masses))
+    weight, of_weight = jaxrod.rigid_body(
+        mass=share * mass,
+        inertia=(1e-9, 1e-9, 1e-9),
+        position=(1.0, 0.0, 0.0),
+        dtype=jnp.float64,
+    )
+    rest = {"beam": state, "weight": of_weight}
+    system = jaxrod.make_system(
+        {"beam": jaxrod.make_scene(body, jaxrod.clamp(state)), "weight": weight},
+        jaxrod.attach(("beam", "finish"), ("weight",), rest, turning=True),
+    )
+    bending, density = float(body.bend_twist_stiffness[0, 0]), mass
+    expected = root**2 * np.sqrt(bending / density)
+    x = np.linspace(0, 1, n + 1)
+    shape = x**2 * (3 - x) / 2
+    start = {
+        "beam": replace(state, velocities=state.velocities.at[1].set(1e-3 * shape)),
+        "weight": replace(of_weight, velocities=of_weight.velocities.at[1].set(1e-3)),
+    }
+    dt = jaxrod.stable_dt(system).dt
+    periods = 6
+    steps = int(periods * 2 * np.pi / expected / dt)
+    every = max(steps // 2000, 1)
+    steps -= steps % every
+    path = jaxrod.rollout(system, start, dt, steps, every)
+    tip = np.asarray(path["weight"].positions[:, 1, 0])
+    times = np.asarray(jaxrod.rollout_times(dt, steps, every))
+    up = np.flatnonzero((tip[:-1] < 0) & (tip[1:] >= 0))
+    crossings = times[up] - tip[up] * np.diff(times)[0] / (tip[up + 1] - tip[up])
+    period = (crossings[-1] - crossings[0]) / (len(crossings) - 1)
+    record(
+        f"frequency of a cantilever with a tip of {share:g} of its mass",
+        "root of the beam's equation",
+        abs(2 * np.pi / period / expected - 1),
+        at_most=3e-3,
+    )
+
+
+def test_a_hinge_turns_about_its_axis_alone(record):
+    """A motor's couple c on a body of inertia J about it: c t^2 / 2 J."""
+    base, of_base = jaxrod.rigid_body(
+        mass=1e9, inertia=(1e9, 1e9, 1e9), dtype=jnp.float64
+    )
+    arm, of_arm = jaxrod.rigid_body(
+        mass=1.0, inertia=(0.1, 0.2, 0.3 - 1e-9), dtype=jnp.float64
+    )
+    rest = {"base": of_base, "arm": of_arm}
+    system = jaxrod.make_system(
+        {"base": base, "arm": arm},
+        jaxrod.hinge_joint(
+            ("base",),
+            ("arm",),
+            rest,
+            axis=(0, 0, 1),
+            stiffness=1e3,
+            axis_stiffness=50.0,
+            motor=0.2,
+        ),
+    )
+    dt = 0.2 * jaxrod.stable_dt(system).dt
+    steps = int(2.0 / dt)
+    after = jaxrod.advance(system, rest, dt, steps)["arm"]
+    time = steps * float(dt)
+    w, x, y, z = np.asarray(after.orientations[:, 0])
+    angle = 2 * np.arctan2(z, w)
+    expected = 0.2 * time**2 / (2 * 0.3)
+    record(
+        "angle of a hinge with a motor",
+        "c t^2 / 2 J",
+        abs(angle / expected - 1),
+        at_most=1e-6,
+    )
+    assert max(abs(x), abs(y)) < 1e-12
+
+
+def test_tie_to_a_held_node_follows_the_support():
+    one, of_one = rod()
+    two, of_two = rod(6, 0.5, (0.5, 0, 0), (0, 1, 0))
+    rest = {"one": of_one, "two": of_two}
+    held = jaxrod.make_scene(one, jaxrod.clamp(of_one, "finish"))
+    system = jaxrod.make_system(
+        {"one": held, "two": jaxrod.make_scene(two, jaxrod.gravity())},
+        jaxrod.tie(("one", "finish"), ("two", "start"), rest),
+    )
+    after = jaxrod.advance(system, rest, jaxrod.stable_dt(system).dt, 500)
+    np.testing.assert_array_equal(after["two"].positions[:, 0], of_two.positions[:, 0])
+    assert after["two"].tip[2] < -0.01
+
+
+def test_gradients_through_connections_match_differences():
+    system, state = free_system()
+    dt = 0.5 * float(jaxrod.stable_dt(system).dt)
+
+    def reach(scales):
+        members = dict(system.members)
+        one = members["one"].rod
+        stiffer = replace(
+            one, bend_twist_stiffness=scales[0] * one.bend_twist_stiffness
+        )
+        members["one"] = replace(members["one"], rod=stiffer)
+        members["head"] = replace(
+            members["head"], masses=scales[1] * members["head"].masses
+        )
+        start = dict(state)
+        start["ball"] = replace(
+            start["ball"], velocities=scales[2] * start["ball"].velocities
+        )
+        after = jaxrod.advance(replace(system, members=members), start, dt, 60)
+        return jnp.sum(after["ball"].positions[1]) + after["two"].tip[2]
+
+    here = jnp.ones(3)
+    gradient = jax.jit(jax.grad(reach))(here)
+    step = 1e-5
+    function = jax.jit(reach)
+    differences = [
+        (function(here.at[k].add(step)) - function(here.at[k].add(-step))) / (2 * step)
+        for k in range(3)
+    ]
+    scale = np.max(np.abs(differences))
+    np.testing.assert_allclose(gradient, differences, rtol=0, atol=1e-6 * scale)
+    assert np.all(np.abs(gradient) > 1e-6 * scale)
+
+
+def test_a_batch_of_systems_is_a_loop_over_them():
+    one, of_one = rod()
+    two, of_two = rod(4, 0.3, (0.5, 0, 0), (0, 0.6, 0.8))
+    rest = {"one": of_one, "two": of_two}
+
+    def build(acceleration):
+        falls = jaxrod.gravity((0.0, 0.0, acceleration))
+        return jaxrod.make_system(
+            {
+                "one": jaxrod.make_scene(one, jaxrod.clamp(of_one), falls),
+                "two": jaxrod.make_scene(two, falls),
+            },
+            jaxrod.weld(("one", "finish"), ("two", "start"), rest),
+        )
+
+    pulls = jnp.array([-9.81, -3.0, 4.0])
+    systems = jax.vmap(build)(pulls)
+    dt = 0.8 * float(jaxrod.stable_dt(build(-9.81)).dt)
+    batch = jax.vmap(jaxrod.advance, in_axes=(0, None, None, None))(
+        systems, rest, dt, 100
+    )
+    for k, pull in enumerate(pulls):
+        alone = jaxrod.advance(build(pull), rest, dt, 100)
+        np.testing.assert_allclose(
+            batch["two"].positions[k], alone["two"].positions, rtol=0, atol=1e-13
+        )
+
+
+def test_members_that_depend_on_time():
+    """Two halves under a load that swings are one rod under it, wherever time begins."""
+    whole, of_whole = rod(12, 1.0)
+    left, of_left = rod(6, 0.5)
+    right, of_right = rod(6, 0.5, (0.5, 0, 0))
+    state = {"left": of_left, "right": of_right}
+    load = jaxrod.uniform_load(jaxrod.sine((0.0, 1.0, 0.0), 0.2))
+    halves = jaxrod.make_system(
+        {
+            "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), load),
+            "right": jaxrod.make_scene(right, load),
+        },
+        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+    )
+    scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), load)
+    dt = jaxrod.stable_dt(scene).dt
+    together = jaxrod.advance(halves, state, dt, 400, first=7)
+    alone = jaxrod.advance(scene, of_whole, dt, 400, first=7)
+    assert abs(alone.tip[1]) > 1e-3
+    np.testing.assert_allclose(together["right"].tip, alone.tip, rtol=0, atol=1e-12)
