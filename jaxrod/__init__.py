@@ -66,6 +66,7 @@ _NAMES = {
     "effects.base": ("Effect", "Reaction", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
     "effects.driven": ("Driven", "driven"),
+    "effects.held": ("Held",),
     "effects.loads": (
         "EndLoad",
         "ExponentialDamping",

@@ -51,6 +51,7 @@ from jaxrod.effects.clamps import clamp as clamp
 from jaxrod.effects.clamps import fixed_end as fixed_end
 from jaxrod.effects.driven import Driven as Driven
 from jaxrod.effects.driven import driven as driven
+from jaxrod.effects.held import Held as Held
 from jaxrod.effects.loads import EndLoad as EndLoad
 from jaxrod.effects.loads import ExponentialDamping as ExponentialDamping
 from jaxrod.effects.loads import Gravity as Gravity

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
+from jaxrod.effects.held import check_held_once
 from jaxrod.effects.memory import memory_fields, remembers
 from jaxrod.effects.time import at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.effects.trial_motion import trial_motion
@@ -34,17 +35,22 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             `planar("xy", pyelastica())`.
 
     Raises:
-        ValueError: If the scene is not one for the method.
+        ValueError: If the scene is not one for the method, or two effects hold the same
+            node along the same axis, or the same element.
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
             method is not a `Method`.
     """
     check_kind("rod", rod, Rod)
+    held = []
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
-        at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype)).check(rod)
+        now = at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype))
+        now.check(rod)
+        held += [(type(effect).__name__, part) for part in now.held(rod)]
+    check_held_once(held, rod.n_elements)
     if method is None:
         method = Consistent()
     if not isinstance(method, Method):
