@@ -88,6 +88,12 @@ class Method:
         Values that are traced are not looked at.
         """
 
+    def check_evolving(self, scene: Scene) -> None:
+        """Raises ValueError if what depends on time or remembers is not for it.
+
+        Asked of a scene with its schedules, where there are any or a memory.
+        """
+
     def check_state(self, scene: Scene, state: RodState) -> None:
         """Raises ValueError if this concrete state is not one for this method."""
 
@@ -149,6 +155,15 @@ class Scene:
     def evolves(self) -> bool:
         """Whether it depends on time or remembers."""
         return self.depends_on_time or self.remembers
+
+    @property
+    def evolving_effects(self) -> tuple[Effect, ...]:
+        """Its effects that depend on time or remember."""
+        return tuple(
+            effect
+            for effect in self.effects
+            if depends_on_time(effect) or remembers((effect,))
+        )
 
     def recalling(self, state: RodState) -> Scene:
         """The scene with what its effects remember as it is in a state."""

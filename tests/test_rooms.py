@@ -82,6 +82,12 @@ def test_dependencies_point_one_way():
     assert upward == {("jaxrod.__main__", "jaxrod.cli")}
 
 
+def test_scenes_are_composed_without_knowing_methods_but_the_default():
+    known = {b for a, b in arrows() if a == "jaxrod.composition"}
+    methods = {module for module in known if module.startswith("jaxrod.methods")}
+    assert methods == {"jaxrod.methods.consistent"}
+
+
 def test_no_module_name_begins_with_an_underscore():
     names = {name for module in modules() for name in module.split(".")}
     assert {name for name in names if name.startswith("_")} == {"__main__"}
