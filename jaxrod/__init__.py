@@ -55,16 +55,10 @@ _NAMES = {
     "contacts.contact": ("Contact", "contact"),
     "contacts.near": ("near_contact",),
     "contacts.points": ("ThinBodyWarning",),
-    "effects.actuation": (
-        "ControlSpline",
-        "ElementAverages",
-        "ElementCouples",
-        "control_spline",
-        "limit_rate",
-        "spline_couples",
-    ),
+    "effects.actuation": ("ElementCouples", "limit_rate", "spline_couples"),
     "effects.base": ("Effect", "Reaction", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
+    "effects.control_splines": ("ControlSpline", "ElementAverages", "control_spline"),
     "effects.driven": ("Driven", "driven"),
     "effects.held": ("Held",),
     "effects.loads": (

@@ -36,10 +36,7 @@ from jaxrod.contacts.contact import Contact as Contact
 from jaxrod.contacts.contact import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
-from jaxrod.effects.actuation import ControlSpline as ControlSpline
-from jaxrod.effects.actuation import ElementAverages as ElementAverages
 from jaxrod.effects.actuation import ElementCouples as ElementCouples
-from jaxrod.effects.actuation import control_spline as control_spline
 from jaxrod.effects.actuation import limit_rate as limit_rate
 from jaxrod.effects.actuation import spline_couples as spline_couples
 from jaxrod.effects.base import Effect as Effect
@@ -49,6 +46,9 @@ from jaxrod.effects.clamps import Clamp as Clamp
 from jaxrod.effects.clamps import FixedEnd as FixedEnd
 from jaxrod.effects.clamps import clamp as clamp
 from jaxrod.effects.clamps import fixed_end as fixed_end
+from jaxrod.effects.control_splines import ControlSpline as ControlSpline
+from jaxrod.effects.control_splines import ElementAverages as ElementAverages
+from jaxrod.effects.control_splines import control_spline as control_spline
 from jaxrod.effects.driven import Driven as Driven
 from jaxrod.effects.driven import driven as driven
 from jaxrod.effects.held import Held as Held
