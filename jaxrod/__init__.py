@@ -100,14 +100,9 @@ _NAMES = {
         "total_energy",
     ),
     "statics.equilibrium": ("Equilibrium", "equilibrium"),
-    "stepping": (
-        "UnstableStepWarning",
-        "advance",
-        "rollout",
-        "rollout_times",
-        "step",
-        "with_memory",
-    ),
+    "stepping.checks": ("UnstableStepWarning",),
+    "stepping.memory": ("with_memory",),
+    "stepping.runs": ("advance", "rollout", "rollout_times", "step"),
     "structure": ("memory", "pytree", "static"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
