@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,10 +68,11 @@ class SplineCouples(Schedule):
 
     averages: ElementAverages
     """The spline's averages over the elements."""
-    controls: Float[Array, "3 n_controls"] | Schedule
-    """Control values about d1, d2 and d3 [1]."""
-    couple_density: Float[Array, "..."] | Schedule
-    """Couple per rest length for a control value of one; one or three [N m/m]."""
+    controls: Any
+    """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of such [1]."""
+    couple_density: Any
+    """Couple per rest length for a control value of one, or a schedule of such; one or
+    three [N m/m]."""
     lengths: Float[Array, " n"]
     """Rest lengths of the elements [m]."""
 
@@ -125,13 +128,13 @@ def spline_couples(
     check_kind("spline", spline, (ControlSpline, ElementAverages))
     kind = rod.rest_lengths.dtype
     shape = (3, spline.n_controls)
-    controls = as_timed("controls", controls, "", shape, dtype=kind)
+    values = as_timed("controls", controls, "", shape, dtype=kind)
     density = as_timed("couple_density", couple_density, "N m/m", (), (3,), dtype=kind)
     averages = spline.averaged(rod) if isinstance(spline, ControlSpline) else spline
-    parts = averages, controls, density, rod.rest_lengths
-    if depends_on_time((controls, density)):
-        return ElementCouples(SplineCouples(*parts))
-    return ElementCouples(_couples(*parts))
+    if not depends_on_time((values, density)):
+        return ElementCouples(_couples(averages, values, density, rod.rest_lengths))
+    timed: Any = SplineCouples(averages, values, density, rod.rest_lengths)
+    return ElementCouples(timed)
 
 
 def limit_rate(
