@@ -10,12 +10,10 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
-from jaxrod.effects.memory import memory_fields, remembers
-from jaxrod.effects.time import at_clock, at_largest, clock_at, depends_on_time
-from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.effects.held import check_held_once
+from jaxrod.effects.memory import memory_fields
+from jaxrod.effects.time import at_clock, clock_at, depends_on_time
 from jaxrod.methods.consistent import Consistent
-from jaxrod.methods.planar import Planar
-from jaxrod.methods.planar_verlet import PLANES
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
 from jaxrod.validation import check_held, check_kind, is_traced
@@ -34,17 +32,22 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             `planar("xy", pyelastica())`.
 
     Raises:
-        ValueError: If the scene is not one for the method.
+        ValueError: If the scene is not one for the method, or two effects hold the same
+            node along the same axis, or the same element.
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
             method is not a `Method`.
     """
     check_kind("rod", rod, Rod)
+    held = []
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
-        at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype)).check(rod)
+        now = at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype))
+        now.check(rod)
+        held += [(type(effect).__name__, part) for part in now.held(rod)]
+    check_held_once(held, rod.n_elements)
     if method is None:
         method = Consistent()
     if not isinstance(method, Method):
@@ -66,9 +69,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
 
 def _check_evolution(scene: Scene) -> None:
     """Raises where an effect may not depend on time or remember."""
-    for effect in scene.effects:
-        if not (depends_on_time(effect) or remembers((effect,))):
-            continue
+    for effect in scene.evolving_effects:
         name = type(effect).__name__
         memories = [getattr(effect, field) for field in memory_fields(effect)]
         if depends_on_time(memories):
@@ -80,33 +81,8 @@ def _check_evolution(scene: Scene) -> None:
                 f"damping rates are worked out once, but {name}, which has some, "
                 "depends on time or remembers"
             )
-        if isinstance(scene.method, Planar) and _leaves(effect, scene):
-            raise ValueError(
-                f"a scene in the {scene.method.plane} plane needs what is driven to be "
-                f"free across it, but {name} holds all axes: give it "
-                f'axes="{"".join(sorted(scene.method.plane))}"'
-            )
-        if not scene.method.twist and at_largest(effect).wall(scene.rod) is not None:
-            raise ValueError(
-                f"torsion_free() needs walls that stand still, but {name} depends on "
-                "time or remembers; another method has no such needs"
-            )
-
-
-def _leaves(effect: Effect, scene: Scene) -> bool:
-    """Whether an effect puts nodes out of the plane of a scene or back into it."""
-    assert isinstance(scene.method, Planar)
-    out = PLANES[scene.method.plane][2]
-    touched = []
-
-    def look() -> None:
-        motion = trial_motion(scene.rod)
-        now = at_clock(effect, clock_at(0.0, scene.rod.rest_lengths.dtype))
-        placed = now.constrain(scene.rod, motion).position[out]
-        touched.append(placed is not motion.position[out])
-
-    jax.eval_shape(look)
-    return touched[0]
+    if scene.evolves:
+        scene.method.check_evolving(scene)
 
 
 def _in_type(dtype: Any, name: str, tree: Any) -> Any:

@@ -89,6 +89,12 @@ class Method:
         Values that are traced are not looked at.
         """
 
+    def check_evolving(self, scene: Scene) -> None:
+        """Raises ValueError if what depends on time or remembers is not for it.
+
+        Asked of a scene with its schedules, where there are any or a memory.
+        """
+
     def check_state(self, scene: Scene, state: RodState) -> None:
         """Raises ValueError if this concrete state is not one for this method."""
 
@@ -150,6 +156,15 @@ class Scene:
     def evolves(self) -> bool:
         """Whether it depends on time or remembers."""
         return self.depends_on_time or self.remembers
+
+    @property
+    def evolving_effects(self) -> tuple[Effect, ...]:
+        """Its effects that depend on time or remember."""
+        return tuple(
+            effect
+            for effect in self.effects
+            if depends_on_time(effect) or remembers((effect,))
+        )
 
     def recalling(self, state: RodState) -> Scene:
         """The scene with what its effects remember as it is in a state."""
@@ -224,7 +239,11 @@ class Composite(ABC):
         """Angular momentum about the origin [kg m^2/s]."""
 
 
-def check_scene(scene: Scene) -> None:
+Model = Scene | Composite
+"""What is stepped: one rod with what acts on it, or several members together."""
+
+
+def check_scene(scene: Any) -> None:
     """Checks that something is a scene, and one alone.
 
     Raises:

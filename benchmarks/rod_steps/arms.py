@@ -24,7 +24,7 @@ from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Law, Scene
-from jaxrod.stepping import advance
+from jaxrod.stepping.runs import advance
 
 N_ELEMENTS = 20
 _AXIS = "arm"

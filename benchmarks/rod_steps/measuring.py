@@ -24,7 +24,7 @@ from jaxrod.effects.actuation import ElementCouples
 from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Law, Scene
-from jaxrod.stepping import advance
+from jaxrod.stepping.runs import advance
 
 BATCHES = (1, 64, 256, 1024, 4096)
 DTYPES = ("float32", "float64")

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.effects.ends import Wall
+from jaxrod.effects.held import Held
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.vectors import Vec3
@@ -73,7 +74,7 @@ class Effect:
     need to know more than their values. Without them every method is right or refuses
     the effect; with them implicit steps and equilibria cost less, and a scene without
     twist knows how the rod is held. A subclass that has loads of its own does not
-    inherit them.
+    inherit them, and one that has constraints of its own does not inherit `held`.
     """
 
     reach: ClassVar[Reach] = "any"
@@ -87,7 +88,7 @@ class Effect:
     """
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Forgets what a base says of loads that this class replaces."""
+        """Forgets what a base says of hooks that this class replaces."""
         super().__init_subclass__(**kwargs)
         if cls.reach not in get_args(Reach):
             raise ValueError(
@@ -95,8 +96,10 @@ class Effect:
                 f"in {cls.__name__}"
             )
         for name in ("reach", "turning_tangent", "twists", "wall"):
-            if _says_of_other_loads(cls, name):
+            if _says_of_others(cls, name, ("loads",)):
                 setattr(cls, name, vars(Effect)[name])
+        if _says_of_others(cls, "held", ("constrain", "constrain_rates")):
+            cls.held = Effect.held  # type: ignore[method-assign]
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Forces and couples at this moment."""
@@ -171,6 +174,14 @@ class Effect:
         """
         return None
 
+    def held(self, rod: Rod) -> tuple[Held, ...]:
+        """Nodes and elements that the effect holds, by structure alone.
+
+        `make_scene` refuses two effects that hold the same one. Of an effect without
+        this hook it knows nothing.
+        """
+        return ()
+
     def check(self, rod: Rod) -> None:
         """Warns or raises where the effect does not fit the rod; for `make_scene`.
 
@@ -219,11 +230,11 @@ class Effect:
         return None
 
 
-def _says_of_other_loads(kind: type, name: str) -> bool:
-    """Whether what a class inherits by a name was said of loads that it replaced."""
+def _says_of_others(kind: type, name: str, hooks: tuple[str, ...]) -> bool:
+    """Whether what a class inherits by a name was said of hooks that it replaced."""
     for base in kind.__mro__:
         if name in vars(base):
             return False
-        if "loads" in vars(base):
+        if any(hook in vars(base) for hook in hooks):
             return True
     return False

@@ -18,6 +18,7 @@ from jaxrod.effects.ends import (
     replace_end,
     zero_at_end,
 )
+from jaxrod.effects.held import Held, held_end
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, skew, subtract
 from jaxrod.geometry.rotations import (
@@ -112,6 +113,10 @@ class Clamp(Effect):
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(self, orientation=frame)
 
+    def held(self, rod: Rod) -> tuple[Held, ...]:
+        """The end node and the end element."""
+        return (held_end(self.end),)
+
     def violation(self, rod: Rod, state: RodState) -> Array:
         """Of the end node's distance from the wall and the wall joint's angle.
 
@@ -155,6 +160,10 @@ class FixedEnd(Effect):
         """Held by the middle of the new end element, which a curved rod turns."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(self, orientation=frame)
+
+    def held(self, rod: Rod) -> tuple[Held, ...]:
+        """The end node and the end element."""
+        return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
         """How far the end section's rim is from where it is held, over the radius."""

@@ -12,8 +12,8 @@ from jaxtyping import Array
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.ends import End, check_end
+from jaxrod.effects.held import Axes, Held, held_end
 from jaxrod.effects.nodes import (
-    Axes,
     at_node,
     axes_named,
     check_straight_end,
@@ -113,6 +113,11 @@ class Driven(Effect):
         return (
             apart if joint is None else jnp.maximum(apart, joint.violation(rod, state))
         )
+
+    def held(self, rod: Rod) -> tuple[Held, ...]:
+        """The end node, and the end element if a wall turns it."""
+        end = held_end(self.end, self.axes)
+        return (end if self.turn is not None else replace(end, element=None),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
         """The same path and wall; a rod that is curved there has no counterpart."""

@@ -8,6 +8,7 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
 from jaxrod.effects.ends import End, at_end
+from jaxrod.effects.held import Axes
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -16,12 +17,6 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
-
-Axes = tuple[bool, bool, bool]
-"""World axes x, y and z: those along which something is held."""
-
-
-ALL_AXES: Axes = (True, True, True)
 
 
 def end_node(rod: Rod, end: End) -> int:

@@ -14,9 +14,8 @@ from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.ends import End, at_end, check_end, only_at_end, place
+from jaxrod.effects.held import ALL_AXES, Axes, Held, held_end
 from jaxrod.effects.nodes import (
-    ALL_AXES,
-    Axes,
     at_node,
     axes_named,
     check_straight_end,
@@ -63,6 +62,10 @@ class Pin(Effect):
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
         """The force that keeps the node where it is."""
         return Reaction.of(force_at(needed, self.node, self.axes))
+
+    def held(self, rod: Rod) -> tuple[Held, ...]:
+        """The node."""
+        return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod has no such node."""
@@ -142,6 +145,10 @@ class Hinge(Effect):
         return jnp.maximum(
             distance_from(self.position, node, ALL_AXES, rod, state), tilt
         )
+
+    def held(self, rod: Rod) -> tuple[Held, ...]:
+        """The end node, and the end element across the axis."""
+        return (held_end(self.end),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Hinge:
         """The same hinge; the end of a rod that is curved there has no counterpart."""

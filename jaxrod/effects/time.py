@@ -150,7 +150,7 @@ def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
 
 
 def as_timed(
-    name: str, value: Timed, unit: str, shape: tuple[int, ...] = (), **limits: Any
+    name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
     """An argument that may depend on time, checked.
 
@@ -158,20 +158,21 @@ def as_timed(
         name: The argument's name, for the message.
         value: What was given for it.
         unit: SI unit, for the message.
-        shape: Of the value.
+        *shapes: Those that the value may have.
         **limits: As `as_array` has them; for what does not depend on time.
 
     Raises:
         ValueError: Naming the argument.
     """
     if not isinstance(value, Schedule):
-        return as_array(name, value, unit, [shape], **limits)
+        return as_array(name, value, unit, shapes, **limits)
     kind = jnp.result_type(float)
     now = Clock(jnp.zeros((), np.int32), jnp.zeros((), kind), jnp.zeros((), kind))
     found = jax.eval_shape(value, now)
-    if getattr(found, "shape", None) != shape:
+    if getattr(found, "shape", None) not in shapes:
+        allowed = " or ".join(map(str, shapes))
         raise ValueError(
-            f"{name} must have values of shape {shape}, got a {type(value).__name__} "
+            f"{name} must have values of shape {allowed}, got a {type(value).__name__} "
             f"of shape {getattr(found, 'shape', None)}"
         )
     return value

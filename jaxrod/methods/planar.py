@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects.base import Effect
+from jaxrod.effects.time import at_clock, clock_at
+from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.planar_consistent import PlanarConsistentStepper
 from jaxrod.methods.planar_pyelastica import PlanarPyElasticaStepper
@@ -57,6 +59,17 @@ class Planar(Method):
             return PlanarPyElasticaStepper.create(scene, self.plane, state, dt)
         return PlanarConsistentStepper.create(scene, self.plane, state, dt)
 
+    def check_evolving(self, scene: Scene) -> None:
+        """Raises ValueError if what is driven is held across the plane."""
+        for effect in scene.evolving_effects:
+            if _places_across(effect, scene.rod, self.plane):
+                axes = "".join(sorted(self.plane))
+                raise ValueError(
+                    f"a scene in the {self.plane} plane needs what is driven to be "
+                    f"free across it, but {type(effect).__name__} holds all axes: "
+                    f'give it axes="{axes}"'
+                )
+
     def check_state(self, scene: Scene, state: RodState) -> None:
         """Raises ValueError if the rod or a load leaves the plane."""
         check_planar(scene, self, state)
@@ -88,6 +101,21 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
             f"step, got {law!r}"
         )
     return Planar(plane, law)
+
+
+def _places_across(effect: Effect, rod: Rod, plane: PlaneName) -> bool:
+    """Whether an effect places nodes across a plane, at whatever height."""
+    out = PLANES[plane][2]
+    touched = []
+
+    def look() -> None:
+        motion = trial_motion(rod)
+        now = at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype))
+        placed = now.constrain(rod, motion).position[out]
+        touched.append(placed is not motion.position[out])
+
+    jax.eval_shape(look)
+    return touched[0]
 
 
 def check_planar(scene: Scene, method: Planar, state: RodState) -> None:

@@ -44,6 +44,7 @@ from jaxrod.methods.kick import Kick
 from jaxrod.methods.torsion_free_checks import (
     check_structure,
     check_torsion_free,
+    check_walls_stand,
     has_elastic_wall,
     wall_of,
 )
@@ -292,6 +293,10 @@ class TorsionFree(Method):
     def check(self, scene: Scene) -> None:
         """Raises ValueError if the rod or an effect has to do with twist."""
         check_torsion_free(scene)
+
+    def check_evolving(self, scene: Scene) -> None:
+        """Raises ValueError if a wall does not stand still."""
+        check_walls_stand(scene)
 
     def check_state(self, scene: Scene, state: RodState) -> None:
         """Raises as `check` does: a scene may have been changed since it was made."""

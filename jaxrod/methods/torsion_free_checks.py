@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
 from jaxrod.effects.ends import Wall
+from jaxrod.effects.time import at_largest
 from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, directors, multiply_quaternions
@@ -58,6 +59,20 @@ def check_structure(scene: Scene) -> None:
             )
     if held > 1:
         _refuse("at most one held end, because two store twist", f"{held} of them")
+
+
+def check_walls_stand(scene: Scene) -> None:
+    """Checks that no wall depends on time or remembers.
+
+    Raises:
+        ValueError: If one does: the frames of elements are taken from it once.
+    """
+    for effect in scene.evolving_effects:
+        if at_largest(effect).wall(scene.rod) is not None:
+            _refuse(
+                "walls that stand still",
+                f"{type(effect).__name__}, which depends on time or remembers",
+            )
 
 
 def _holds_elements(effect: Effect, rod: Rod) -> bool:

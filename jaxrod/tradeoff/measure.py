@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
-from jaxrod.stepping import advance
+from jaxrod.stepping.runs import advance
 from jaxrod.tradeoff.problem import Problem
 from jaxrod.tradeoff.setting import Prepared, Setting, prepare
 

@@ -93,6 +93,65 @@ def test_couple_density_may_differ_between_directions():
     np.testing.assert_allclose(couples[2], 0)
 
 
+def schedules(shape, size):
+    """Values that change with time, and the same as a function of it."""
+    values = size * np.random.default_rng(size).uniform(-1, 1, (3, *shape))
+    table = jaxrod.table([0.0, 1.0, 3.0], values)
+    return table, lambda t: np.apply_along_axis(
+        lambda knots: np.interp(t, [0.0, 1.0, 3.0], knots), 0, values
+    )
+
+
+def test_controls_and_density_may_depend_on_time():
+    rod, _ = arm(4, dtype=jnp.float64)
+    spline = jaxrod.control_spline(3, float(rod.length), dtype=jnp.float64)
+    averages = spline.averaged(rod)
+    controls, controls_at = schedules((3, 3), 1)
+    one, one_at = schedules((), 2)
+    three, three_at = schedules((3,), 3)
+    constant = np.ones((3, 3))
+    for given, given_at in (
+        ((spline, controls, 0.3), lambda t: (controls_at(t), 0.3)),
+        ((averages, controls, one), lambda t: (controls_at(t), one_at(t))),
+        ((averages, constant, three), lambda t: (constant, three_at(t))),
+    ):
+        timed = jaxrod.spline_couples(rod, *given)
+        scene = jaxrod.make_scene(rod, timed)
+        bound = np.asarray(scene.at_largest.effects[0].couples)
+        for time in (0.0, 0.4, 1.7, 5.0):
+            plain = jaxrod.spline_couples(rod, given[0], *given_at(time))
+            found = scene.at(time).effects[0].couples
+            np.testing.assert_allclose(found, plain.couples, rtol=0, atol=1e-15)
+            assert np.all(np.abs(found) <= bound)
+
+
+@pytest.mark.slow
+def test_the_gradient_by_the_density_of_rising_couples_is_that_of_differences():
+    rod, state = arm(4, dtype=jnp.float64)
+    averages = jaxrod.control_spline(3, float(rod.length), jnp.float64).averaged(rod)
+    ramp = jaxrod.ramp(np.zeros((3, 3)), schedules((3, 3), 1)[1](0.0), 2e-3)
+
+    def swept(density):
+        couples = jaxrod.spline_couples(rod, averages, ramp, density)
+        scene = jaxrod.make_scene(rod, jaxrod.clamp(state), couples)
+        return jaxrod.advance(scene, state, 1e-4, 20).tip[1]
+
+    step = 1e-4
+    slope = jax.grad(swept)(0.2)
+    difference = (swept(0.2 + step) - swept(0.2 - step)) / (2 * step)
+    assert float(slope) == pytest.approx(float(difference), rel=1e-6)
+
+
+def test_schedules_of_other_shapes_are_refused_in_words():
+    rod, _ = arm(4, dtype=jnp.float64)
+    spline = jaxrod.control_spline(3, float(rod.length), dtype=jnp.float64)
+    pair = jaxrod.ramp((0.0, 0.0), (1.0, 1.0), 1.0)
+    with pytest.raises(ValueError, match=r"controls must have values of shape \(3, "):
+        jaxrod.spline_couples(rod, spline, pair, 1.0)
+    with pytest.raises(ValueError, match=r"couple_density .* shape \(\) or \(3,\)"):
+        jaxrod.spline_couples(rod, spline, np.ones((3, 3)), pair)
+
+
 def test_applied_values_follow_commands_no_faster_than_allowed():
     applied = jnp.array([0.0, 0.0, 0.5, -0.5])
     commanded = jnp.array([1.0, 0.05, -1.0, -0.45])

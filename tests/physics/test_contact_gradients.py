@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.stepping import _traced_compiled
+from jaxrod.stepping.runs import _traced_compiled
 from physics.rods import RADIUS, arm
 from physics.touching import contact_loads, rubbing
 

@@ -271,6 +271,63 @@ def test_bad_supports_are_refused_in_words():
             make()
 
 
+@jaxrod.pytree
+class Glue(jaxrod.Effect):
+    """Holds the last node and says so, or stops it and says nothing."""
+
+    says: bool = jaxrod.static(default=True)
+
+    def held(self, rod):
+        return (jaxrod.Held(node=-1),) if self.says else ()
+
+
+@jaxrod.pytree
+class Loose(jaxrod.Pin):
+    """Replaces what it inherits, and so does not say what a pin says."""
+
+    def constrain_rates(self, rod, motion):
+        return motion
+
+
+def test_two_supports_of_one_freedom_are_refused_by_their_names():
+    rod, state = along_x(4)
+    shake = jaxrod.sine((0.0, 0.0, 0.01), 0.3)
+    pin, hinge = jaxrod.pin, jaxrod.hinge(state, (0.0, 1.0, 0.0))
+    clamp, fixed = jaxrod.clamp(state), jaxrod.fixed_end(state)
+
+    def driven(axes="xyz", **options):
+        return jaxrod.driven(state, displacement=shake, axes=axes, **options)
+
+    for one, other, words in (
+        (pin(state), pin(state, axes="zx"), "Pin and Pin both hold node 0 along x, z:"),
+        (pin(state, 2, axes="yz"), pin(state, 2, axes="xy"), "node 2 along y:"),
+        (pin(state), driven("z"), "Pin and Driven both hold node 0 along z:"),
+        (clamp, pin(state, axes="x"), "Clamp and Pin both hold node 0 along x:"),
+        (hinge, pin(state), "Hinge and Pin both hold node 0 along x, y, z:"),
+        (fixed, clamp, "FixedEnd and Clamp both hold node 0 along x, y, z:"),
+        (hinge, driven("x", free_to_turn=True), "Hinge and Driven both hold node 0"),
+        (driven("x"), driven("yz"), "Driven and Driven .* orientation of element 0:"),
+        (pin(state, "finish"), Glue(), "Pin and Glue both hold node 4 along x, y, z:"),
+    ):
+        for pair in ((one, other), (one, jaxrod.gravity(), other)):
+            with pytest.raises(ValueError, match=words):
+                jaxrod.make_scene(rod, *pair)
+    finish = jaxrod.hinge(state, (0.0, 1.0, 0.0), "finish")
+    loose = Loose(state.positions[:, 0])
+    for legal in (
+        (clamp, pin(state, "finish")),
+        (clamp, jaxrod.clamp(state, "finish")),
+        (hinge, finish),
+        (pin(state, axes="x"), pin(state, axes="y"), pin(state, axes="z")),
+        (driven("xy"), pin(state, axes="z")),
+        (driven("x"), driven("yz", free_to_turn=True)),
+        (pin(state, 3), Glue()),
+        (pin(state, "finish"), Glue(says=False)),
+        (pin(state), loose),
+    ):
+        jaxrod.make_scene(rod, *legal)
+
+
 def test_batches_are_refused_with_the_word_vmap():
     rod, state = along_x(3)
     scene = jaxrod.make_scene(rod, jaxrod.gravity())

@@ -1,5 +1,6 @@
 """Effects that depend on time: right to second order, exact clocks, nothing unsaid."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import jax
@@ -220,6 +221,32 @@ def test_a_load_that_leaves_the_plane_later_is_refused_now(rod_and_state):
     )
     with pytest.raises(ValueError, match="forces of effects"):
         jaxrod.advance(scene, state, 1e-4, 1)
+
+
+@jaxrod.pytree
+class Timeless(jaxrod.Method):
+    """A method of one's own that is not for what changes."""
+
+    def check_evolving(self, scene):
+        names = [type(effect).__name__ for effect in scene.evolving_effects]
+        raise ValueError(f"Timeless is not for {names}")
+
+
+def test_a_method_is_asked_about_what_evolves_and_about_nothing_else(rod_and_state):
+    rod, state = rod_and_state
+    still = jaxrod.clamp(state), jaxrod.gravity()
+    jaxrod.make_scene(rod, *still, method=Timeless())
+    later = jaxrod.end_load(force=jaxrod.ramp((0.0,) * 3, (1.0,) * 3, 1.0))
+    with pytest.raises(ValueError, match=r"Timeless is not for \['EndLoad'\]"):
+        jaxrod.make_scene(rod, *still, later, method=Timeless())
+
+
+def test_a_wall_that_turns_is_refused_where_twist_is_dropped(rod_and_state):
+    rod, state = rod_and_state
+    frame = state.orientations[:, 0]
+    turning = replace(jaxrod.clamp(state), orientation=jaxrod.ramp(frame, frame, 1.0))
+    with pytest.raises(ValueError, match="walls that stand still, got Clamp"):
+        jaxrod.make_scene(rod, turning, method=jaxrod.torsion_free())
 
 
 @jaxrod.pytree

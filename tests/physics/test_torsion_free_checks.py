@@ -61,7 +61,7 @@ def test_compensation_inertia_scaling_and_other_numbers_of_elements():
     assert one.remainders is not None and bool(jnp.any(one.remainders != 0))
     assert not bool(jaxrod.health(scene, one, 2e-4).flagged)
     fewer, there = resampled(scene, other, 5)
-    assert not fewer.twist and there.positions.shape == (3, 6)
+    assert not fewer.method.twist and there.positions.shape == (3, 6)
     scaled = jaxrod.scale_inertia(resampled(*exact, 40)[0])
     assert not scaled.scene.method.twist and float(scaled.gain) >= 1
 

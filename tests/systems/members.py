@@ -28,6 +28,7 @@ def stirred(state, seed=0, speed=0.3):
     key = jax.random.key(seed)
     along = jnp.linspace(0, 1, state.positions.shape[1])
     a, b = jax.random.normal(key, (2, 3, 1))
+    along = along[None, :]
     return replace(
         state, velocities=speed * (a * jnp.sin(3 * along) + b * jnp.cos(2 * along))
     )

@@ -19,7 +19,7 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from jaxrod.stepping import check_step
+from jaxrod.stepping.checks import check_step
 from jaxrod.training.settings import LARGEST_COUNT
 from jaxrod.training.trajectory.actuated_arm import ActuatedArm, actuated_arm
 from jaxrod.training.trajectory.cost import (

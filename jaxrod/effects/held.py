@@ -1,0 +1,72 @@
+"""Freedoms of a rod that supports hold: none is held twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+
+from jaxrod.effects.ends import End
+
+Axes = tuple[bool, bool, bool]
+"""World axes x, y and z: those along which something is held."""
+
+
+ALL_AXES: Axes = (True, True, True)
+
+
+@dataclass(frozen=True)
+class Held:
+    """Freedoms that an effect holds: of one node, of one element, or of both."""
+
+    node: int | None = None
+    """Number of the node; negative ones count from the last."""
+    axes: Axes = ALL_AXES
+    """World axes along which the node is held."""
+    element: int | None = None
+    """Number of the element whose orientation is held, fast or by a joint."""
+
+
+def held_end(end: End, axes: Axes = ALL_AXES) -> Held:
+    """The node and the element at an end."""
+    index = 0 if end == "start" else -1
+    return Held(index, axes, index)
+
+
+def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
+    """Checks that no two supports hold the same freedom.
+
+    Args:
+        held: What supports hold, each with the name of its effect.
+        n_elements: Number of elements of the rod.
+
+    Raises:
+        ValueError: If two do. The one would undo the other, and neither reaction would
+            be what it bears.
+    """
+    for (name, one), (other_name, other) in combinations(held, 2):
+        both = f"{name} and {other_name} both hold"
+        axes = [
+            axis
+            for axis, *pair in zip("xyz", one.axes, other.axes, strict=True)
+            if all(pair)
+        ]
+        node = _same(one.node, other.node, n_elements + 1)
+        if node is not None and axes:
+            raise ValueError(
+                f"{both} node {node} along {', '.join(axes)}: along each axis a node "
+                "is held by one support at most"
+            )
+        element = _same(one.element, other.element, n_elements)
+        if element is not None:
+            raise ValueError(
+                f"{both} the orientation of element {element}: an element is held by "
+                "one support at most"
+            )
+
+
+def _same(one: int | None, other: int | None, size: int) -> int | None:
+    """The place that two numbers mean, if it is one."""
+    if one is None or other is None or one % size != other % size:
+        return None
+    return one % size

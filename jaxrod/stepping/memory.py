@@ -1,0 +1,30 @@
+"""The memory with which a run begins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from jaxrod.effects.memory import memory_of
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Composite, Model, check_scene
+from jaxrod.validation import check_kind
+
+
+def with_memory(scene: Model, state: Any) -> Any:
+    """The state with the memory that the scene's effects begin with, if it has none.
+
+    Runs do this themselves. A loop of your own (`jax.lax.scan`) and `freeze` need it
+    before the first run, so that states before and after it are alike.
+
+    Args:
+        scene: The scene.
+        state: A state of its rod.
+    """
+    if isinstance(scene, Composite):
+        return scene.with_memory(state)
+    check_scene(scene)
+    check_kind("state", state, RodState)
+    if state.memory is not None or not scene.remembers:
+        return state
+    return replace(state, memory=memory_of(scene.effects))

@@ -1,0 +1,112 @@
+"""Driven ends: gradients through them, statics and vibrations of one moment."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+
+MOMENT = 0.13
+
+
+def along_x():
+    return jaxrod.straight_rod(
+        4,
+        length=0.5,
+        radius=0.02,
+        density=1000.0,
+        youngs_modulus=2e6,
+        direction=(1.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "dt"),
+    [(jaxrod.implicit(), 5e-3), (jaxrod.pyelastica(), 5e-4)],
+    ids=["implicit", "pyelastica"],
+)
+@pytest.mark.parametrize("turn", [True, False], ids=["wall", "free to turn"])
+def test_gradients_through_driven_ends_agree_with_differences(method, dt, turn, record):
+    rod, state = along_x()
+
+    def after(numbers):
+        side, up, angle, period = numbers
+        shake = jaxrod.sine(jnp.stack([0 * side, side, up]), period, mean=(0.0,) * 3)
+        wall = {"free_to_turn": True}
+        if turn:
+            wall = {"axis": (0.0, 1.0, 1.0), "angle": jaxrod.sine(angle, period)}
+        driven = jaxrod.driven(state, displacement=shake, **wall)
+        scene = jaxrod.make_scene(rod, driven, jaxrod.gravity(), method=method)
+        end = jaxrod.advance(scene, state, dt, 10)
+        # Every node: it takes a while until the free end hears of it.
+        weights = jnp.cos(jnp.arange(end.positions.size)).reshape(end.positions.shape)
+        return jnp.sum(weights * (end.positions + 1e-3 * end.velocities))
+
+    program = jax.jit(jax.value_and_grad(after))
+    numbers = jnp.asarray([0.01, 0.02, 0.3, 0.11])
+    gradient = np.asarray(program(numbers)[1])
+    differences = []
+    for k, step in enumerate(1e-4 * np.asarray(numbers)):
+        ahead, behind = (
+            float(program(numbers.at[k].add(way))[0]) for way in (step, -step)
+        )
+        differences.append((ahead - behind) / (2 * step))
+    used = slice(None) if turn else [0, 1, 3]
+    assert np.all(gradient[used] != 0)
+    record(
+        f"Gradient through a driven end, {type(method).__name__}, "
+        f"{'wall' if turn else 'free to turn'}",
+        "central differences",
+        np.max(np.abs(gradient - differences)) / np.max(np.abs(gradient)),
+        at_most=1e-6,
+    )
+
+
+def driven_and_standing(held):
+    """A scene with a driven end at a moment, and what stands where it is then."""
+    rod, state = along_x()
+    shake = jaxrod.sine((0.03, 0.01, 0.02), 0.4)
+    others = (jaxrod.uniform_load((0.0, 0.05, -0.3)),)
+    if held == "wall":
+        turns = {"axis": (0.0, 1.0, 1.0), "angle": jaxrod.sine(0.4, 0.3)}
+        driven = jaxrod.driven(state, displacement=shake, **turns)
+    else:
+        driven = jaxrod.driven(state, displacement=shake, axes="xz", free_to_turn=True)
+        others += (jaxrod.pin(state, "finish", axes="yz"), jaxrod.pin(state, axes="y"))
+    moment = jaxrod.make_scene(rod, driven, *others).at(MOMENT)
+    place = moment.effects[0].place.position
+    moved = replace(state, positions=state.positions.at[:, 0].set(place))
+    if held == "wall":
+        frame = moment.effects[0].turn.orientation
+        standing = replace(jaxrod.clamp(moved), orientation=frame)
+    else:
+        moved = replace(moved, positions=moved.positions.at[1, 0].set(0.0))
+        standing = jaxrod.pin(moved, axes="xz")
+    return moment, state, jaxrod.make_scene(rod, standing, *others), moved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("held", ["wall", "node"])
+def test_a_driven_end_at_a_moment_is_a_support_that_stands_there(held):
+    moment, state, standing, moved = driven_and_standing(held)
+    # From where the end is driven, and from elsewhere.
+    expected = jaxrod.equilibrium(standing, moved)
+    assert expected.converged
+    for start in (moved, state):
+        found = jaxrod.equilibrium(moment, start)
+        assert found.converged
+        np.testing.assert_allclose(
+            found.state.positions, expected.state.positions, rtol=0, atol=1e-9
+        )
+    for ask in (jaxrod.natural_frequencies, jaxrod.highest_frequency):
+        one, other = (ask(scene, expected.state) for scene in (moment, standing))
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-3)
+    one, other = (
+        jaxrod.reactions(scene, expected.state)[0] for scene in (moment, standing)
+    )
+    np.testing.assert_allclose(one.couple, other.couple, rtol=0, atol=1e-9)
