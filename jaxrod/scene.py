@@ -38,13 +38,13 @@ class Stepper(Protocol):
     steps_of_end: ClassVar[int]
     """Number of steps that `end` finishes, 1 or 0."""
 
-    def begin(self, state: RodState) -> Any:
+    def begin(self, state: Any) -> Any:
         """Carry before the first step, from the initial state."""
 
     def cycle(self, carry: Any) -> Any:
         """A step that `end` does not finish."""
 
-    def end(self, carry: Any) -> RodState:
+    def end(self, carry: Any) -> Any:
         """The state, from the carry after the last cycle."""
 
 
@@ -166,7 +166,7 @@ class Scene:
             if depends_on_time(effect) or remembers((effect,))
         )
 
-    def recalling(self, state: RodState) -> Scene:
+    def recalling(self, state: Any) -> Scene:
         """The scene with what its effects remember as it is in a state."""
         if state.memory is None or not self.remembers:
             return self

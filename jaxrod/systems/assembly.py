@@ -17,7 +17,8 @@ from jaxrod.effects.time import (
     clock_at,
     depends_on_time,
 )
-from jaxrod.methods.verlet import Verlet
+from jaxrod.methods.consistent import ConsistentStepper
+from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
@@ -159,9 +160,11 @@ def _stepper(
     return RodsStepper(verlet, parts, parts.count)
 
 
-def _verlet(scene: Scene, state: RodState, dt: Array) -> Verlet:
+def _verlet(
+    scene: Scene, state: RodState, dt: Array
+) -> ConsistentStepper | PyElasticaStepper:
     stepper = scene.method.stepper(scene, state, dt)
-    assert isinstance(stepper, Verlet)
+    assert isinstance(stepper, ConsistentStepper | PyElasticaStepper)
     return stepper
 
 

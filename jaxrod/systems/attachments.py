@@ -129,7 +129,7 @@ class Attachment(Coupling):
         masses = picked(before[name].parts.node_masses, nodes)
         was, now = before[name].motion.velocity, after[name].motion.velocity
         gained = vectors.subtract(now, was)
-        x, y, z = (masses * component[nodes] for component in gained)
+        x, y, z = (masses * picked(component, nodes) for component in gained)
         couple = vectors.cross(self._arms(before[self.bodies.member]), (x, y, z))
         return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
 

@@ -112,7 +112,7 @@ def _potential(member: Member, state: Any) -> Array:
 
 def _momentum(member: Member, state: Any) -> Array:
     if isinstance(member, RigidBodies):
-        return jnp.sum(member.masses * state.velocities, axis=1)
+        return jnp.sum(member.masses[None] * state.velocities, axis=1)
     if _is_group(member):
         return jnp.sum(jax.vmap(momentum)(member.rod, state), axis=0)
     return momentum(member.rod, state)

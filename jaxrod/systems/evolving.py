@@ -107,7 +107,7 @@ class EvolvingSystem:
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
         memories: Memories = now.memory  # type: ignore[assignment]
-        members = {}
+        members: dict[str, MemberStepper] = {}
         for name, stepper in self.stepper.members.items():
             member = self.system.members[name]
             if isinstance(member, RigidBodies):

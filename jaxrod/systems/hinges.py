@@ -151,7 +151,7 @@ def hinge_joint(
         axes_b=own[1],
         stiffness=as_array("axis_stiffness", axis_stiffness, "N m", positive=True),
         damping=optional_number("axis_damping", axis_damping, "N m s"),
-        motor=None if motor is None else as_timed("motor", motor, "N m"),
+        motor=None if motor is None else as_timed("motor", motor, "N m", ()),
     )
     return held, axes
 

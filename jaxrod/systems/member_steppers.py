@@ -9,7 +9,8 @@ import jax
 from jaxtyping import Array
 
 from jaxrod.geometry.rotations import directors, to_world
-from jaxrod.methods.verlet import Verlet
+from jaxrod.methods.consistent import ConsistentStepper
+from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
 from jaxrod.systems.parts import Parts, Seen, in_one_row, in_rows
@@ -48,7 +49,7 @@ class MemberStepper(Protocol):
 class RodStepper:
     """Of a scene: one rod and its effects."""
 
-    verlet: Verlet
+    verlet: ConsistentStepper | PyElasticaStepper
     """The stepper of the scene."""
     parts: Parts
     """Constants of the rod."""
@@ -90,7 +91,7 @@ class RodStepper:
 class RodsStepper:
     """Of a scene whose leaves have a leading axis: equal rods with their effects."""
 
-    verlet: Verlet
+    verlet: ConsistentStepper | PyElasticaStepper
     """The steppers of the scenes, with a leading axis."""
     parts: Parts
     """Constants of the rods, in one row."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,8 @@ class Points:
             )
 
 
-class Layout(NamedTuple):
+@dataclass(frozen=True)
+class Layout:
     """Numbers of nodes and elements of a member."""
 
     count: int

@@ -211,7 +211,7 @@ def _place(
 
 def body_kinetic_energy(bodies: RigidBodies, state: BodyState) -> Float[Array, ""]:
     """Kinetic energy of translation and rotation [J]."""
-    translation = 0.5 * jnp.sum(bodies.masses * state.velocities**2)
+    translation = 0.5 * jnp.sum(bodies.masses[None] * state.velocities**2)
     frame = directors(split_quaternion(state.orientations))
     own = jnp.stack(to_material(frame, vectors.split(state.angular_velocities)))
     return translation + 0.5 * jnp.sum(bodies.principal_inertias * own**2)

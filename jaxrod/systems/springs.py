@@ -127,7 +127,7 @@ def spring(
     *,
     stiffness: Numbers,
     damping: Numbers | None = None,
-    at: Numbers | tuple[Numbers, Numbers] | None = None,
+    at: tuple[Numbers, Numbers] | None = None,
 ) -> Springs:
     """Springs between points of two members, without force where `state` has them.
 
@@ -147,7 +147,10 @@ def spring(
         ValueError: If there is no such place, a number is out of range, or the ends are
             at one place: then use `ball_joint`.
     """
-    ends = (None, None) if at is None else tuple(at)
+    ends: tuple[Any, Any] = (None, None)
+    if at is not None:
+        first, second = at
+        ends = first, second
     made = _springs(a, b, state, stiffness, damping, ends)
     one = jnp.stack([position.place for position in _poses(a, state)], axis=1)
     two = jnp.stack([position.place for position in _poses(b, state)], axis=1)

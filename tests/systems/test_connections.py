@@ -161,6 +161,7 @@ def test_a_hinge_turns_about_its_axis_alone(record):
     assert max(abs(x), abs(y)) < 1e-12
 
 
+@pytest.mark.slow
 def test_tie_to_a_held_node_follows_the_support():
     one, of_one = rod()
     two, of_two = rod(6, 0.5, (0.5, 0, 0), (0, 1, 0))
@@ -175,6 +176,7 @@ def test_tie_to_a_held_node_follows_the_support():
     assert after["two"].tip[2] < -0.01
 
 
+@pytest.mark.slow
 def test_gradients_through_connections_match_differences():
     system, state = free_system()
     dt = 0.5 * float(jaxrod.stable_dt(system).dt)
@@ -209,6 +211,7 @@ def test_gradients_through_connections_match_differences():
     assert np.all(np.abs(gradient) > 1e-6 * scale)
 
 
+@pytest.mark.slow
 def test_a_batch_of_systems_is_a_loop_over_them():
     one, of_one = rod()
     two, of_two = rod(4, 0.3, (0.5, 0, 0), (0, 0.6, 0.8))
@@ -237,8 +240,9 @@ def test_a_batch_of_systems_is_a_loop_over_them():
         )
 
 
+@pytest.mark.slow
 def test_members_that_depend_on_time():
-    """Two halves under a load that swings are one rod under it, wherever time begins."""
+    """Two halves under a swinging load are one rod, wherever time begins."""
     whole, of_whole = rod(12, 1.0)
     left, of_left = rod(6, 0.5)
     right, of_right = rod(6, 0.5, (0.5, 0, 0))

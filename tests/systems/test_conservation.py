@@ -1,5 +1,7 @@
 """Free systems keep momentum and angular momentum, and energy to second order."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,54 +9,76 @@ import pytest
 from scipy.special import ellipk
 
 import jaxrod
-from systems.members import free_system, rod, stirred
+from systems.members import free_system, rod
 
 
 def test_momenta_with_joints_and_dashpots(record):
     system, state = free_system()
     dt = 0.5 * jaxrod.stable_dt(system).dt
-    after = jaxrod.advance(system, state, dt, 2000)
-    before_p, after_p = (jaxrod.momentum(system, s) for s in (state, after))
-    before_l, after_l = (jaxrod.angular_momentum(system, s) for s in (state, after))
+    after = jaxrod.advance(system, state, dt, 1000)
     moved = np.linalg.norm(after["head"].positions - state["head"].positions)
-    linear = np.linalg.norm(after_p - before_p) / np.linalg.norm(before_p)
-    angular = np.linalg.norm(after_l - before_l) / np.linalg.norm(before_l)
-    assert moved > 0.03
+    assert moved > 0.01
     assert not jaxrod.health(system, after, dt).flagged
-    record("free system with joints and dashpots", "momentum", linear, at_most=1e-14)
-    record(
-        "free system with joints and dashpots",
-        "angular momentum",
-        angular,
-        at_most=1e-13,
-    )
+    joints = "free rods and bodies with joints and dashpots"
+    for name, function, bar in (
+        ("momentum", jaxrod.momentum, 1e-14),
+        ("angular momentum", jaxrod.angular_momentum, 1e-13),
+    ):
+        change = np.linalg.norm(function(system, after) - function(system, state))
+        # Relative to what there is of it, were all of it in one direction.
+        record(joints, name, change / sizes(system, state)[name], at_most=bar)
     # Dashpots took something.
     energies = [jaxrod.total_energy(system, s) for s in (state, after)]
     assert energies[1] < energies[0]
 
 
+def sizes(system, state):
+    """Sums of the sizes of momenta and angular momenta of all nodes and bodies."""
+    linear = angular = 0.0
+    for name, member in system.members.items():
+        own = state[name]
+        masses = member.masses if name in ("head", "ball") else member.rod.node_masses
+        speeds = np.linalg.norm(own.velocities, axis=0)
+        places = np.linalg.norm(own.positions, axis=0)
+        linear += np.sum(masses * speeds)
+        angular += np.sum(masses * places * speeds)
+    return {"momentum": linear, "angular momentum": angular}
+
+
+@pytest.mark.slow
 def test_energy_of_a_rod_on_a_body_is_of_second_order():
     one, of_one = rod()
+    spin = np.array((2.0, -1.0, 3.0))
     body, of_body = jaxrod.rigid_body(
         jaxrod.box((-0.05, 0.01, 0.0), (0.05, 0.03, 0.02)),
         density=2000.0,
-        angular_velocity=(2.0, -1.0, 3.0),
+        angular_velocity=spin,
         dtype=jnp.float64,
     )
-    state = {"rod": stirred(of_one), "body": of_body}
+    arms = np.asarray(of_one.positions - of_body.positions)
+    turning = np.cross(spin, arms.T).T
+    along = np.linspace(0, 1, arms.shape[1])
+    bends = np.array([[0.0], [1.0], [-0.5]]) * along**2
+    of_one = replace(of_one, velocities=jnp.asarray(turning + bends))
+    of_one = jaxrod.with_angular_velocities(one, of_one, body_rates(of_one, spin))
+    state = {"rod": of_one, "body": of_body}
     system = jaxrod.make_system(
         {"rod": jaxrod.make_scene(one), "body": body},
         jaxrod.attach(("rod", "start"), ("body",), state),
     )
-    state = jaxrod.advance(system, state, 1e-12, 1)
     dt, start = jaxrod.stable_dt(system).dt, jaxrod.total_energy(system, state)
     errors = []
     for k in (2, 4, 8):
         after = jaxrod.advance(system, state, dt / k, 300 * k)
         errors.append(abs(float(jaxrod.total_energy(system, after) - start)))
     ratios = np.array(errors[:-1]) / np.array(errors[1:])
-    assert errors[-1] < 1e-3 * start
+    assert errors[-1] < 1e-4 * start
     assert np.all(ratios > 3.2)
+
+
+def body_rates(state, spin):
+    """Angular velocity of all elements of a rod that turns as a whole."""
+    return np.einsum("ijn,j->in", np.asarray(state.directors), spin)
 
 
 def test_asymmetric_body_tumbles_with_the_period_of_the_closed_form(record):
