@@ -28,11 +28,13 @@ from jaxrod.systems.rigid_bodies import (
 )
 
 
+@jax.jit
 def system_kinetic_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
     """Kinetic energy of all members [J]."""
     return _total(_kinetic(member, state[k]) for k, member in system.members.items())
 
 
+@jax.jit
 def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
     """Elastic energy and potentials of effects and couplings [J]."""
     total = _total(_potential(m, state[k]) for k, m in system.members.items())
@@ -42,11 +44,13 @@ def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array
     return total
 
 
+@jax.jit
 def system_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
     """Linear momentum, world frame [kg m/s]."""
     return _total(_momentum(member, state[k]) for k, member in system.members.items())
 
 
+@jax.jit
 def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
     """Angular momentum about the origin, world frame [kg m^2/s]."""
     return _total(_angular(member, state[k]) for k, member in system.members.items())

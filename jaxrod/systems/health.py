@@ -56,6 +56,7 @@ class SystemHealth:
         return functools.reduce(jnp.logical_or, each, self.violation)
 
 
+@jax.jit
 def system_health(
     system: Assembly,
     state: SystemState,

@@ -5,25 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import ArrayLike, Float
 
-from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, split_quaternion
 from jaxrod.structure import pytree
-from jaxrod.systems.parts import in_one_row
 from jaxrod.systems.places import Place, layouts_of, resolved
+from jaxrod.validation import is_traced
 
 
 @pytree
 class Pose:
     """A place in a state: where it is, how what turns with it is turned."""
 
-    place: Float[Array, "3"]
+    place: Float[ArrayLike, "3"]
     """Position of the node, or origin of the body [m]."""
     orientation: Quaternion
     """Of the element, or of the body."""
-    spacing: Array
+    spacing: ArrayLike
     """Distance to the next node; infinite for a body [m]."""
 
 
@@ -39,13 +38,17 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
     member, node, element = resolved(name, place, layouts)
     own, layout = state[member], layouts[member]
     positions, orientations = own.positions, own.orientations
+    if not is_traced(positions, orientations):
+        # On the host: what is asked here is little, and compiling it is not.
+        positions, orientations = map(np.asarray, (positions, orientations))
+    node_of, element_of = node, element
     if layout.is_rod and positions.ndim == 3:
-        positions, orientations = in_one_row((positions, orientations))
-    x = positions[:, node]
-    w = split_quaternion(orientations[:, element])
+        rod, node_of = divmod(node, layout.n_elements + 1)
+        _, element_of = divmod(element, layout.n_elements)
+        positions, orientations = positions[rod], orientations[rod]
+    x = positions[:, node_of]
+    w = split_quaternion(orientations[:, element_of])
     if not layout.is_rod:
-        return Pose(x, w, jnp.full((), jnp.inf, positions.dtype))
-    per_rod = layout.n_elements + 1
-    first = element // layout.n_elements * per_rod + element % layout.n_elements
-    edge = positions[:, first + 1] - positions[:, first]
-    return Pose(x, w, vectors.safe_norm(vectors.split(edge)))
+        return Pose(x, w, np.inf)
+    edge = positions[:, element_of + 1] - positions[:, element_of]
+    return Pose(x, w, (edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2) ** 0.5)

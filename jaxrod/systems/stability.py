@@ -59,6 +59,7 @@ class CouplingBounds(Effect):
         return self.bound
 
 
+@jax.jit
 def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemStep:
     """The largest step at which a system is stable, times a safety factor.
 
