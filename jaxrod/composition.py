@@ -14,6 +14,7 @@ from jaxrod.effects.memory import memory_fields, remembers
 from jaxrod.effects.time import at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.drag_kick import drag_on
 from jaxrod.methods.planar import Planar
 from jaxrod.methods.planar_verlet import PLANES
 from jaxrod.rods.rod import Rod
@@ -57,6 +58,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     method = _in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
     _check_evolution(scene)
+    _check_drag(scene)
     method.check(scene.at(0.0))
     if scene.evolves:
         # Zero now may be out of the plane or about the axis later.
@@ -91,6 +93,19 @@ def _check_evolution(scene: Scene) -> None:
                 f"torsion_free() needs walls that stand still, but {name} depends on "
                 "time or remembers; another method has no such needs"
             )
+
+
+def _check_drag(scene: Scene) -> None:
+    """Raises where several effects have drag, or its growth with speed has no bound."""
+    now = scene.at(0.0)
+    found = jax.eval_shape(lambda: drag_on(now, trial_motion(scene.rod)))
+    limited = scene.method.explicit and not scene.method.solves_drag
+    if limited and found is not None and found.grows_with_speed:
+        raise ValueError(
+            "drag that grows with the square of the speed has no stable step in "
+            f"{scene.method!r}, which takes it for a load: use consistent(), planar(), "
+            "torsion_free() or implicit()"
+        )
 
 
 def _leaves(effect: Effect, scene: Scene) -> bool:

@@ -48,6 +48,7 @@ from jaxrod.analysis.frequency import (
 )
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
+from jaxrod.methods.drag_kick import without_drag
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, check_scene, damping_rates, scene_of
 from jaxrod.structure import pytree
@@ -105,6 +106,9 @@ def stable_dt(
     check_scene(scene)
     dtype = scene.rod.rest_lengths.dtype
     factor = as_array("safety", safety, "", positive=True, at_most=1, dtype=dtype)
+    if scene.method.solves_drag:
+        # It only adds inertia, which can be left out.
+        scene = without_drag(scene)
     if state is None:
         return _bounded(scene.at_largest, factor)
     scene = scene_of(scene, state)
