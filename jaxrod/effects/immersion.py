@@ -77,7 +77,8 @@ def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> R
     The same in all directions. That is right across the rod, where $C = 1$ for a
     circular section, and wrong along it, where there is none: axial waves are slower by
     $\sqrt{1 + C\rho_f/\rho}$, which slender rods hardly ever show. Where a rod swims
-    by the thrust of fluid that it pushes back (Lighthill's), this is not the model. `jaxrod.momentum` and `kinetic_energy` count the added mass.
+    by the thrust of fluid that it pushes back (Lighthill's), this is not the model.
+    `jaxrod.momentum` and `kinetic_energy` count the added mass.
 
     Args:
         rod: The rod, of round section.
