@@ -120,8 +120,10 @@ def _change(
         kick = Kick.create(None, along[0], dt)
         gain, loss = kick.gain, kick.loss
     else:
-        forward = jnp.sign(on_rate) * on_drive
-        gain, loss = _riccati(along, jnp.abs(on_rate), jnp.abs(on_drive), forward, dt)
+        # Not the absolute values, whose slope at zero JAX says is one.
+        way = jnp.sign(on_rate)
+        speed, size = way * on_rate, jnp.sign(on_drive) * on_drive
+        gain, loss = _riccati(along, speed, size, way * on_drive, dt)
     change = vectors.scale(gain * on_drive - loss * on_rate, axis)
     if across[1] is None:
         kick = Kick.create(None, across[0], dt)

@@ -227,7 +227,8 @@ def dragged(numbers, kind, rod, state):
         )
     scene = jaxrod.make_scene(rod, drag, jaxrod.gravity((0.0, 0.0, 3.0)))
     end = jaxrod.advance(scene, state, 1e-5, 6)
-    return jnp.sum(end.velocities**2) + jnp.sum(end.tip)
+    weights = jnp.cos(jnp.arange(end.velocities.size)).reshape(3, -1)
+    return jnp.sum(weights * end.velocities)
 
 
 @pytest.mark.slow
@@ -235,7 +236,7 @@ def dragged(numbers, kind, rod, state):
 @pytest.mark.parametrize("speed", [0.0, 2.0])
 @pytest.mark.parametrize("whirling", [0.0, 0.7])
 def test_gradients_through_drag(kind, speed, whirling, record):
-    numbers, there = jnp.asarray([0.7, 2.0, whirling]), bent(speed)
+    numbers, there = jnp.asarray([7.0, 20.0, whirling]), bent(speed)
     value = jax.jit(lambda numbers: dragged(numbers, kind, *there))
     slope = jax.jit(jax.grad(lambda numbers: dragged(numbers, kind, *there)))(numbers)
     step = 1e-5
