@@ -78,7 +78,7 @@ def snake():
 def test_a_snake_is_as_fast_as_pyelastica_s(record):
     scene, state = snake()
     steps = int(np.ceil(PERIOD / float(jaxrod.stable_dt(scene, 0.9).dt)))
-    shares = scene.rod.node_masses / jnp.sum(scene.rod.node_masses)
+    shares = scene.rod.node_masses[None] / jnp.sum(scene.rod.node_masses)
     places = []
     for period in range(10):
         places.append(np.sum(shares * state.positions, axis=1))
