@@ -170,13 +170,12 @@ def stokes_drag(
         ValueError: If a number is out of range.
     """
     turns = _coefficient("turning", turning, "kg m/s")
-    if not is_traced(turns) and not np.any(turns):
-        turns = None
+    known_zero = not is_traced(turns) and not np.any(turns)
     return StokesDrag(
         flow=as_flow(flow),
         along=_coefficient("along", along, "kg/(m s)"),
         across=_coefficient("across", across, "kg/(m s)"),
-        turning=turns,
+        turning=None if known_zero else turns,
     )
 
 

@@ -94,12 +94,13 @@ def drag_kick(
         dt,
     )
     velocity = vectors.add(motion.velocity, change)
-    about, tilting = (None, None) if drag.turning is None else drag.turning
+    turning = drag.turning
     if damping is not None:
-        about = damping[1] if about is None else about + damping[1]
-        tilting = damping[1] if tilting is None else tilting + damping[1]
-    if about is None or tilting is None:
+        own = (0.0, 0.0) if turning is None else turning
+        turning = own[0] + damping[1], own[1] + damping[1]
+    if turning is None:
         return velocity, vectors.add(motion.spin, vectors.scale(dt, couples))
+    about, tilting = turning
     axis = directors(motion.orientation)[2]
     turn = _change(motion.spin, couples, axis, (about, None), (tilting, None), dt)
     return velocity, vectors.add(motion.spin, turn)
@@ -117,8 +118,7 @@ def _change(
     rate = vectors.subtract(rate, vectors.scale(on_rate, axis))
     drive = vectors.subtract(drive, vectors.scale(on_drive, axis))
     if along[1] is None:
-        kick = Kick.create(None, along[0], dt)
-        gain, loss = kick.gain, kick.loss
+        gain, loss = _decay(along[0], dt)
     else:
         # Not the absolute values, whose slope at zero JAX says is one.
         way = jnp.sign(on_rate)
@@ -126,14 +126,20 @@ def _change(
         gain, loss = _riccati(along, speed, size, way * on_drive, dt)
     change = vectors.scale(gain * on_drive - loss * on_rate, axis)
     if across[1] is None:
-        kick = Kick.create(None, across[0], dt)
-        gain, loss = kick.gain, kick.loss
+        gain, loss = _decay(across[0], dt)
     else:
         speed = vectors.safe_norm(rate)
         forward = vectors.dot(rate, drive) / speed
         gain, loss = _riccati(across, speed, vectors.safe_norm(drive), forward, dt)
     gained, lost = vectors.scale(gain, drive), vectors.scale(loss, rate)
     return vectors.add(change, vectors.subtract(gained, lost))
+
+
+def _decay(rate: Array, dt: Array) -> tuple[Array, Array]:
+    """What `_riccati` gives for a rate that does not grow with the speed."""
+    kick = Kick.create(None, rate, dt)
+    assert kick.loss is not None
+    return kick.gain, kick.loss
 
 
 def _riccati(

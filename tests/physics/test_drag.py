@@ -99,6 +99,7 @@ def loads(effect, rod, state):
     return jnp.stack(effect.loads(rod, motion_of(state)).forces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("slope", "speed"),
     [(0.1, -0.004944), (0.3, -0.040876), (0.6, -0.128579), (1.0, -0.238752)],
@@ -145,6 +146,7 @@ def test_drag_of_a_node_is_no_larger_than_its_bound():
     np.testing.assert_allclose(found.couples[2], -bound.element_drag * spins[2])
 
 
+@pytest.mark.slow
 def test_solved_drag_does_not_limit_the_step_and_explicit_drag_does():
     drag = jaxrod.stokes_drag(1e5, 1e5)
     free = jaxrod.stable_dt(jaxrod.make_scene(ROD)).dt
@@ -163,11 +165,10 @@ def test_flows_have_a_place_and_a_time():
     scene = jaxrod.make_scene(ROD, jaxrod.stokes_drag(1.0, 1.0, flow=flow))
     assert scene.depends_on_time
     (drag,) = scene.at(0.25).effects
-    rod, _ = random_rod(3, 6)
-    state = deformed(rod, 1)
-    at = jnp.stack(drag.drag(rod, motion_of(state)).flow)
-    _, y, z = state.positions
-    assert difference(at, jnp.stack([3 * y, 0 * y, 0.25 + 0 * z])) < 1e-15
+    y = np.array([0.1, -2.0, 0.3, 0.5])
+    state = replace(STATE, positions=jnp.asarray([0 * y, y, 0 * y]))
+    flow = np.stack(drag.drag(ROD, motion_of(state)).flow)
+    np.testing.assert_allclose(flow, [3 * y, 0 * y, 0 * y + 0.25], atol=1e-15)
 
 
 BAD = {

@@ -77,6 +77,7 @@ def test_tips_under_a_load_that_follows(record):
     )
 
 
+@pytest.mark.slow
 def test_the_load_turns_with_the_rod():
     rod, _ = random_rod(2, 5)
     state = deformed(rod, 1)
@@ -84,7 +85,8 @@ def test_the_load_turns_with_the_rod():
     turn = rotation_exp(tuple(jnp.asarray(c) for c in (0.4, -0.9, 0.3)))
     frames = multiply_quaternions(turn, split_quaternion(state.orientations))
     turned = replace(state, orientations=join_quaternion(frames))
-    before, after = (load.loads(rod, motion_of(at)) for at in (state, turned))
+    loads = jax.jit(lambda at: load.loads(rod, motion_of(at)))
+    before, after = loads(state), loads(turned)
     assert difference(after.forces, to_world(directors(turn), before.forces)) < 1e-13
     assert difference(after.couples, before.couples) < 1e-15
     size = np.linalg.norm(vectors.join(before.forces).sum(axis=1))

@@ -146,20 +146,9 @@ PUSH, DRAG = jnp.asarray(3.0), jnp.asarray(7.0)
 AXIS = tuple(jnp.asarray(c) for c in (0.6, 0.0, 0.8))
 
 
-def test_friction_alike_in_all_directions_is_that_without():
-    same = directional_friction_force(
-        PUSH, tuple(any_slips()), AXIS, 0.3 * jnp.ones(3), DRAG
-    )
-    plain = friction_force(PUSH, tuple(any_slips()), jnp.asarray(0.3), DRAG)
-    assert difference(same, plain) < 1e-15
-
-
-@pytest.mark.parametrize("stick", [None, 2.0])
-@pytest.mark.parametrize("friction", [(0.1, 0.15, 0.2), (0.4, 0.0, 0.1), (0, 1, 0)])
-def test_directional_friction_is_no_steeper_than_its_drag(friction, stick):
-    """Nor larger than its limit, and it takes energy."""
-    stick = None if stick is None else jnp.asarray(stick)
-    numbers = jnp.asarray(friction, float)
+@jax.jit
+def pushed(slips, numbers, stick):
+    """Friction under a slip, and its slope, of every row."""
 
     def force(slip):
         found = directional_friction_force(
@@ -167,23 +156,39 @@ def test_directional_friction_is_no_steeper_than_its_drag(friction, stick):
         )
         return jnp.stack(found)
 
-    slips = any_slips().T
-    both = jax.vmap(lambda slip: (force(slip), jax.jacfwd(force)(slip)))
-    forces, slopes = jax.jit(both)(slips)
+    return jax.vmap(lambda slip: (force(slip), jax.jacfwd(force)(slip)))(slips)
+
+
+def test_friction_alike_in_all_directions_is_that_without():
+    same, _ = pushed(any_slips().T, 0.3 * jnp.ones(3), jnp.asarray(1.0))
+    plain = friction_force(PUSH, tuple(any_slips()), jnp.asarray(0.3), DRAG)
+    assert difference(same.T, jnp.stack(plain)) < 1e-15
+
+
+@pytest.mark.parametrize("stick", [1.0, 2.0])
+@pytest.mark.parametrize("friction", [(0.1, 0.15, 0.2), (0.4, 0.0, 0.1), (0, 1, 0)])
+def test_directional_friction_is_no_steeper_than_its_drag(friction, stick):
+    """Nor larger than its limit, and it takes energy."""
+    slips, numbers = any_slips().T, jnp.asarray(friction, float)
+    forces, slopes = pushed(slips, numbers, jnp.asarray(stick))
     steepest = np.linalg.norm(slopes, ord=2, axis=(1, 2)).max()
     assert 0.5 * DRAG < steepest <= 1.05 * DRAG
-    limit = max(friction) * PUSH * (1 if stick is None else stick)
+    limit = max(friction) * PUSH * stick
     assert np.linalg.norm(forces, axis=1).max() <= limit
-    assert np.all(np.sum(forces * slips, axis=1) <= 0)
+    assert np.all(np.sum(np.multiply(forces, slips), axis=1) <= 0)
 
 
 def test_an_axis_along_the_normal_has_no_direction():
     up = tuple(jnp.asarray(c) for c in (0.0, 1.0, 0.0))
-    assert difference(along_surface(up, up), (0.0, 0.0, 0.0)) == 0
-    flat = along_surface(tuple(jnp.asarray(c) for c in (0.6, 0.8, 0.0)), up)
-    assert difference(flat, (1.0, 0.0, 0.0)) < 1e-11
-    slope = jax.jacfwd(lambda axis: jnp.stack(along_surface(tuple(axis), up)))
-    assert np.all(np.isfinite(slope(jnp.asarray([0.0, 1.0, 0.0]))))
+
+    @jax.jit
+    def flat(axis):
+        return jnp.stack(along_surface(tuple(axis), up))
+
+    assert difference(flat(jnp.asarray([0.0, 1.0, 0.0])), jnp.zeros(3)) == 0
+    oblique = flat(jnp.asarray([0.6, 0.8, 0.0]))
+    assert difference(oblique, jnp.asarray([1.0, 0.0, 0.0])) < 1e-11
+    assert np.all(np.isfinite(jax.jacfwd(flat)(jnp.asarray([0.0, 1.0, 0.0]))))
 
 
 BAD = {
