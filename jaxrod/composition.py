@@ -14,6 +14,7 @@ from jaxrod.effects.held import check_held_once
 from jaxrod.effects.memory import memory_fields
 from jaxrod.effects.time import at_clock, clock_at, depends_on_time
 from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.drag_kick import check_drag
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
 from jaxrod.validation import check_held, check_kind, is_traced
@@ -60,6 +61,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     method = _in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
     _check_evolution(scene)
+    check_drag(scene)
     method.check(scene.at(0.0))
     if scene.evolves:
         # Zero now may be out of the plane or about the axis later.

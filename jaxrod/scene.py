@@ -78,6 +78,11 @@ class Method:
         """The elastic law, which stability and statics ask for."""
         return "consistent"
 
+    @property
+    def solves_drag(self) -> bool:
+        """Whether `Effect.drag` is solved with the loads of a step, not one of them."""
+        return False
+
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> Stepper:
         """The integrator, its constants worked out for one call."""
         # Not abstract: checks of single effects make scenes that are never stepped.

@@ -85,7 +85,7 @@ def test_dependencies_point_one_way():
 def test_scenes_are_composed_without_knowing_methods_but_the_default():
     known = {b for a, b in arrows() if a == "jaxrod.composition"}
     methods = {module for module in known if module.startswith("jaxrod.methods")}
-    assert methods == {"jaxrod.methods.consistent"}
+    assert methods == {"jaxrod.methods.consistent", "jaxrod.methods.drag_kick"}
 
 
 def test_no_module_name_begins_with_an_underscore():

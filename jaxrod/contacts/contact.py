@@ -3,15 +3,10 @@ r"""Contact of a rod with fixed bodies: penalty, damping and Coulomb friction.
 At points along the rod (`jaxrod.contacts.points`), each the centre of a section of
 radius $r$, a body's signed distance $\phi$ and normal $n$ give the penetration
 $p = r - \phi$. Per length of rod, with the point's velocity $v$ and
-$v_n = v\cdot n$ (positive when leaving):
-
-$$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
-  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
-
-a spring and a dashpot that meet with equal slope at $v_n = 0$ and never pull. The onset
-is smooth: $\langle p\rangle$ rises from zero at $p = -w/2$ as $(p + w/2)^2/2w$ to
-meet $p$ at $p = w/2$, and $s = d\langle p\rangle/dp$ from 0 to 1. Beyond the onset the
-spring is exactly linear; before, there is nothing at all.
+$v_n = v\cdot n$ (positive when leaving), the force along the normal is that of
+`jaxrod.contacts.contact_law`: a spring and a dashpot that meet with equal slope at
+$v_n = 0$ and never pull, with a smooth onset of a width $w$. Beyond $p = w/2$ the
+spring is exactly linear; before $p = -w/2$ there is nothing at all.
 
 Friction acts where the section touches, at $-r n$ from its centre, which moves at
 $u = v - \omega\times r n$. With the part $u_t$ of it along the surface,
@@ -26,7 +21,8 @@ $$u_t = \frac{f}{c_t}\,\frac{1}{\sqrt{1 - (f/\mu F_n)^2}},$$
 
 which is 2.3 times $f/c_t$ at 0.9 of the limit and 7.1 times at 0.99. The slope has a
 bound, $c_t$, whatever the load, so a stable step exists. Its couple $-r n\times F_t$ on
-the section makes rods roll.
+the section makes rods roll. Friction may also differ between forward, backward and
+sideways (`contact_law`).
 """
 
 from __future__ import annotations
@@ -40,9 +36,17 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body
+from jaxrod.contacts.contact_law import (
+    along_surface,
+    directional_friction_force,
+    energy_density,
+    friction_force,
+    normal_force,
+)
 from jaxrod.contacts.points import Points, check_spacing, contact_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
@@ -78,8 +82,9 @@ class Contact(Effect):
     """Width of the smooth onset of contact, over the rod's radius [1]."""
     damping: Float[Array, ""] | None = None
     """Force per length of rod and normal speed [kg/(m s)]."""
-    friction: Float[Array, ""] | None = None
-    """Coefficient of Coulomb friction [1]."""
+    friction: Float[Array, ""] | Float[Array, "3"] | None = None
+    """Coefficient of Coulomb friction, or of each direction: forward along d3,
+    backward and sideways [1]."""
     friction_drag: Float[Array, ""] | None = None
     """Largest friction per length of rod and speed of slip [kg/(m s)]."""
     n_bodies: int | None = static(default=None)
@@ -90,8 +95,15 @@ class Contact(Effect):
     """Number of bodies that each point looks at, where that is not all."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
+    stick_ratio: Float[Array, ""] | None = None
+    """Friction at the onset of slip over that of sliding, if it has directions [1]."""
 
     reach: ClassVar[Reach] = "neighbours"
+
+    @property
+    def is_directional(self) -> bool:
+        """Whether friction has coefficients for each direction."""
+        return self.friction is not None and jnp.ndim(self.friction) == 1
 
     @property
     def twists(self) -> str | None:
@@ -199,7 +211,8 @@ class Contact(Effect):
 
         def of_body(body: Body) -> Array:
             distance, _ = body.surface(place)
-            density = self._energy_density(radii - distance, self.onset * radii)
+            width = self.onset * radii
+            density = energy_density(radii - distance, width, self.stiffness)
             return jnp.sum(points.lengths * density)
 
         return _summed(of_body, bodies)
@@ -220,18 +233,29 @@ class Contact(Effect):
         if self.friction is not None:
             x, y, z = (points.of_elements(c) for c in motion.angular_velocities(rod))
             spin = x, y, z
+        axis = None
+        if self.is_directional:
+            d3 = directors(motion.orientation)[2]
+            x, y, z = (points.of_elements(c) for c in d3)
+            axis = x, y, z
 
         def of_body(body: Body) -> tuple[Vec3, Vec3 | None]:
             distance, normal = body.surface(position)
             leaving = vectors.dot(velocity, normal)
-            push = self._normal_force(radii - distance, leaving, self.onset * radii)
+            push = normal_force(
+                radii - distance,
+                leaving,
+                self.onset * radii,
+                self.stiffness,
+                self.damping,
+            )
             force = vectors.scale(push, normal)
             if spin is None:
                 return force, None
             arm = vectors.scale(-radii, normal)
             slip = vectors.add(velocity, vectors.cross(spin, arm))
             along = vectors.subtract(slip, vectors.scale(leaving, normal))
-            drag = self._friction_force(push, along)
+            drag = self._friction(push, along, normal, axis)
             return vectors.add(force, drag), vectors.cross(arm, drag)
 
         force, couple = _summed(of_body, bodies)
@@ -243,39 +267,21 @@ class Contact(Effect):
         x, y, z = (points.to_elements(points.lengths * c) for c in couple)
         return Loads(forces, accumulate((x, y, z), loads.couples))
 
-    def _normal_force(self, depth: Array, leaving: Array, width: Array) -> Array:
-        """Force per length [N/m] at a penetration [m] and a speed of leaving [m/s]."""
-        touches, depth = _started(depth, width)
-        full = depth >= width
-        spring = jnp.where(full, depth - 0.5 * width, depth * depth / (2 * width))
-        force = self.stiffness * spring
-        if self.damping is not None:
-            share = jnp.where(full, 1, depth / width)
-            # The spring's depth over the dashpot's share: their forces' ratio is
-            # this length over the way made in the time damping / stiffness.
-            ratio = jnp.where(full, depth - 0.5 * width, 0.5 * depth)
-            way = self.damping / self.stiffness * jnp.maximum(leaving, 0)
-            resisting = self.damping * share * jnp.minimum(leaving, 0)
-            force = force * (ratio / (ratio + way)) - resisting
-        return jnp.where(touches, force, 0)
-
-    def _friction_force(self, push: Array, slip: Vec3) -> Vec3:
+    def _friction(
+        self, push: Array, slip: Vec3, normal: Vec3, axis: Vec3 | None
+    ) -> Vec3:
         """Force per length [N/m] at a velocity of slip [m/s] under a normal force."""
         assert self.friction is not None and self.friction_drag is not None
-        limit = self.friction * push
-        rubs = limit > 0
-        excess = vectors.scale(self.friction_drag / jnp.where(rubs, limit, 1), slip)
-        drag = self.friction_drag * jax.lax.rsqrt(1 + vectors.dot(excess, excess))
-        return vectors.scale(jnp.where(rubs, -drag, 0), slip)
-
-    def _energy_density(self, depth: Array, width: Array) -> Array:
-        """Energy per length [J/m]."""
-        touches, depth = _started(depth, width)
-        over = depth - 0.5 * width
-        full = 0.5 * over * over + width * width / 24
-        partial = depth * depth * depth / (6 * width)
-        energy = jnp.where(depth >= width, full, partial)
-        return jnp.where(touches, self.stiffness * energy, 0)
+        if axis is None:
+            return friction_force(push, slip, self.friction, self.friction_drag)
+        return directional_friction_force(
+            push,
+            slip,
+            along_surface(axis, normal),
+            self.friction,
+            self.friction_drag,
+            self.stick_ratio,
+        )
 
 
 def _one_by_one(body: Body, count: int | None) -> list[Body]:
@@ -295,17 +301,6 @@ def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
     return functools.reduce(partial(jax.tree.map, jnp.add), others, first)
 
 
-def _started(depth: Array, width: Array) -> tuple[Array, Array]:
-    """Flag of contact, and depth from its onset on [m], finite where there is none.
-
-    Depths within rounding of the onset count as before it: ratios of vanishing numbers
-    would have no gradient.
-    """
-    inside = depth + 0.5 * width
-    touches = inside > float(jnp.finfo(width.dtype).eps) ** 0.5 * width
-    return touches, jnp.where(touches, inside, width)
-
-
 def contact(
     bodies: Body | Sequence[Body],
     *,
@@ -313,6 +308,7 @@ def contact(
     damping: Numbers = 0.0,
     friction: Numbers = 0.0,
     friction_drag: Numbers | None = None,
+    stick_ratio: Numbers = 1.0,
     onset: Numbers = 0.01,
     points_per_element: int = 1,
 ) -> Contact:
@@ -333,12 +329,17 @@ def contact(
             `jaxrod.near_contact`.
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length of rod and normal speed [kg/(m s)].
-        friction: Coefficient of Coulomb friction [1].
+        friction: Coefficient of Coulomb friction, or three: of slip forward (along d3,
+            from the first node to the last), backward and sideways, as scales and
+            bristles make them [1].
         friction_drag: Largest friction per length of rod and speed of slip
             [kg/(m s)]; by default as much as `damping`. A sticking contact creeps at
             (tangential load per length) / friction_drag, divided by the root of
             1 - (load / limit)^2 with limit = friction * normal force: the faster the
             nearer it is to slipping.
+        stick_ratio: Friction at the onset of slip over that of sliding, at least 1:
+            `friction` is that of sliding. Other than 1, friction of a rod that slips
+            faster than it creeps falls with speed, by which rods stick and slip [1].
         onset: Width of the smooth onset of contact over the rod's radius [1]: the
             force starts half a width before rod and body touch and is linear from
             half a width of penetration on.
@@ -356,7 +357,14 @@ def contact(
     """
     body, n_bodies = _gathered(bodies)
     damps = _or_none("damping", damping, "kg/(m s)")
-    rubs = _or_none("friction", friction, "")
+    rubs = _or_none("friction", friction, "", [(), (3,)])
+    sticks = None
+    if is_traced(stick_ratio) or np.any(np.asarray(stick_ratio) != 1.0):
+        sticks = as_array("stick_ratio", stick_ratio, "", non_negative=True)
+        if not is_traced(sticks) and float(sticks) < 1:
+            raise ValueError(f"stick_ratio must be at least 1, got {float(sticks):g}")
+        if rubs is not None and rubs.ndim == 0:
+            rubs = jnp.stack([rubs, rubs, rubs])
     drag = damping if friction_drag is None else friction_drag
     drags = _or_none("friction_drag", drag, "kg/(m s)")
     if rubs is not None and drags is None:
@@ -371,6 +379,7 @@ def contact(
         damping=damps,
         friction=rubs,
         friction_drag=None if rubs is None else drags,
+        stick_ratio=None if rubs is None else sticks,
         n_bodies=n_bodies,
         points_per_element=check_count(
             "points_per_element", points_per_element, 1, MOST_POINTS
@@ -378,11 +387,13 @@ def contact(
     )
 
 
-def _or_none(name: str, value: Numbers, unit: str) -> Array | None:
-    """A number, or nothing at all where it is known to be zero."""
+def _or_none(
+    name: str, value: Numbers, unit: str, shapes: Sequence[tuple[int, ...]] = ((),)
+) -> Array | None:
+    """A number or several, or nothing at all where they are known to be zero."""
     dtype = jnp.result_type(float)
-    checked = check_array(name, value, [()], unit, non_negative=True, dtype=dtype)
-    known_zero = not is_traced(checked) and checked == 0
+    checked = check_array(name, value, shapes, unit, non_negative=True, dtype=dtype)
+    known_zero = not is_traced(checked) and not np.any(checked)
     return None if known_zero else jnp.asarray(checked, dtype)
 
 

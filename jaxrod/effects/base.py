@@ -16,6 +16,7 @@ from jaxrod.effects.held import Held
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.drag import Drag
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
@@ -140,6 +141,16 @@ class Effect:
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
         """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
+        return None
+
+    def drag(self, rod: Rod, motion: Motion) -> Drag | None:
+        """Decay rates along and across the rod, relative to what surrounds it.
+
+        Explicit steps of the consistent law solve drag with the loads, so that it never
+        limits the step. Other methods take the same from `loads`, as
+        `jaxrod.rods.drag.drag_loads` makes them, with the `stability_bound` of these;
+        an effect with drag has no loads but those.
+        """
         return None
 
     def stability_bound(self, rod: Rod) -> StabilityBound | None:

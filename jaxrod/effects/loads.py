@@ -5,15 +5,18 @@ All but damping may be schedules of time: see `jaxrod.ramp`, `sine` and `table`.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import Effect
+from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.ends import End, at_end, check_end, only_at_end
 from jaxrod.effects.time import Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, skew
 from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree, static
@@ -93,17 +96,55 @@ class UniformLoad(Effect):
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Forces shared half and half by an element's nodes; couples on elements."""
-        lengths = rod.rest_lengths
-        f, c = self.force_per_length, self.couple_per_length
-        forces = (0.5 * lengths * f[0], 0.5 * lengths * f[1], 0.5 * lengths * f[2])
-        couples = (lengths * c[0], lengths * c[1], lengths * c[2])
+        forces, couples = self._on_elements(rod)
         return Loads(
             forces=vectors.pair_sum(forces),
             couples=to_material(directors(motion.orientation), couples),
         )
 
-    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
         """None: the couples are constant in the world frame."""
+        return None
+
+    def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
+        """Half of each element's force [N], and its couple [N m], as they are given."""
+        lengths = rod.rest_lengths
+        f, c = self.force_per_length, self.couple_per_length
+        forces = (0.5 * lengths * f[0], 0.5 * lengths * f[1], 0.5 * lengths * f[2])
+        return forces, (lengths * c[0], lengths * c[1], lengths * c[2])
+
+
+@pytree
+class FollowerLoad(UniformLoad):
+    """A force and couple per rest length that turn with the elements.
+
+    Both are in the material frame. They have no potential.
+    """
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Each element's force, turned with it, shared by its nodes; its couple."""
+        forces, couples = self._on_elements(rod)
+        turned = to_world(directors(motion.orientation), forces)
+        return Loads(forces=vectors.pair_sum(turned), couples=couples)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Forces that turn with elements, shared between nodes and elements."""
+        size = jnp.sqrt(jnp.sum(self.force_per_length**2)) * rod.rest_lengths
+        # Force times turn times displacement: by Young's inequality at most half of
+        # the squares of both, in lengths that balance mass and rotary inertia.
+        least = jnp.min(rod.inertias, axis=0)
+        scale = jnp.sqrt(least / rod.element_masses)
+        across = 0.5 * size / scale
+        turning = size * scale
+        nodes = vectors.pad(across, 0, 1) + vectors.pad(across, 1, 0)
+        return StabilityBound(nodes=nodes, elements=turning)
+
+    @property
+    def twists(self) -> str | None:
+        """The loads, which turn with the elements."""
+        return "follower=True"
 
 
 @pytree
@@ -166,14 +207,19 @@ def end_load(
 def uniform_load(
     force_per_length: Timed = (0.0, 0.0, 0.0),
     couple_per_length: Timed = (0.0, 0.0, 0.0),
+    *,
+    follower: bool = False,
 ) -> UniformLoad:
     """A force and couple per rest length.
 
     Args:
-        force_per_length: World frame `(3,)`, or a schedule of such [N/m].
-        couple_per_length: World frame `(3,)`, or a schedule of such [N m/m].
+        force_per_length: World frame, or material frame if `follower`, `(3,)`, or a
+            schedule of such [N/m].
+        couple_per_length: Likewise [N m/m].
+        follower: Whether they turn with the elements.
     """
-    return UniformLoad(
+    kind = FollowerLoad if follower else UniformLoad
+    return kind(
         as_timed("force_per_length", force_per_length, "N/m", (3,)),
         as_timed("couple_per_length", couple_per_length, "N m/m", (3,)),
     )

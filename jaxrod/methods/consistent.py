@@ -9,7 +9,8 @@ $$R(t+s) = \exp\!\left(\frac{s P}{J_1}\right) R(t)\,
 Kicks change $v$ and $P$ at fixed configuration, exactly too: without damping
 $v \mathrel{+}= s f/m$ and $P \mathrel{+}= s R c$; with decay rate $g$, the solution of
 $\dot v = f/m - g v$ after a time $s$, and likewise for $P$. Drift, kick, drift is
-position Verlet: symmetric in time, hence of second order.
+position Verlet: symmetric in time, hence of second order. Drag, with rates of its own
+along the rod and across it, is solved with the loads too (`drag_kick`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from jaxrod.geometry.rotations import (
     sine_ratio_and_cosine,
     to_world,
 )
+from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law, internal_loads
@@ -117,20 +119,27 @@ class ConsistentStepper(Verlet):
         if others is not None:
             forces = accumulate(forces, others.forces)
             couples = accumulate(couples, others.couples)
-        loads = external_loads(self.scene, motion, forces, couples)
+        loads = external_loads(without_drag(self.scene), motion, forces, couples)
         assert loads.forces is not None and loads.couples is not None
         couples = to_world(directors(motion.orientation), loads.couples)
-        kicked = replace(
-            motion,
-            velocity=vectors.apply(self.velocity_kick, motion.velocity, loads.forces),
-            spin=vectors.apply(self.spin_kick, motion.spin, couples),
-        )
+        rates = drag_kick(self.scene, motion, loads.forces, couples, self.dt)
+        if rates is None:
+            rates = (
+                vectors.apply(self.velocity_kick, motion.velocity, loads.forces),
+                vectors.apply(self.spin_kick, motion.spin, couples),
+            )
+        kicked = replace(motion, velocity=rates[0], spin=rates[1])
         return constrain_rates(self.scene, kicked)
 
 
 @pytree
 class Consistent(Method):
     """The consistent law in space, stepped by position Verlet; see the module."""
+
+    @property
+    def solves_drag(self) -> bool:
+        """With the loads of every kick."""
+        return True
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> ConsistentStepper:
         """Constants of the step."""

@@ -53,6 +53,11 @@ class Planar(Method):
         """Law of the method in space."""
         return self.of.law
 
+    @property
+    def solves_drag(self) -> bool:
+        """As the method in space does."""
+        return self.of.solves_drag
+
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
         """Constants of the step."""
         if isinstance(self.of, PyElastica):

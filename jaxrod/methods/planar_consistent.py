@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.planar_verlet import (
     PLANES,
@@ -18,6 +19,7 @@ from jaxrod.methods.planar_verlet import (
     PlanarRod,
     PlanarVerlet,
     PlaneName,
+    Vec2,
     spread,
 )
 from jaxrod.rods.rod import RodState
@@ -82,7 +84,10 @@ class PlanarConsistentStepper(PlanarVerlet):
         shear, axial = rod.stresses(across, along)
         forces = spread(axial * c - shear * s), spread(axial * s + shear * c)
         couple = spread(rod.moments(motion.turn)) + (along * shear - across * axial)
-        forces, couple = self.add_loads(motion, forces, couple)
+        others = replace(self, scene=without_drag(self.scene))
+        forces, couple = others.add_loads(motion, forces, couple)
+        if others.scene is not self.scene:
+            return self.constrain_rates(self._dragged(motion, forces, couple))
         u, v = motion.velocity
         kicked = replace(
             motion,
@@ -93,3 +98,22 @@ class PlanarConsistentStepper(PlanarVerlet):
             spin=self.spin_kick(motion.spin, couple),
         )
         return self.constrain_rates(kicked)
+
+    def _dragged(
+        self, motion: PlanarMotion, forces: Vec2, couple: Array
+    ) -> PlanarMotion:
+        """The motion after a kick with drag."""
+        a, b, out = PLANES[self.plane]
+        push = [jnp.zeros_like(forces[0])] * 3
+        push[a], push[b] = forces
+        couples, _ = self.spin_in_space(couple)
+        rates = drag_kick(
+            self.scene,
+            self.view(motion),
+            (push[0], push[1], push[2]),
+            couples,
+            self.dt,
+        )
+        assert rates is not None
+        (velocity, spin) = rates
+        return replace(motion, velocity=(velocity[a], velocity[b]), spin=spin[out])

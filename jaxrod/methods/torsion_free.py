@@ -40,6 +40,7 @@ from jaxrod.geometry.rotations import (
     to_material,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.torsion_free_checks import (
     check_structure,
@@ -202,12 +203,15 @@ class TorsionFreeStepper(Verlet):
         couples = vectors.add(
             vectors.scale(excess, vectors.cross(edges, d)), self.bending_couples(d)
         )
-        forces, couples = self.add_loads(motion, forces, couples)
-        kicked = replace(
-            motion,
-            velocity=vectors.apply(self.velocity_kick, motion.velocity, forces),
-            spin=vectors.apply(self.spin_kick, motion.spin, couples),
-        )
+        others = replace(self, scene=without_drag(self.scene))
+        forces, couples = others.add_loads(motion, forces, couples)
+        rates = drag_kick(self.scene, motion.view, forces, couples, self.dt)
+        if rates is None:
+            rates = (
+                vectors.apply(self.velocity_kick, motion.velocity, forces),
+                vectors.apply(self.spin_kick, motion.spin, couples),
+            )
+        kicked = replace(motion, velocity=rates[0], spin=rates[1])
         return self.constrain_rates(kicked)
 
     def constrain_rates(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
@@ -285,6 +289,11 @@ class TorsionFree(Method):
     """The consistent law without twist; see `torsion_free`."""
 
     twist: ClassVar[bool] = False
+
+    @property
+    def solves_drag(self) -> bool:
+        """With the loads of every kick."""
+        return True
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
         """Constants of the step."""

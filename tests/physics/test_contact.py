@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.contacts.contact_law import normal_force
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import motion_of
 from physics.rods import (
@@ -72,7 +73,7 @@ def test_a_dashpot_never_pulls_and_is_no_stiffer_than_stated():
     speeds = jnp.asarray([0.0, 1e-3, 0.1, 10.0])
 
     def force(depth, speed):
-        return contact._normal_force(depth, speed, width)
+        return normal_force(depth, speed, width, contact.stiffness, contact.damping)
 
     @jax.jit
     def everywhere(depths, speeds):

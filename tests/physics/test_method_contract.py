@@ -148,7 +148,32 @@ class Damping(jaxrod.Effect):
         return 100 * self.size, 50 * self.size
 
 
-HOOKS = (Forces, Couples, Drag, Friction, Strings, Place, Frame, Pace, Damping)
+@pytree
+class Viscous(jaxrod.Effect):
+    """Slows nodes along the rod, and faster across it."""
+
+    reach = "neighbours"
+    size: jax.Array
+
+    def drag(self, rod, motion):
+        return jaxrod.Drag(along=50 * self.size, across=200 * self.size)
+
+    def loads(self, rod, motion):
+        return jaxrod.drag_loads(rod, motion, self.drag(rod, motion))
+
+
+HOOKS = (
+    Forces,
+    Couples,
+    Drag,
+    Friction,
+    Strings,
+    Place,
+    Frame,
+    Pace,
+    Damping,
+    Viscous,
+)
 OFF, ON = np.zeros(len(HOOKS)), np.eye(len(HOOKS))
 
 

@@ -1,0 +1,157 @@
+r"""The law of contact at a point: normal force, friction, energy, all per length.
+
+Pure functions of the penetration $p$, the speed of leaving $v_n$, the velocity of slip
+and the numbers of the contact; `jaxrod.contacts.contact` says where these come from.
+Along the normal a spring and a dashpot that meet with equal slope and never pull,
+
+$$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
+  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
+
+with a smooth onset of a width $w$: $\langle p\rangle$ rises from zero at $p = -w/2$ as
+$(p + w/2)^2/2w$ to meet $p$ at $p = w/2$, and $s = d\langle p\rangle/dp$ from 0 to 1.
+Along the surface, in all directions alike,
+
+$$F_t = -\frac{\mu F_n u_t}{\sqrt{|u_t|^2 + u_s^2}}, \qquad u_s = \frac{\mu F_n}{c_t},$$
+
+or with coefficients of their own along an axis, forwards and backwards, and across it,
+
+$$F_a = -\frac{\mu_a F_n u_a}{\sqrt{|u_t|^2 + u_s^2}}, \quad
+  F_b = -\frac{\mu_b F_n u_b}{\sqrt{|u_t|^2 + u_s^2}}, \quad
+  \mu_a = \frac{\mu_+ + \mu_-}2
+    + \frac{\mu_+ - \mu_-}2 \frac{u_a}{\sqrt{u_a^2 + u_s^2}},$$
+
+where $u_s$ is that of the largest of the three. With a stick ratio $\sigma$ all
+coefficients are those of sliding, and grow as slip vanishes by the factor
+$1 + (\sigma - 1)\,e^{-|u_t|^2/(3 u_s)^2}$ (Stribeck), $u_s$ being that of the largest
+sticking friction.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+
+STRIBECK = 3.0
+"""Speed of slip at which sticking friction goes, over that where friction sets in."""
+_ALONG_THE_NORMAL = 1e-6
+"""Below about this sine of its angle to the normal an axis has no direction [1]."""
+
+
+def normal_force(
+    depth: Array,
+    leaving: Array,
+    width: Array,
+    stiffness: Array,
+    damping: Array | None = None,
+) -> Array:
+    """Force per length along the normal [N/m].
+
+    Args:
+        depth: Penetration [m].
+        leaving: Speed of leaving [m/s].
+        width: Width of the onset [m].
+        stiffness: Force per length and penetration [N/m^2].
+        damping: Force per length and speed [kg/(m s)].
+    """
+    touches, depth = _started(depth, width)
+    full = depth >= width
+    spring = jnp.where(full, depth - 0.5 * width, depth * depth / (2 * width))
+    force = stiffness * spring
+    if damping is not None:
+        share = jnp.where(full, 1, depth / width)
+        # The spring's depth over the dashpot's share: their forces' ratio is
+        # this length over the way made in the time damping / stiffness.
+        ratio = jnp.where(full, depth - 0.5 * width, 0.5 * depth)
+        way = damping / stiffness * jnp.maximum(leaving, 0)
+        resisting = damping * share * jnp.minimum(leaving, 0)
+        force = force * (ratio / (ratio + way)) - resisting
+    return jnp.where(touches, force, 0)
+
+
+def energy_density(depth: Array, width: Array, stiffness: Array) -> Array:
+    """Energy per length of the spring of `normal_force` [J/m]."""
+    touches, depth = _started(depth, width)
+    over = depth - 0.5 * width
+    full = 0.5 * over * over + width * width / 24
+    partial = depth * depth * depth / (6 * width)
+    energy = jnp.where(depth >= width, full, partial)
+    return jnp.where(touches, stiffness * energy, 0)
+
+
+def friction_force(push: Array, slip: Vec3, friction: Array, drag: Array) -> Vec3:
+    """Force per length along the surface, alike in all directions [N/m].
+
+    Args:
+        push: Normal force per length [N/m].
+        slip: Velocity of slip, along the surface [m/s].
+        friction: Coefficient of friction [1].
+        drag: Largest friction per length and speed [kg/(m s)].
+    """
+    limit = friction * push
+    rubs = limit > 0
+    excess = vectors.scale(drag / jnp.where(rubs, limit, 1), slip)
+    drag = drag * jax.lax.rsqrt(1 + vectors.dot(excess, excess))
+    return vectors.scale(jnp.where(rubs, -drag, 0), slip)
+
+
+def directional_friction_force(
+    push: Array,
+    slip: Vec3,
+    axis: Vec3,
+    friction: Float[Array, "3"],
+    drag: Array,
+    stick_ratio: Array | None = None,
+) -> Vec3:
+    """Force per length along the surface, with coefficients along an axis and across.
+
+    Args:
+        push: Normal force per length [N/m].
+        slip: Velocity of slip, along the surface [m/s].
+        axis: Unit vector along the surface; of length zero where there is none, and
+            all of the slip is sideways.
+        friction: Coefficients of sliding: along the axis, against it, across it [1].
+        drag: Largest friction per length and speed [kg/(m s)].
+        stick_ratio: Coefficients of sticking over those of sliding, at least 1 [1].
+    """
+    forward, backward, sideways = friction
+    most = jnp.maximum(jnp.maximum(forward, backward), sideways)
+    sticking = most if stick_ratio is None else most * stick_ratio
+    limit = sticking * push
+    rubs = limit > 0
+    # Everything in units of the speed at which friction sets in.
+    slip = vectors.scale(drag / jnp.where(rubs, limit, 1), slip)
+    along = vectors.dot(axis, slip)
+    square = vectors.dot(slip, slip)
+    lean = along * jax.lax.rsqrt(1 + along * along)
+    of_axis = 0.5 * (forward + backward) + 0.5 * (forward - backward) * lean
+    if stick_ratio is not None:
+        push = push * (1 + (stick_ratio - 1) * jnp.exp(-square / STRIBECK**2))
+    size = jnp.where(rubs, -push * jax.lax.rsqrt(1 + square), 0)
+    across = vectors.scale(size * sideways, slip)
+    return vectors.add(across, vectors.scale(size * (of_axis - sideways) * along, axis))
+
+
+def along_surface(axis: Vec3, normal: Vec3) -> Vec3:
+    """Unit vectors along a surface in the direction of given ones.
+
+    Zero where those are along the normal, smoothly.
+    """
+    upright = vectors.dot(axis, normal)
+    flat = vectors.subtract(axis, vectors.scale(upright, normal))
+    rounded = vectors.dot(flat, flat) + _ALONG_THE_NORMAL**2
+    return vectors.scale(jax.lax.rsqrt(rounded), flat)
+
+
+def _started(depth: Array, width: Array) -> tuple[Array, Array]:
+    """Flag of contact, and depth from its onset on [m], finite where there is none.
+
+    Depths within rounding of the onset count as before it: ratios of vanishing numbers
+    would have no gradient.
+    """
+    inside = depth + 0.5 * width
+    touches = inside > float(jnp.finfo(width.dtype).eps) ** 0.5 * width
+    return touches, jnp.where(touches, inside, width)

@@ -1,0 +1,266 @@
+r"""Drag of a fluid on a rod: linear (Stokes), or with the square of the speed.
+
+Per length of rod, with the velocity relative to the flow along the rod ($w_\parallel$)
+and across it ($w_\perp$),
+
+$$f = -\zeta_\parallel w_\parallel - \zeta_\perp w_\perp, \qquad
+  f = -\tfrac12\rho\, 2r\,[c_\perp |w_\perp| w_\perp + \pi c_\parallel |w_\parallel|
+  w_\parallel],$$
+
+and about the rod's axis the couple $-\zeta_\omega\omega_3$. Resistive-force theory:
+the fluid is as it would be without the rod, and no part of the rod sees another.
+Explicit steps of the consistent law solve drag with the loads (`jaxrod.methods.
+drag_kick`): it never limits the step.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import replace
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect, Reach, StabilityBound
+from jaxrod.effects.flows import Flow, as_flow
+from jaxrod.effects.time import Timed
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.drag import Drag, drag_loads
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, check_array, is_traced, numeric
+
+
+@pytree
+class FluidDrag(Effect):
+    """Base of drags by a fluid that flows."""
+
+    flow: Flow | None
+    """Velocity of the fluid; `None` at rest."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    @abstractmethod
+    def drag(self, rod: Rod, motion: Motion) -> Drag:
+        """Rates of decay along and across the rod."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The same as forces and couples, for methods that do not solve drag."""
+        return drag_loads(rod, motion, self.drag(rod, motion))
+
+    def flow_at(self, motion: Motion) -> Vec3 | None:
+        """Velocity of the fluid at the nodes [m/s]."""
+        return None if self.flow is None else self.flow.at(motion.position)
+
+
+@pytree
+class StokesDrag(FluidDrag):
+    """Drag in proportion to the speed; see `stokes_drag`."""
+
+    along: Float[Array, "*n"]
+    """Force per length and speed along the rod [kg/(m s)]."""
+    across: Float[Array, "*n"]
+    """Force per length and speed across the rod [kg/(m s)]."""
+    turning: Float[Array, "*n"] | None
+    """Couple per length and rate of turning about the axis [kg m/s]."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def drag(self, rod: Rod, motion: Motion) -> Drag:
+        """Drag coefficients of the nodes over their masses, and of the elements."""
+        masses, turning = rod.node_masses, None
+        if self.turning is not None:
+            about = self.turning / rod.rotary_inertia[1]
+            turning = about, jnp.zeros_like(about)
+        return Drag(
+            along=on_nodes(rod, self.along) / masses,
+            across=on_nodes(rod, self.across) / masses,
+            turning=turning,
+            flow=self.flow_at(motion),
+        )
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """The coefficients."""
+        turning = self.turning
+        return StabilityBound(
+            node_drag=on_nodes(rod, jnp.maximum(self.along, self.across)),
+            element_drag=None if turning is None else turning * rod.rest_lengths,
+        )
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> StokesDrag:
+        """The same if it is the same all along.
+
+        Raises:
+            ValueError: If it differs from element to element.
+        """
+        if any(map(jnp.ndim, jax.tree.leaves(replace(self, flow=None)))):
+            raise ValueError(
+                "stokes_drag with numbers per element cannot be taken to another "
+                "number of elements"
+            )
+        return self
+
+
+@pytree
+class QuadraticDrag(FluidDrag):
+    """Drag with the square of the speed; see `quadratic_drag`."""
+
+    density: Float[Array, ""]
+    """Of the fluid [kg/m^3]."""
+    across: Float[Array, ""]
+    """Coefficient of drag across the rod, of its frontal area [1]."""
+    along: Float[Array, ""]
+    """Coefficient of friction along the rod, of its surface [1]."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def drag(self, rod: Rod, motion: Motion) -> Drag:
+        """Drag per speed of the nodes over their masses."""
+        area = on_nodes(rod, self.density * rod.radii) / rod.node_masses
+        still = jnp.zeros_like(self.density)
+        return Drag(
+            along=still,
+            across=still,
+            along_per_speed=jnp.pi * self.along * area,
+            across_per_speed=self.across * area,
+            flow=self.flow_at(motion),
+        )
+
+
+def on_nodes(rod: Rod, per_length: Array) -> Array:
+    """What elements have per length, half of it on either node."""
+    half = 0.5 * per_length * rod.rest_lengths
+    return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
+
+
+# Factories: what users call. They check their arguments and say what is wrong.
+
+
+def stokes_drag(
+    along: Numbers,
+    across: Numbers,
+    turning: Numbers = 0.0,
+    *,
+    flow: Flow | Timed | None = None,
+) -> StokesDrag:
+    """Drag in proportion to the speed, as in viscous fluid.
+
+    `stokes_drag(*slender_cylinder(viscosity, length, radius))` is that of a thin rod in
+    a fluid without bounds.
+
+    Args:
+        along: Force per length and speed along the rod, at least 0, one number or one
+            per element `(n,)` [kg/(m s)].
+        across: The same across the rod [kg/(m s)].
+        turning: Couple per length and rate of turning about the axis [kg m/s]. Known
+            to be 0 it is left out, as `torsion_free()` needs it.
+        flow: Velocity of the fluid, world frame `(3,)`, a schedule of such, or a
+            `jaxrod.flow_field` [m/s]; at rest by default. The turning is that of a
+            fluid that does not turn.
+
+    Returns:
+        An effect to list in a scene; of those with drag a scene may have one.
+
+    Raises:
+        ValueError: If a number is out of range.
+    """
+    turns = _coefficient("turning", turning, "kg m/s")
+    known_zero = not is_traced(turns) and not np.any(turns)
+    return StokesDrag(
+        flow=as_flow(flow),
+        along=_coefficient("along", along, "kg/(m s)"),
+        across=_coefficient("across", across, "kg/(m s)"),
+        turning=None if known_zero else turns,
+    )
+
+
+def slender_cylinder(
+    viscosity: Numbers, length: Numbers, radius: Numbers
+) -> tuple[Array, Array, Array]:
+    r"""Drag coefficients of a long straight cylinder in a viscous fluid.
+
+    $$\zeta_\parallel = \frac{2\pi\eta}{\ln(L/r) - 0.807}, \quad
+      \zeta_\perp = \frac{4\pi\eta}{\ln(L/r) + 0.193}, \quad
+      \zeta_\omega = 4\pi\eta r^2,$$
+
+    G. K. Batchelor, J. Fluid Mech. 44 (1970) 419, to first order in one over the
+    logarithm.
+
+    Args:
+        viscosity: Dynamic viscosity of the fluid [Pa s].
+        length: Length of the cylinder, at least ten times its radius [m].
+        radius: Its radius [m].
+
+    Returns:
+        Coefficients along, across and of turning, as `stokes_drag` takes them.
+
+    Raises:
+        ValueError: If a number is not positive, or the cylinder is not slender.
+    """
+    eta = as_array("viscosity", viscosity, "Pa s", positive=True)
+    long = as_array("length", length, "m", positive=True)
+    thin = as_array("radius", radius, "m", positive=True)
+    if not is_traced(long, thin) and not float(long) >= 10 * float(thin):
+        raise ValueError(
+            "length must be at least 10 radii for a slender cylinder, got "
+            f"{float(long / thin):.3g}"
+        )
+    slenderness = jnp.log(long / thin)
+    return (
+        2 * jnp.pi * eta / (slenderness - 0.807),
+        4 * jnp.pi * eta / (slenderness + 0.193),
+        4 * jnp.pi * eta * thin**2,
+    )
+
+
+def quadratic_drag(
+    density: Numbers,
+    *,
+    across: Numbers = 1.0,
+    along: Numbers = 0.0,
+    flow: Flow | Timed | None = None,
+) -> QuadraticDrag:
+    r"""Drag with the square of the speed, as in water at higher Reynolds numbers.
+
+    $$f = -\tfrac12\rho\,2r\,[c_\perp |w_\perp| w_\perp + \pi c_\parallel |w_\parallel|
+      w_\parallel]$$
+
+    per length of a round rod of radius $r$, alike in all directions across it. Its
+    radii are those of `rod.radii`.
+
+    Args:
+        density: Of the fluid [kg/m^3].
+        across: Coefficient of drag across the rod, of its frontal area [1].
+        along: Coefficient of friction along the rod, of its surface [1]; a fiftieth of
+            that across fits the arm of an octopus (Yekutieli et al., J. Neurophysiol.
+            94 (2005) 1443).
+        flow: As in `stokes_drag`.
+
+    Returns:
+        An effect to list in a scene; of those with drag a scene may have one.
+
+    Raises:
+        ValueError: If a number is out of range.
+    """
+    return QuadraticDrag(
+        flow=as_flow(flow),
+        density=as_array("density", density, "kg/m^3", positive=True),
+        across=as_array("across", across, "", non_negative=True),
+        along=as_array("along", along, "", non_negative=True),
+    )
+
+
+def _coefficient(name: str, value: Numbers, unit: str) -> Array:
+    """One number, or one per element."""
+    given = numeric(name, value, unit)
+    if given.ndim > 1:
+        raise ValueError(
+            f"{name} must be one number or one per element, got shape {given.shape}"
+        )
+    checked = check_array(name, given, [given.shape], unit, non_negative=True)
+    return jnp.asarray(checked, jnp.result_type(float))

@@ -1,0 +1,97 @@
+"""Immersion in a fluid at rest: buoyancy, and the mass that moves with a rod."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.fluids import on_nodes
+from jaxrod.effects.time import Timed, as_timed
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, check_kind
+
+
+@pytree
+class Buoyancy(Effect):
+    """Weight of the fluid that a rod displaces, upwards."""
+
+    density: Float[Array, ""]
+    """Of the fluid [kg/m^3]."""
+    acceleration: Float[Array, "3"]
+    """Gravitational acceleration, world frame [m/s^2]."""
+    added_mass: Float[Array, ""]
+    """Coefficient of the added mass that the rod has, which does not weigh [1]."""
+
+    def lifted(self, rod: Rod) -> Array:
+        """Mass whose weight is taken off the nodes [kg]."""
+        displaced = self.density * jnp.pi * rod.radii**2
+        return on_nodes(rod, (1 + self.added_mass) * displaced)
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The lift of the nodes."""
+        masses, g = self.lifted(rod), self.acceleration
+        return Loads(forces=(-masses * g[0], -masses * g[1], -masses * g[2]))
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the lift is constant."""
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Work of gravity on the fluid displaced, from the origin [J]."""
+        heights = jnp.sum(self.acceleration[:, None] * state.positions, axis=0)
+        return jnp.sum(self.lifted(rod) * heights)
+
+
+def buoyancy(
+    density: Numbers,
+    acceleration: Timed = (0.0, 0.0, -9.80665),
+    *,
+    added_mass: Numbers = 0.0,
+) -> Buoyancy:
+    """Buoyancy of a round rod under the surface of a fluid; list `gravity` besides.
+
+    Args:
+        density: Of the fluid [kg/m^3].
+        acceleration: That of `gravity`, world frame `(3,)`, or a schedule [m/s^2].
+        added_mass: The coefficient given to `with_added_mass`, if the rod has some:
+            that mass has inertia but no weight, and `gravity` does not know which of
+            the rod's mass it is [1].
+
+    Raises:
+        ValueError: If a number is out of range.
+    """
+    return Buoyancy(
+        density=as_array("density", density, "kg/m^3", positive=True),
+        acceleration=as_timed("acceleration", acceleration, "m/s^2", (3,)),
+        added_mass=as_array("added_mass", added_mass, "", non_negative=True),
+    )
+
+
+def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> Rod:
+    r"""The rod with the mass of fluid that moves with it, $C\rho_f\pi r^2$ per length.
+
+    The same in all directions. That is right across the rod, where $C = 1$ for a
+    circular section, and wrong along it, where there is none: axial waves are slower by
+    $\sqrt{1 + C\rho_f/\rho}$, which slender rods hardly ever show. Where a rod swims
+    by the thrust of fluid that it pushes back (Lighthill's), this is not the model.
+    `jaxrod.momentum` and `kinetic_energy` count the added mass.
+
+    Args:
+        rod: The rod, of round section.
+        density: Of the fluid [kg/m^3].
+        coefficient: $C$ [1].
+
+    Raises:
+        ValueError: If a number is out of range.
+        TypeError: If `rod` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    dtype = rod.rest_lengths.dtype
+    fluid = as_array("density", density, "kg/m^3", positive=True, dtype=dtype)
+    share = as_array("coefficient", coefficient, "", non_negative=True, dtype=dtype)
+    added = share * fluid * jnp.pi * rod.radii**2
+    return replace(rod, linear_density=rod.linear_density + added)

@@ -1,0 +1,87 @@
+r"""Drag of what surrounds a rod: rates of decay along and across it, and its loads.
+
+Relative to the surroundings, which flow at $u$, a node moves at $w = v - u$, of which
+$w_\parallel$ is along the rod and $w_\perp$ across it. Drag alone would make it
+
+$$\dot w_\parallel = -(g_\parallel + q_\parallel |w_\parallel|)\, w_\parallel, \qquad
+  \dot w_\perp = -(g_\perp + q_\perp |w_\perp|)\, w_\perp,$$
+
+and likewise angular momenta, with rates of their own, about the axis of an element and
+across it.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+
+
+@pytree
+class Drag:
+    """Rates at which surroundings slow a rod down, at one moment.
+
+    Each is one number, or one per node (of turning: per element).
+    """
+
+    along: Array
+    """Decay rate of velocities along the rod [1/s]."""
+    across: Array
+    """Decay rate of velocities across the rod [1/s]."""
+    along_per_speed: Array | None = None
+    """Decay rate that grows with the speed along the rod, per speed [1/m]."""
+    across_per_speed: Array | None = None
+    """Decay rate that grows with the speed across the rod, per speed [1/m]."""
+    turning: tuple[Array, Array] | None = None
+    """Decay rates of angular momenta about d3 and across it [1/s]."""
+    flow: Vec3 | None = None
+    """Velocity of the surroundings at the nodes, world frame [m/s]."""
+
+    @property
+    def grows_with_speed(self) -> bool:
+        """Whether a rate grows with the speed: structure, not values."""
+        return (self.along_per_speed, self.across_per_speed) != (None, None)
+
+
+def node_tangents(motion: Motion) -> Vec3:
+    """Unit vectors along the rod at the nodes: of the mean of the edges there."""
+    around = vectors.pair_sum(motion.edges)
+    return vectors.scale(1 / vectors.safe_norm(around), around)
+
+
+def relative_velocity(motion: Motion, drag: Drag) -> Vec3:
+    """Velocities of the nodes relative to the surroundings [m/s]."""
+    if drag.flow is None:
+        return motion.velocity
+    return vectors.subtract(motion.velocity, drag.flow)
+
+
+def drag_loads(rod: Rod, motion: Motion, drag: Drag) -> Loads:
+    """Drag as forces and couples, for methods that do not solve it with the others."""
+    tangent, relative = node_tangents(motion), relative_velocity(motion, drag)
+    speed = vectors.dot(tangent, relative)
+    across = vectors.subtract(relative, vectors.scale(speed, tangent))
+    slow, sideways = drag.along, drag.across
+    if drag.along_per_speed is not None:
+        slow = slow + drag.along_per_speed * jnp.abs(speed)
+    if drag.across_per_speed is not None:
+        sideways = sideways + drag.across_per_speed * vectors.safe_norm(across)
+    masses = rod.node_masses
+    forces = vectors.add(
+        vectors.scale(-masses * slow * speed, tangent),
+        vectors.scale(-masses * sideways, across),
+    )
+    if drag.turning is None:
+        return Loads(forces)
+    about, tilting = drag.turning
+    frame = directors(motion.orientation)
+    a, b, c = to_material(frame, motion.angular_velocities(rod))
+    transverse, polar = rod.inertias
+    tilt = -tilting * transverse
+    return Loads(forces, (tilt * a, tilt * b, -about * polar * c))
