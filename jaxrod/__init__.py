@@ -124,6 +124,7 @@ _NAMES = {
         "rigid_body",
         "stacked_bodies",
     ),
+    "systems.rod_contact": ("RodContact", "rod_contact"),
     "systems.springs": ("ball_joint", "spring"),
     "systems.system": ("System", "make_system"),
     "systems.ties": ("tie",),

@@ -29,6 +29,10 @@ class Coupling:
     def check(self, parts: AllParts) -> None:
         """Raises a `ValueError` where the coupling does not fit the members."""
 
+    def fitted(self, parts: AllParts) -> Coupling:
+        """Itself with structure that follows from the members; for `make_system`."""
+        return self
+
     def prepared(self, parts: AllParts) -> Coupling:
         """Itself with constants worked out once, before the first step."""
         return self

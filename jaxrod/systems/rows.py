@@ -47,6 +47,11 @@ def summed(values: Array, index: Indices, size: int) -> Array:
         for k, place in enumerate(index.values):
             total = total + jnp.where(numbers == place, values[k], 0)
         return total
+    return gathered_sum(values, index, size)
+
+
+def gathered_sum(values: Array, index: Indices, size: int) -> Array:
+    """The same by a table, for many indices."""
     padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
     return functools.reduce(
         jnp.add, [padded[entries] for entries in _table(index, size)]

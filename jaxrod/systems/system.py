@@ -132,9 +132,10 @@ def make_system(
     parts = system.parts()
     if state is not None:
         parts = held_parts(system, state)
-    couplings_in_type = jax.tree.map(_in_type(system.dtype), ordered)
     for coupling in ordered:
         coupling.check(parts)
+    fitted = tuple(coupling.fitted(parts) for coupling in ordered)
+    couplings_in_type = jax.tree.map(_in_type(system.dtype), fitted)
     _check_followers(ordered)
     return replace(system, couplings=couplings_in_type)
 
