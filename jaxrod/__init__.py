@@ -52,7 +52,8 @@ _NAMES = {
         "signed_distance",
         "sphere",
     ),
-    "contacts.contact": ("Contact", "contact"),
+    "contacts.contact": ("Contact",),
+    "contacts.factories": ("contact",),
     "contacts.near": ("near_contact",),
     "contacts.points": ("ThinBodyWarning",),
     "effects.actuation": (
