@@ -29,6 +29,7 @@ FOLDERS = (
     "tests/extremes",
     "tests/pyelastica/test_side_by_side.py",
     "tests/pyelastica/test_contact_side_by_side.py",
+    "tests/pyelastica/test_slender_body.py",
     "tests/envs/test_clean_problem.py",
     "tests/envs/test_clean_obstacles.py",
 )

@@ -33,7 +33,7 @@ from jaxrod.contacts.bodies import plane as plane
 from jaxrod.contacts.bodies import signed_distance as signed_distance
 from jaxrod.contacts.bodies import sphere as sphere
 from jaxrod.contacts.contact import Contact as Contact
-from jaxrod.contacts.contact import contact as contact
+from jaxrod.contacts.factories import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
 from jaxrod.effects.actuation import ElementCouples as ElementCouples

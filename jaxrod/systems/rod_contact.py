@@ -47,7 +47,7 @@ from jaxrod.systems.places import Indices
 from jaxrod.systems.rows import gathered_sum
 from jaxrod.validation import Numbers, as_array, check_count, is_traced
 
-_ROUNDED = 1e-6
+_ROUNDED = 1e-7
 """Share of the radii within which distances are rounded off [1]."""
 _PI = math.pi
 
