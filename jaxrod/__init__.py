@@ -26,6 +26,13 @@ from jaxrod.installation.jax_version import require_sound_jax
 __version__ = "0.1.0"
 
 _NAMES = {
+    "actuation.section_load": ("SectionLoad", "SectionStrains", "SectionStress"),
+    "actuation.waves": (
+        "TravellingWave",
+        "WorldWave",
+        "muscle_torques",
+        "travelling_wave",
+    ),
     "analysis.frequency": ("highest_frequency",),
     "analysis.health": ("Health", "HealthLimits", "freeze", "health"),
     "analysis.inertia_scaling": (

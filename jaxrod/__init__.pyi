@@ -2,10 +2,19 @@
 
 from jaxrod import envs as envs
 from jaxrod import geometry as geometry
+from jaxrod.geometry import rotations as rotations
 from jaxrod import tradeoff as tradeoff
 from jaxrod import training as training
 from jaxrod import validation as validation
+from jaxrod.geometry import vectors as vectors
 from jaxrod import viz as viz
+from jaxrod.actuation.section_load import SectionLoad as SectionLoad
+from jaxrod.actuation.section_load import SectionStrains as SectionStrains
+from jaxrod.actuation.section_load import SectionStress as SectionStress
+from jaxrod.actuation.waves import TravellingWave as TravellingWave
+from jaxrod.actuation.waves import WorldWave as WorldWave
+from jaxrod.actuation.waves import muscle_torques as muscle_torques
+from jaxrod.actuation.waves import travelling_wave as travelling_wave
 from jaxrod.analysis.frequency import highest_frequency as highest_frequency
 from jaxrod.analysis.health import Health as Health
 from jaxrod.analysis.health import HealthLimits as HealthLimits
@@ -72,8 +81,6 @@ from jaxrod.effects.supports import hinge as hinge
 from jaxrod.effects.supports import pin as pin
 from jaxrod.effects.time import Clock as Clock
 from jaxrod.effects.time import Schedule as Schedule
-from jaxrod.geometry import rotations as rotations
-from jaxrod.geometry import vectors as vectors
 from jaxrod.installation.backend import configure_cpu as configure_cpu
 from jaxrod.methods.consistent import Consistent as Consistent
 from jaxrod.methods.consistent import consistent as consistent

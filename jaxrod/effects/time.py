@@ -150,7 +150,11 @@ def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
 
 
 def as_timed(
-    name: str, value: Timed, unit: str, shape: tuple[int, ...] = (), **limits: Any
+    name: str,
+    value: Timed,
+    unit: str,
+    shape: tuple[int, ...] | list[tuple[int, ...]] = (),
+    **limits: Any,
 ) -> Any:
     """An argument that may depend on time, checked.
 
@@ -158,20 +162,22 @@ def as_timed(
         name: The argument's name, for the message.
         value: What was given for it.
         unit: SI unit, for the message.
-        shape: Of the value.
+        shape: Of the value; or a list of those allowed.
         **limits: As `as_array` has them; for what does not depend on time.
 
     Raises:
         ValueError: Naming the argument.
     """
+    shapes = shape if isinstance(shape, list) else [shape]
     if not isinstance(value, Schedule):
-        return as_array(name, value, unit, [shape], **limits)
+        return as_array(name, value, unit, shapes, **limits)
     kind = jnp.result_type(float)
     now = Clock(jnp.zeros((), np.int32), jnp.zeros((), kind), jnp.zeros((), kind))
     found = jax.eval_shape(value, now)
-    if getattr(found, "shape", None) != shape:
+    if getattr(found, "shape", None) not in shapes:
+        allowed = " or ".join(map(str, shapes))
         raise ValueError(
-            f"{name} must have values of shape {shape}, got a {type(value).__name__} "
+            f"{name} must have values of shape {allowed}, got a {type(value).__name__} "
             f"of shape {getattr(found, 'shape', None)}"
         )
     return value
