@@ -26,7 +26,7 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.rod import Rod
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, numeric
 
 
@@ -36,6 +36,8 @@ class FibrePath:
 
     offsets: Float[Array, "k 2 m"]
     """Of each fibre, at every node, or one (m = 1) for the whole rod [m]."""
+    central: bool = static(default=False)
+    """Whether it is the centreline, and offsets are zero."""
 
     @property
     def count(self) -> int:
@@ -59,16 +61,13 @@ class FibrePath:
         turns = vectors.pad(x, 1, 1), vectors.pad(y, 1, 1), vectors.pad(z, 1, 1)
         return self.segments(SectionStrains(edges, turns))
 
-    def bound(
-        self, rod: Rod, force: Array, slope: Array, across: float = 1.0
-    ) -> StabilityBound:
+    def bound(self, rod: Rod, force: Array, slope: Array) -> StabilityBound:
         """Bound on the stiffness of forces along the fibres.
 
         Args:
             rod: The rod.
             force: Bound on the force of each fibre at each node `(k, n + 1)` [N].
             slope: On its change with the fibre's length, likewise [N/m].
-            across: Whether the direction of the force follows the fibre.
         """
         span = self.rest_segments(rod)
         length = vectors.safe_norm(span)
@@ -112,17 +111,19 @@ def _largest(of_fibres: Array) -> Array:
     return jnp.max(of_fibres, axis=0)
 
 
-def fibre_path(rod: Rod, offsets: Numbers) -> FibrePath:
+def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
     """A path from its offsets, checked.
 
     Args:
         rod: The rod.
         offsets: Along d1 and d2 `(2,)`; of several fibres `(k, 2)`; at every node
-            `(k, 2, n + 1)` [m].
+            `(k, 2, n + 1)` [m]. `None` is the centreline.
 
     Raises:
         ValueError: If they have another shape or are not finite.
     """
+    if offsets is None:
+        return FibrePath(jnp.zeros((1, 2, 1), rod.rest_lengths.dtype), central=True)
     given = numeric("offsets", offsets, "m")
     count = given.shape[0] if given.ndim > 1 else 1
     nodes = rod.n_elements + 1

@@ -71,9 +71,9 @@ class Wave(Schedule):
 
 @pytree
 class TravellingWave(SectionLoad):
-    """A moment at every joint about an axis of the section; see `travelling_wave`.
+    r"""A moment at every joint about an axis of the section; see `travelling_wave`.
 
-    At a fixed time it has the energy $-\\sum_k \\tau_k\\, a\\cdot\\phi_k$.
+    At a fixed time it has the energy $-\sum_k \tau_k\, a\cdot\phi_k$.
     """
 
     moments: Array | Schedule
