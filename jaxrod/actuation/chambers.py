@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation.fibre_path import FibrePath, fibre_path
-from jaxrod.actuation.section_bounds import together, transport_bound
+from jaxrod.actuation.section_bounds import section_bound, together, transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
@@ -60,7 +60,7 @@ class Chamber(SectionLoad):
         """The push follows the axes."""
         shape = (self.path.count, rod.n_elements + 1)
         push = jnp.broadcast_to(jnp.abs(self._push)[:, None], shape)
-        return self.path.bound(rod, push, jnp.zeros_like(push))
+        return self.path.bound(rod, push, jnp.zeros_like(push), pulls=False)
 
     @property
     def twists(self) -> str | None:
@@ -111,21 +111,18 @@ class WoundChamber(SectionLoad):
         cot = jnp.abs(1 / jnp.tan(self.angle))[:, None]
         r = self.radius[:, None]
         load = jnp.pi * jnp.abs(self._pressure)[:, None] * r**2
-        push = jnp.broadcast_to(load * (1 + 2 * cot**2), rest.shape)
-        # Second derivatives of the volume by length, by both and by twist; the mixed
-        # ones with the share of either that makes them alike.
+        push = jnp.broadcast_to(load * jnp.abs(1 - 2 * cot**2), rest.shape)
+        # Second derivatives of the volume by length, by twist and by both, the latter
+        # shared by both with the radius as lever.
         by_length = 6 * load * cot**2 / rest
         by_twist = 6 * load * r**2 * cot**2 / rest
-        mixed = 2 * load * r * cot * (1 + 3 * cot**2) / rest
-        bending = self.path.bound(rod, push, by_length + mixed / r)
-        twisting = jnp.sum(by_twist + mixed * r + 2 * load * r * cot, axis=0)
-        around = 4 * (twisting[1:] + twisting[:-1])
+        mixed = 2 * load * r * jnp.abs(cot * (1 - 3 * cot**2)) / rest
+        turning = jnp.sum(by_twist + mixed * r, axis=0)
+        moment = jnp.sum(2 * load * r * cot + 0 * rest, axis=0)
         return together(
-            bending,
-            StabilityBound(elements=around),
-            transport_bound(
-                rod, moment=jnp.sum(2 * load * r * cot, axis=0) + 0 * rest[0]
-            ),
+            self.path.bound(rod, push, by_length + mixed / r, pulls=False),
+            section_bound(rod, turning=turning),
+            transport_bound(rod, moment=moment),
         )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> WoundChamber:

@@ -20,7 +20,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation.along_rod import node_places, resampled_along
-from jaxrod.actuation.section_bounds import spring_bound, together, transport_bound
+from jaxrod.actuation.section_bounds import (
+    cross_bound,
+    fibre_bound,
+    section_bound,
+    together,
+    transport_bound,
+)
 from jaxrod.actuation.section_load import SectionStrains, at_nodes
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
@@ -61,34 +67,43 @@ class FibrePath:
         turns = vectors.pad(x, 1, 1), vectors.pad(y, 1, 1), vectors.pad(z, 1, 1)
         return self.segments(SectionStrains(edges, turns))
 
-    def bound(self, rod: Rod, force: Array, slope: Array) -> StabilityBound:
-        """Bound on the stiffness of forces along the fibres.
+    def bound(
+        self, rod: Rod, force: Array, slope: Array, *, pulls: bool
+    ) -> StabilityBound:
+        """Bound on the stiffness of forces along the fibres, about the straight rod.
 
         Args:
             rod: The rod.
-            force: Bound on the force of each fibre at each node `(k, n + 1)` [N].
-            slope: On its change with the fibre's length, likewise [N/m].
+            force: Bound on the force of each fibre around each node `(k, n + 1)` [N].
+            slope: On its rise with the fibre's length, likewise [N/m].
+            pulls: Whether all pull: then the rod gets no stiffer against shear.
         """
         span = self.rest_segments(rod)
         length = vectors.safe_norm(span)
-        along = vectors.scale(1 / length, span)
+        t1, t2, t3 = vectors.scale(1 / length, span)
+        across = jnp.sqrt(t1 * t1 + t2 * t2)
         x, y = self.offsets[:, 0], self.offsets[:, 1]
-        half = 0.5 * jnp.pad(rod.rest_lengths, 1)
-        half = jnp.maximum(half[1:], half[:-1])[None, :]
-        # Elongation by shear, as elements turn under a fibre that is not along them,
-        # and by bending and twist.
-        shear = half * jnp.sqrt(along[0] ** 2 + along[1] ** 2)
-        lever = vectors.safe_norm(vectors.cross((x, y, jnp.zeros_like(x)), along))
         offset = jnp.sqrt(x * x + y * y)
-        softly = force / length
-        bounds = [
-            spring_bound(rod, jnp.sum(slope, axis=0), _largest(shear + lever)),
-            spring_bound(rod, jnp.sum(softly, axis=0), _largest(half + offset)),
-        ]
-        total = jnp.sum(force, axis=0)
-        moment = jnp.sum(force * offset, axis=0)
+        m1, m2, m3 = vectors.cross((x, y, jnp.zeros_like(x)), (t1, t2, t3))
+        lever = jnp.sqrt(m1 * m1 + m2 * m2 + m3 * m3)
+        tense = force / length
+        sideways = _size(_sum(force * t1), _sum(force * t2))
+        axial = _sum(tense)
+        axial = 0.5 * (axial[1:] + axial[:-1])
+        one = jnp.ones_like(length)
+        string = {"stretch": axial} if pulls else {"shear": axial}
         return together(
-            *bounds, transport_bound(rod, jnp.maximum(total[1:], total[:-1]), moment)
+            fibre_bound(rod, slope, t3, across, lever),
+            section_bound(rod, **string),
+            # Across inclined fibres, and of those beside the centreline.
+            fibre_bound(rod, 2 * tense * across**2, one, one, 0 * one),
+            section_bound(rod, turning=_sum(tense * offset**2)),
+            cross_bound(rod, _size(_sum(tense * x), _sum(tense * y))),
+            transport_bound(
+                rod,
+                jnp.maximum(sideways[1:], sideways[:-1]),
+                _size(_sum(force * m1), _sum(force * m2), _sum(force * m3)),
+            ),
         )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FibrePath:
@@ -107,8 +122,13 @@ def _along_axis(strain: Vec3) -> Vec3:
     return strain[0], strain[1], 1 + strain[2]
 
 
-def _largest(of_fibres: Array) -> Array:
-    return jnp.max(of_fibres, axis=0)
+def _sum(of_fibres: Array) -> Array:
+    return jnp.sum(of_fibres, axis=0)
+
+
+def _size(*components: Array) -> Array:
+    squares = [part * part for part in components]
+    return jnp.sqrt(sum(squares[1:], squares[0]))
 
 
 def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:

@@ -70,7 +70,8 @@ class Muscle(SectionLoad):
             steepest = 0.5 * steepest + 1.5 * largest
         pull = jnp.abs(self._pull(rod))
         rest = vectors.safe_norm(self.path.rest_segments(rod))
-        return self.path.bound(rod, largest * pull, steepest * pull / rest)
+        slope = steepest * pull / rest
+        return self.path.bound(rod, largest * pull, slope, pulls=not self.across)
 
     @property
     def twists(self) -> str | None:

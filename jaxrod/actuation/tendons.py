@@ -30,7 +30,7 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, numeric
 
-_TURN = 0.5
+_TURN = 0.25
 """Turn of a cable at an eyelet up to which the stability bound holds [rad]."""
 
 
@@ -90,8 +90,8 @@ class Tendon(Effect):
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Of pieces that turn, of cables that stretch, of friction.
 
-        For turns of the cable of up to half a radian at an eyelet, and pulls of up to
-        what stretches a cable by half the onset or as far as it is short at rest.
+        For turns of the cable of up to a quarter of a radian at an eyelet, and for
+        the pull of a cable that is as long as the rod.
         """
         lever = jnp.max(jnp.sqrt(jnp.sum(self.eyelets**2, axis=1)))
         count, held = self.eyelets.shape[0], self.eyelets.shape[2]
@@ -112,7 +112,7 @@ class Tendon(Effect):
         free = (0.5 * _TURN) ** 2
         moved = free * jnp.sum(node_share / masses) + 0.5 / light
         turned = _TURN**2 * jnp.sum(element_share / inertia) + 2 / slight
-        whole = count * 2 * (moved + lever**2 * turned)
+        whole = count * (moved + lever**2 * turned)
         drag = None
         if self.stiffness is not None:
             nodes = nodes + 1.5 * self.stiffness * whole * masses
@@ -274,7 +274,7 @@ def tendon(
         raise ValueError("a tendon needs a tension in N or a length in m, one of them")
     if (length is None) != (stiffness is None):
         raise ValueError(
-            "a tendon with a length needs its stiffness in N/m, and others none"
+            "a tendon with a length needs its stiffness in N/m, and no other has one"
         )
     kind, n = rod.rest_lengths.dtype, rod.n_elements
     first, last = (0, n - 1) if elements is None else elements

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from physics.rods import deformed, random_rod
+from jaxrod.effects.time import at_clock, clock_at
+from physics.rods import arm, deformed, random_rod, turn
 
 N = 6
 
@@ -92,8 +95,20 @@ def actuators(rod, rest):
     }
 
 
+def strained(rod, curvature, strain, into=None):
+    """A rod along z that is bent, twisted and stretched evenly, from a wall or not."""
+    n = rod.n_elements
+    _, state = arm(n)
+    joints = np.asarray(rod.joint_lengths)
+    first = 0.0 if into is None else 0.5 * float(rod.rest_lengths[0])
+    places = first + np.concatenate([[0.0], np.cumsum(joints)])
+    turns = jnp.asarray(np.outer(curvature, places))
+    state = replace(state, orientations=turn(state.orientations, turns))
+    edges = (1 + strain) * rod.rest_lengths * state.directors[2]
+    nodes = jnp.concatenate([jnp.zeros((3, 1)), jnp.cumsum(edges, axis=1)], axis=1)
+    return replace(state, positions=nodes)
+
+
 def at_once(effects):
     """Effects with the schedules of a wave at one moment."""
-    from jaxrod.effects.time import at_clock, clock_at
-
     return at_clock(effects, clock_at(0.2, jnp.float64))

@@ -1,13 +1,10 @@
-"""Laws of every actuator: loads from an energy, momentum, bounds, gradients, batches."""
-
-from dataclasses import replace
+"""Laws of every actuator: energy, momentum, bounds, gradients, batches."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import jaxrod
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import motion_of
 from physics.actuators import actuators, at_once, uneven_rod
