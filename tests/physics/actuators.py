@@ -104,7 +104,7 @@ def strained(rod, curvature, strain, into=None):
     places = first + np.concatenate([[0.0], np.cumsum(joints)])
     turns = jnp.asarray(np.outer(curvature, places))
     state = replace(state, orientations=turn(state.orientations, turns))
-    edges = (1 + strain) * rod.rest_lengths * state.directors[2]
+    edges = (1 + strain) * rod.rest_lengths[None, :] * state.directors[2]
     nodes = jnp.concatenate([jnp.zeros((3, 1)), jnp.cumsum(edges, axis=1)], axis=1)
     return replace(state, positions=nodes)
 

@@ -155,7 +155,7 @@ def test_helical_muscles_all_around_twist_a_rod(bar, record):
 
 
 def test_an_active_curvature_is_taken_as_it_is(bar):
-    rod, state = bar
+    rod, _ = bar
     bent = (2.0, -1.0, 0.5)
     shape = jaxrod.active_shape(
         rod, curvature=jaxrod.ramp((0.0, 0.0, 0.0), bent, 0.1), strain=(0.0, 0.0, 0.1)
@@ -190,9 +190,8 @@ def straight_tendon(n, pull, offset, stretch):
 TENDON = {5: 0.55467, 10: 0.51265, 20: 0.50310, 40: 0.50077}
 
 
-@pytest.mark.parametrize(
-    "n", [5, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 20, 40))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("n", TENDON)
 def test_a_straight_tendon_bends_a_rod(n, record):
     """EI = 1, offset 0.05, tension 10, and a rod that hardly stretches."""
     rod, state = unit_rod(n, 0.02)
@@ -253,7 +252,7 @@ def test_a_helical_tendon_follows_the_coupled_ode(record):
         frame = y[3:].reshape(3, 3)
         strain, bent = np.split(section(s), 2)
         skew = np.cross(np.eye(3), bent) * -1
-        return np.concatenate([frame @ (strain + [0, 0, 1]), (frame @ skew).ravel()])
+        return np.append(frame @ np.add(strain, (0, 0, 1)), frame @ skew)
 
     start = np.concatenate(
         [np.zeros(3), np.asarray(state.directors[:, :, 0]).T.ravel()]
@@ -293,7 +292,7 @@ def test_a_magnet_bends_as_under_a_dead_force_at_its_tip(
     assert one.converged and other.converged
     where = f"q = {load:g}, {degrees} degrees"
     record(
-        f"Magnet along the rod against a dead force M A B at its tip, {where} [lengths]",
+        f"Magnet along the rod against a dead force M A B at its tip, {where} [m]",
         "the same equilibrium of an inextensible rod",
         np.max(np.abs(one.state.positions - other.state.positions)),
         at_most=1e-8,
