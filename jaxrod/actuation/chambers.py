@@ -62,11 +62,6 @@ class Chamber(SectionLoad):
         push = jnp.broadcast_to(jnp.abs(self._push)[:, None], shape)
         return self.path.bound(rod, push, jnp.zeros_like(push), pulls=False)
 
-    @property
-    def twists(self) -> str | None:
-        """What is off the centreline."""
-        return None if self.path.central else "offsets from the centreline"
-
     def resampled(self, rod: Rod, new_rod: Rod) -> Chamber:
         """The same chambers in a rod with another number of elements."""
         return replace(self, path=self.path.resampled(rod, new_rod))

@@ -32,7 +32,7 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.rod import Rod
-from jaxrod.structure import pytree, static
+from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, numeric
 
 
@@ -42,8 +42,6 @@ class FibrePath:
 
     offsets: Float[Array, "k 2 m"]
     """Of each fibre, at every node, or one (m = 1) for the whole rod [m]."""
-    central: bool = static(default=False)
-    """Whether it is the centreline, and offsets are zero."""
 
     @property
     def count(self) -> int:
@@ -143,7 +141,7 @@ def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
         ValueError: If they have another shape or are not finite.
     """
     if offsets is None:
-        return FibrePath(jnp.zeros((1, 2, 1), rod.rest_lengths.dtype), central=True)
+        return FibrePath(jnp.zeros((1, 2, 1), rod.rest_lengths.dtype))
     given = numeric("offsets", offsets, "m")
     count = given.shape[0] if given.ndim > 1 else 1
     nodes = rod.n_elements + 1

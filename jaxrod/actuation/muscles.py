@@ -73,11 +73,6 @@ class Muscle(SectionLoad):
         slope = steepest * pull / rest
         return self.path.bound(rod, largest * pull, slope, pulls=not self.across)
 
-    @property
-    def twists(self) -> str | None:
-        """What is off the centreline."""
-        return None if self.path.central else "offsets from the centreline"
-
     def resampled(self, rod: Rod, new_rod: Rod) -> Muscle:
         """The same muscles on a rod with another number of elements."""
         old, new = middle_places(rod), middle_places(new_rod)

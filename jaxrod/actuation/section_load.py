@@ -118,7 +118,7 @@ class SectionLoad(Effect):
 
     @property
     def twists(self) -> str | None:
-        """All of it, unless a subclass knows better."""
+        """All of it: strains themselves are in the material frame."""
         return "stress in the material frame"
 
     def _strains(self, motion: Motion) -> tuple[SectionStrains, Array]:

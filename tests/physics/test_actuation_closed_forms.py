@@ -56,6 +56,7 @@ def test_one_longitudinal_muscle_bends_and_shortens(bar, record):
     assert balance(rod, muscle, np.multiply(bent, 1.01), 0.0) > 1e-4
 
 
+@pytest.mark.slow
 def test_antagonists_shorten_a_rod_and_do_not_bend_it(bar, record):
     rod, _ = bar
     muscles = jaxrod.muscle(rod, PULL, 0.8, offsets=SQUARE)
@@ -75,6 +76,7 @@ def test_antagonists_shorten_a_rod_and_do_not_bend_it(bar, record):
     )
 
 
+@pytest.mark.slow
 def test_a_muscle_across_lengthens_a_rod(bar):
     rod, _ = bar
     muscle = jaxrod.muscle(rod, PULL, across=True, curve=jaxrod.constant_force())
@@ -119,6 +121,7 @@ def test_a_wound_chamber_pushes_and_unwinds(bar, degrees, record):
     )
 
 
+@pytest.mark.slow
 def test_helical_muscles_all_around_twist_a_rod(bar, record):
     """At inner joints: n + EA s = 0 and m + C k = 0 with the polyline's own pitch."""
     n, turns = 12, 1.5
@@ -246,12 +249,12 @@ def test_a_helical_tendon_follows_the_coupled_ode(record):
                 [stiff * strain + force, bend * bent + np.cross(p, force)]
             )
 
-        return fsolve(residual, np.zeros(6), xtol=1e-14)
+        return fsolve(residual, np.zeros(6), xtol=1e-12)
 
     def slope(s, y):
         frame = y[3:].reshape(3, 3)
         strain, bent = np.split(section(s), 2)
-        skew = np.cross(np.eye(3), bent) * -1
+        skew = np.cross(np.eye(3), bent)
         return np.append(frame @ np.add(strain, (0, 0, 1)), frame @ skew)
 
     start = np.concatenate(
@@ -284,11 +287,16 @@ def test_a_magnet_bends_as_under_a_dead_force_at_its_tip(
     turn = np.deg2rad(degrees)
     pull = load * np.array([np.sin(turn), 0.0, np.cos(turn)])
     wall = jaxrod.clamp(state)
-    stiff = replace(rod, shear_stretch_stiffness=1e3 * rod.shear_stretch_stiffness)
-    magnet = jaxrod.magnetisation(stiff, (0.0, 0.0, 4.0), pull / 4)
-    one = jaxrod.equilibrium(jaxrod.make_scene(stiff, wall, magnet), state)
-    force = jaxrod.end_load(pull)
-    other = jaxrod.equilibrium(jaxrod.make_scene(stiff, wall, force), state)
+    stiff = replace(rod, shear_stretch_stiffness=1e5 * rod.shear_stretch_stiffness)
+    found = state, state
+    for share in (0.3, 0.6, 1.0):
+        magnet = jaxrod.magnetisation(stiff, (0.0, 0.0, 4.0), share * pull / 4)
+        force = jaxrod.end_load(share * pull)
+        one, other = (
+            jaxrod.equilibrium(jaxrod.make_scene(stiff, wall, load), start)
+            for load, start in zip((magnet, force), found, strict=True)
+        )
+        found = one.state, other.state
     assert one.converged and other.converged
     where = f"q = {load:g}, {degrees} degrees"
     record(
@@ -327,7 +335,10 @@ def test_what_goes_into_the_wall_bends_a_clamped_rod_evenly(name, record):
         ),
         "active shape": jaxrod.active_shape(rod, curvature=(0, bent, 0), into=into),
     }[name]
-    found = jaxrod.equilibrium(jaxrod.make_scene(rod, into, effect), state)
+    # From nearly its length: pushed by the chamber alone it would buckle at first.
+    stretch = PULL / (YOUNG * AREA) if name == "chamber" else 0.0
+    start = strained(rod, (0.0, 0.0, 0.0), stretch)
+    found = jaxrod.equilibrium(jaxrod.make_scene(rod, into, effect), start)
     assert found.converged and found.stable
     tangents = found.state.directors[2]
     angles = jnp.arctan2(tangents[0], tangents[2])
