@@ -154,8 +154,9 @@ def active_shape(
     if curvature is None and strain is None:
         raise ValueError("an active shape needs a curvature in 1/m, a strain, or both")
     n = rod.n_elements
+    bent = stretched = None
     if curvature is not None:
-        curvature = as_timed("curvature", curvature, "1/m", [(3,), (3, n + 1)])
+        bent = as_timed("curvature", curvature, "1/m", [(3,), (3, n + 1)])
     if strain is not None:
-        strain = as_timed("strain", strain, "", [(3,), (3, n)])
-    return ActiveShape(curvature, strain, walls_of(into))
+        stretched = as_timed("strain", strain, "", [(3,), (3, n)])
+    return ActiveShape(bent, stretched, walls_of(into))

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation.along_rod import node_places, resampled_along
@@ -154,7 +153,7 @@ def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
 
 
 def helical_offsets(
-    rod: Rod, radius: Numbers, turns: float, angles: Numbers = (0.0,)
+    rod: Rod, radius: Numbers, turns: Numbers, angles: Numbers = (0.0,)
 ) -> Float[Array, "k 2 n+1"]:
     """Offsets of fibres that wind around a rod, for `muscle` and `chamber`.
 
@@ -174,7 +173,7 @@ def helical_offsets(
     )
     whole = as_array("turns", turns, "", dtype=kind)
     first = numeric("angles", angles, "rad")
-    first = as_array("angles", first, "rad", [(np.size(first),)], dtype=kind)
+    first = as_array("angles", first, "rad", [(first.size,)], dtype=kind)
     share = jnp.asarray(places / places[-1], kind)
     angle = first[:, None] + 2 * jnp.pi * (whole * share)[None, :]
     wide = jnp.broadcast_to(wide, places.shape)[None, :]

@@ -20,6 +20,8 @@ the rotation is zero, and a moment is left out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -144,7 +146,7 @@ def _wall_joint(wall: Wall, orientation: Quaternion) -> tuple[Vec3, Array]:
     return rotation_log_and_coupling(multiply_quaternions(conjugate(before), after))
 
 
-def _without_free_ends(moment: Vec3, held: list[str]) -> Vec3:
+def _without_free_ends(moment: Vec3, held: Sequence[str]) -> Vec3:
     first, last = (0 if end in held else 1 for end in ("start", "finish"))
     if not first and not last:
         return moment

@@ -118,6 +118,7 @@ class Tendon(Effect):
             nodes = nodes + 1.5 * self.stiffness * whole * masses
             elements = elements + 1.5 * self.stiffness * whole * inertia
         if self.friction is not None:
+            assert self.slip_speed is not None
             drag = pull * self.friction * jnp.pi / self.slip_speed * whole
         return StabilityBound(
             nodes=node_share * nodes,
@@ -182,7 +183,7 @@ class Tendon(Effect):
             assert self.tension is not None and not isinstance(self.tension, Schedule)
             return jnp.sum(jnp.abs(self._tension(self.eyelets[:, 0, 0])))
         assert self.length is not None and not isinstance(self.length, Schedule)
-        assert self.stiffness is not None
+        assert self.stiffness is not None and self.onset is not None
         short = jnp.maximum(rod.length - self.length, 0)
         longest = jnp.broadcast_to(short, self.eyelets.shape[:1])
         return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))

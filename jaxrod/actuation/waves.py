@@ -37,7 +37,14 @@ from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
-from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_traced
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_kind,
+    is_traced,
+    numeric,
+)
 
 FEWEST_COEFFICIENTS = 4
 
@@ -254,9 +261,8 @@ def muscle_torques(
 
 def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
     """Amplitudes at places along the rod, given as shares of its length."""
-    given = check_array(
-        "amplitude", amplitude, [(), np.shape(amplitude)], "N m", dtype=kind
-    )
+    given = numeric("amplitude", amplitude, "N m")
+    given = check_array("amplitude", given, [given.shape], "N m", dtype=kind)
     if given.ndim == 0:
         return jnp.full(shares.shape, given, kind)
     if given.ndim != 1 or given.size < FEWEST_COEFFICIENTS:
