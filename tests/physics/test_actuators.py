@@ -345,3 +345,31 @@ def test_actuators_are_the_same_on_another_grid():
     np.testing.assert_allclose(shape.resampled(coarse, fine).curvature, 1.0)
     with pytest.raises(ValueError, match="eyelets are on certain elements"):
         jaxrod.tendon(coarse, (0.0, 0.0), tension=1.0).resampled(coarse, fine)
+
+
+@pytest.mark.slow
+def test_methods_agree_on_actuators_in_a_plane():
+    """The planar step to round-off, implicit steps to their order."""
+    rod, state = arm(4, youngs_modulus=1e6)
+    wall = jaxrod.clamp(state)
+    pull = 0.05 * 1e6 * AREA
+    effects = (
+        wall,
+        jaxrod.muscle(rod, pull, 0.5, offsets=(0.6 * RADIUS, 0.0), into=wall),
+        jaxrod.tendon(rod, (-RADIUS, 0.0), tension=0.3 * pull),
+        jaxrod.travelling_wave(
+            rod, 0.5, period=0.1, wavelength=0.5, axis=(0.0, 1.0, 0.0)
+        ),
+    )
+
+    def tip(method, dt, steps):
+        scene = jaxrod.make_scene(rod, *effects, method=method)
+        return jaxrod.advance(scene, state, dt, steps).tip
+
+    space = tip(jaxrod.consistent(), 2e-4, 100)
+    assert float(jnp.linalg.norm(space - state.tip)) > 1e-3
+    np.testing.assert_allclose(tip(jaxrod.planar("zx"), 2e-4, 100), space, atol=1e-12)
+    implicit = tip(jaxrod.implicit(1.0), 2e-4, 100)
+    np.testing.assert_allclose(implicit, space, atol=2e-5)
+    theirs = tip(jaxrod.pyelastica(), 2e-4, 100)
+    np.testing.assert_allclose(theirs, space, atol=2e-3)
