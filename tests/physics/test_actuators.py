@@ -203,7 +203,7 @@ def test_gradients_by_what_drives_them_agree_with_differences(of, record):
 
 @pytest.mark.slow
 def test_a_batch_is_a_loop():
-    drives = DRIVE * jnp.asarray([[0.5], [1.0], [1.5]])
+    drives = DRIVE[None, :] * jnp.asarray([[0.5], [1.0], [1.5]])
     run = jax.jit(tip_in_motion)
     together = jax.vmap(tip_in_motion)(drives)
     one_by_one = jnp.stack([run(drive) for drive in drives])
