@@ -26,6 +26,26 @@ from jaxrod.installation.jax_version import require_sound_jax
 __version__ = "0.1.0"
 
 _NAMES = {
+    "actuation.active_shape": ("ActiveShape", "active_shape"),
+    "actuation.chambers": ("Chamber", "WoundChamber", "chamber", "wound_chamber"),
+    "actuation.fibre_path": ("helical_offsets",),
+    "actuation.force_length": ("constant_force", "cubic_force", "gaussian_force"),
+    "actuation.magnets": (
+        "LinearField",
+        "MagneticField",
+        "Magnetisation",
+        "linear_field",
+        "magnetisation",
+    ),
+    "actuation.muscles": ("Muscle", "muscle"),
+    "actuation.section_load": ("SectionLoad", "SectionStrains", "SectionStress"),
+    "actuation.tendons": ("Tendon", "tendon"),
+    "actuation.waves": (
+        "TravellingWave",
+        "WorldWave",
+        "muscle_torques",
+        "travelling_wave",
+    ),
     "analysis.frequency": ("highest_frequency",),
     "analysis.health": ("Health", "HealthLimits", "freeze", "health"),
     "analysis.inertia_scaling": (

@@ -108,6 +108,81 @@ FACTORIES = {
             "couple_density": (1.0, 2.0, 3.0),
         }
     ],
+    "travelling_wave": [
+        {
+            "rod": ROD,
+            "amplitude": amplitude,
+            "period": 0.3,
+            "wavelength": 0.7,
+            "axis": (1.0, 2.0, 0.5),
+            "phase": 0.2,
+            "ramp_up": 0.4,
+        }
+        for amplitude in (2.0, (0.0, 1.0, 2.0, 0.5))
+    ],
+    "muscle_torques": [
+        {
+            "rod": ROD,
+            "amplitude": (0.1, 1.0, 2.0, 0.5),
+            "period": 0.3,
+            "wave_number": 7.0,
+            "direction": (1.0, 2.0, 0.5),
+            "phase_shift": 0.2,
+            "ramp_up_time": 0.4,
+        }
+    ],
+    "muscle": [
+        {
+            "rod": ROD,
+            "force": (3.0, 4.0),
+            "activation": 0.5,
+            "offsets": ((0.01, 0.0), (0.0, 0.02)),
+        }
+    ],
+    "gaussian_force": [{"width": 0.3}],
+    "helical_offsets": [
+        {"rod": ROD, "radius": 0.03, "turns": 1.5, "angles": (0.2, 1.0)}
+    ],
+    "chamber": [{"rod": ROD, "pressure": 1e4, "area": 1e-4, "offsets": (0.01, 0.02)}],
+    "wound_chamber": [
+        {
+            "rod": ROD,
+            "pressure": 1e4,
+            "radius": 0.02,
+            "angle": -0.7,
+            "offsets": (0.01, 0.02),
+        }
+    ],
+    "tendon": [
+        {
+            "rod": ROD,
+            "offsets": (0.01, 0.02),
+            "tension": 3.0,
+            "anchor": (0.0, 0.1, -0.2),
+            "friction": 0.3,
+            "slip_speed": 0.02,
+        },
+        {
+            "rod": ROD,
+            "offsets": (0.01, 0.02),
+            "length": 0.7,
+            "stiffness": 100.0,
+            "onset": 0.01,
+        },
+    ],
+    "active_shape": [
+        {"rod": ROD, "curvature": (1.0, 2.0, 0.5), "strain": (0.1, 0.2, 0.3)}
+    ],
+    "magnetisation": [
+        {"rod": ROD, "moment_per_length": (1.0, 2.0, 0.5), "field": (0.1, 0.2, 0.3)}
+    ],
+    "linear_field": [
+        {
+            "flux_density": (0.1, 0.2, 0.3),
+            "gradient": ((1.0, 0.2, 0.1), (0.2, 1.0, 0.3), (0.1, 0.3, -2.0)),
+            "extent": 2.0,
+        }
+    ],
     "limit_rate": [
         {"applied": (1.0, 2.0), "commanded": (1.5, -3.0), "largest_change": (1.0, 0.5)}
     ],

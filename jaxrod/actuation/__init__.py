@@ -1,0 +1,1 @@
+"""Actuation as stress of the section: waves, muscles, tendons, chambers, magnets."""

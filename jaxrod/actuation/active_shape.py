@@ -1,0 +1,162 @@
+r"""Active shape: a curvature and a strain that a rod takes of itself, changing in time.
+
+With the active curvature $\kappa_a$ and strain $\sigma_a$ the stored energy of the rod
+is that about the rest shape $\kappa_0 + \kappa_a$, $\sigma_0 + \sigma_a$: the moment
+$-B\kappa_a$ and the force $-S\sigma_a$ are added to the elastic ones. Growth of one
+side, swelling and heat act like that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.actuation.along_rod import middle_places, node_places, resampled_along
+from jaxrod.actuation.section_bounds import transport_bound
+from jaxrod.actuation.section_load import (
+    SectionLoad,
+    SectionStrains,
+    SectionStress,
+    Walls,
+    lengths_at_nodes,
+    walls_of,
+)
+from jaxrod.effects.base import Reach, StabilityBound
+from jaxrod.effects.clamps import Clamp
+from jaxrod.effects.time import Schedule, Timed, as_timed
+from jaxrod.geometry import vectors
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+from jaxrod.validation import check_kind
+
+
+@pytree
+class ActiveShape(SectionLoad):
+    """A rest shape that is added to that of the rod; see `active_shape`."""
+
+    curvature: Array | Schedule | None
+    """Of the joint at each node `(3, n + 1)`, or of all `(3, 1)` [1/m]."""
+    strain: Array | Schedule | None
+    """Of elements `(3, n)`, or of all `(3, 1)` [1]."""
+    walls: Walls = ()
+    """Walls into which the curvature goes on."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def stored(self, rod: Rod, strains: SectionStrains) -> Array:
+        """What it adds to the stored energy of the rod [J]."""
+        total = jnp.zeros((), rod.rest_lengths.dtype)
+        if self.curvature is not None:
+            curvature, stiffness = _wide(self.curvature), self._stiffness(rod)
+            rest = jnp.pad(
+                rod.rest_curvatures * rod.joint_lengths[None, :], ((0, 0), (1, 1))
+            )
+            turned = vectors.join(strains.rotations) - rest
+            lengths = self._lengths(rod)[None, :]
+            own = stiffness * curvature * (0.5 * curvature * lengths - turned)
+            total = total + jnp.sum(jnp.where(lengths > 0, own, 0))
+        if self.strain is not None:
+            strain, lengths = _wide(self.strain), rod.rest_lengths[None, :]
+            axis = jnp.zeros_like(rod.rest_strains).at[2].set(1)
+            moved = vectors.join(strains.edges) - (axis + rod.rest_strains) * lengths
+            stretch = rod.shear_stretch_stiffness * strain
+            total = total + jnp.sum(stretch * (0.5 * strain * lengths - moved))
+        return total
+
+    def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
+        """The stress that the shape takes away."""
+        force = moment = None
+        if self.curvature is not None:
+            moment = vectors.split(-self._stiffness(rod) * _wide(self.curvature))
+        if self.strain is not None:
+            force = vectors.split(-rod.shear_stretch_stiffness * _wide(self.strain))
+        return SectionStress(force, moment)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Force and moment turn with the elements."""
+        force = moment = None
+        if self.curvature is not None:
+            bent = self._stiffness(rod) * _wide(self.curvature)
+            moment = vectors.safe_norm(vectors.split(bent))
+        if self.strain is not None:
+            pulled = rod.shear_stretch_stiffness * _wide(self.strain)
+            force = vectors.safe_norm(vectors.split(pulled))
+        return transport_bound(rod, force, moment)
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> ActiveShape:
+        """The same shape on a rod with another number of elements."""
+        return replace(
+            self,
+            curvature=_resampled(
+                self.curvature, node_places(rod), node_places(new_rod)
+            ),
+            strain=_resampled(self.strain, middle_places(rod), middle_places(new_rod)),
+        )
+
+    def _stiffness(self, rod: Rod) -> Array:
+        """Of the joint at each node `(3, n + 1)` [N m^2]."""
+        ends = rod.bend_twist_stiffness
+        return jnp.concatenate([ends[:, :1], rod.joint_stiffness, ends[:, -1:]], axis=1)
+
+    def _lengths(self, rod: Rod) -> Array:
+        """Of the joint at each node; zero where there is none [m]."""
+        held = {wall.end for wall in self.walls}
+        lengths = lengths_at_nodes(rod)
+        first, last = (0.0 if end not in held else 1.0 for end in ("start", "finish"))
+        return lengths.at[0].multiply(first).at[-1].multiply(last)
+
+
+def _wide(values: Array | Schedule) -> Array:
+    """Values of the time, with an axis along the rod."""
+    assert not isinstance(values, Schedule)
+    return values[:, None] if values.ndim == 1 else values
+
+
+def _resampled(values: Any, old: Any, new: Any) -> Any:
+    if values is None or (not isinstance(values, Schedule) and values.ndim == 1):
+        return values
+    if isinstance(values, Schedule):
+        if jnp.ndim(values.largest) == 1:
+            return values
+        raise ValueError(
+            "a schedule of an active shape at every place along a rod has no "
+            "counterpart on a rod with another number of elements"
+        )
+    return resampled_along(values, old, new)
+
+
+def active_shape(
+    rod: Rod,
+    *,
+    curvature: Timed | None = None,
+    strain: Timed | None = None,
+    into: Clamp | tuple[Clamp, ...] | None = None,
+) -> ActiveShape:
+    """A curvature and a strain that a rod takes of itself.
+
+    Args:
+        rod: The rod.
+        curvature: Added to the curvature at rest, material frame: `(3,)`, or one at
+            every node `(3, n + 1)`, or a schedule of such [1/m].
+        strain: Added to the strain at rest, material frame: `(3,)`, or one of every
+            element `(3, n)`, or a schedule of such [1].
+        into: The `clamp` of an end, or a tuple of two, into which the curvature goes
+            on.
+
+    Raises:
+        ValueError: If both are left out, or one is of the wrong shape.
+        TypeError: If `rod` or `into` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    if curvature is None and strain is None:
+        raise ValueError("an active shape needs a curvature in 1/m, a strain, or both")
+    n = rod.n_elements
+    bent = stretched = None
+    if curvature is not None:
+        bent = as_timed("curvature", curvature, "1/m", (3,), (3, n + 1))
+    if strain is not None:
+        stretched = as_timed("strain", strain, "", (3,), (3, n))
+    return ActiveShape(bent, stretched, walls_of(into))

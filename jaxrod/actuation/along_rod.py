@@ -1,0 +1,37 @@
+"""Places along a rod on the host, and numbers given there on another grid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.geometry.interpolation import interpolated
+from jaxrod.geometry.material_frames import module_for
+from jaxrod.rods.rod import Rod
+
+
+def node_places(rod: Rod) -> Any:
+    """Rest arc length from the start to every node [m], float64 unless traced."""
+    xp = module_for(rod.rest_lengths)
+    lengths = rod.rest_lengths if xp is jnp else np.asarray(rod.rest_lengths, float)
+    return xp.concatenate([xp.zeros(1, lengths.dtype), xp.cumsum(lengths)])
+
+
+def middle_places(rod: Rod) -> Any:
+    """Rest arc length from the start to the middle of every element [m]."""
+    places = node_places(rod)
+    return 0.5 * (places[1:] + places[:-1])
+
+
+def resampled_along(values: Array, old: Any, new: Any) -> Array:
+    """Numbers along a rod, on the last axis, interpolated at other places.
+
+    One number for all places stays as it is.
+    """
+    if values.shape[-1] == 1:
+        return values
+    found = interpolated(np.asarray(values), np.asarray(old), np.asarray(new))
+    return jnp.asarray(found, values.dtype)

@@ -1,0 +1,222 @@
+r"""Chambers under pressure inside a rod: energy $-p V$.
+
+A plain chamber of section $A$ has the volume $A \Lambda$ of its axis, whose length
+$\Lambda$ changes with stretch and bending: it pushes with $p A$ along the rod and bends
+it with $p A$ times its offset. One wound with fibres that do not stretch, at the angle
+$\alpha$ to its axis, has the volume of a cylinder in which a fibre of length $b$ turns
+by $\Phi$ on a length $\Lambda$,
+
+$$V = \pi \Lambda\,\frac{b^2 - \Lambda^2}{\Phi^2},$$
+
+so that it pushes with $p\pi r^2 (1 - 2\cot^2\alpha)$ and unwinds itself with
+$2 p \pi r^3 \cot\alpha$, at first (Bishop-Moser and Kota, 2015).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.actuation.fibre_path import FibrePath, fibre_path
+from jaxrod.actuation.section_bounds import section_bound, together, transport_bound
+from jaxrod.actuation.section_load import (
+    SectionLoad,
+    SectionStrains,
+    Walls,
+    walls_of,
+)
+from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.clamps import Clamp
+from jaxrod.effects.time import Schedule, Timed, as_timed
+from jaxrod.geometry import vectors
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, check_kind
+
+
+@pytree
+class Chamber(SectionLoad):
+    """Chambers that keep their section; see `chamber`."""
+
+    path: FibrePath
+    """Their axes."""
+    area: Float[Array, "k"]
+    """Of the section of each [m^2]."""
+    pressure: Array | Schedule
+    """Above that outside, one number or one of each `(k,)` [Pa]."""
+    walls: Walls = ()
+    """Walls into which they go on."""
+
+    def stored(self, rod: Rod, strains: SectionStrains) -> Array:
+        """Minus pressure times volume, beyond that at rest [J]."""
+        length = vectors.safe_norm(self.path.segments(strains))
+        rest = vectors.safe_norm(self.path.rest_segments(rod))
+        return -jnp.sum(self._push[:, None] * (length - rest))
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """The push follows the axes."""
+        shape = (self.path.count, rod.n_elements + 1)
+        push = jnp.broadcast_to(jnp.abs(self._push)[:, None], shape)
+        return self.path.bound(rod, push, jnp.zeros_like(push), pulls=False)
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Chamber:
+        """The same chambers in a rod with another number of elements."""
+        return replace(self, path=self.path.resampled(rod, new_rod))
+
+    @property
+    def _push(self) -> Array:
+        """Of each chamber [N]."""
+        assert not isinstance(self.pressure, Schedule)
+        return self.pressure * self.area
+
+
+@pytree
+class WoundChamber(SectionLoad):
+    """Chambers wound with fibres at an angle; see `wound_chamber`."""
+
+    path: FibrePath
+    """Their axes."""
+    radius: Float[Array, "k"]
+    """Of the section of each [m]."""
+    angle: Float[Array, "k"]
+    """Of the fibres to the axis, right-handed if above 0 [rad]."""
+    pressure: Array | Schedule
+    """Above that outside, one number or one of each `(k,)` [Pa]."""
+    walls: Walls = ()
+    """Walls into which they go on."""
+
+    def stored(self, rod: Rod, strains: SectionStrains) -> Array:
+        """Minus pressure times volume, beyond that at rest [J]."""
+        rest = vectors.safe_norm(self.path.rest_segments(rod))
+        length = vectors.safe_norm(self.path.segments(strains))
+        turns = jnp.tan(self.angle)[:, None] * rest / self.radius[:, None]
+        fibre = rest / jnp.cos(self.angle)[:, None]
+        inverse = self._turns_at_rest(rod)
+        twist = strains.rotations[2][None, :] - inverse
+        wound = jnp.pi * length * (fibre**2 - length**2) / (turns + twist) ** 2
+        volume = wound - jnp.pi * (self.radius**2)[:, None] * rest
+        return -jnp.sum(self._pressure[:, None] * volume)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Of the push, the moment and their slopes at rest."""
+        rest = vectors.safe_norm(self.path.rest_segments(rod))
+        cot = jnp.abs(1 / jnp.tan(self.angle))[:, None]
+        r = self.radius[:, None]
+        load = jnp.pi * jnp.abs(self._pressure)[:, None] * r**2
+        push = jnp.broadcast_to(load * jnp.abs(1 - 2 * cot**2), rest.shape)
+        # Second derivatives of the volume by length, by twist and by both, the latter
+        # shared by both with the radius as lever.
+        by_length = 6 * load * cot**2 / rest
+        by_twist = 6 * load * r**2 * cot**2 / rest
+        mixed = 2 * load * r * jnp.abs(cot * (1 - 3 * cot**2)) / rest
+        turning = jnp.sum(by_twist + mixed * r, axis=0)
+        moment = jnp.sum(2 * load * r * cot + 0 * rest, axis=0)
+        return together(
+            self.path.bound(rod, push, by_length + mixed / r, pulls=False),
+            section_bound(rod, turning=turning),
+            transport_bound(rod, moment=moment),
+        )
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> WoundChamber:
+        """The same chambers in a rod with another number of elements."""
+        return replace(self, path=self.path.resampled(rod, new_rod))
+
+    def _turns_at_rest(self, rod: Rod) -> Array:
+        """Twist of the joints of the unstressed rod [rad]."""
+        rest = rod.rest_curvatures[2] * rod.joint_lengths
+        return vectors.pad(rest, 1, 1)[None, :]
+
+    @property
+    def _pressure(self) -> Array:
+        """Of each chamber [Pa]."""
+        assert not isinstance(self.pressure, Schedule)
+        return jnp.broadcast_to(self.pressure, self.radius.shape)
+
+
+def chamber(
+    rod: Rod,
+    pressure: Timed,
+    area: Numbers,
+    *,
+    offsets: Numbers | None = None,
+    into: Clamp | tuple[Clamp, ...] | None = None,
+) -> Chamber:
+    """Chambers under pressure that keep their section, all along a rod.
+
+    Args:
+        rod: The rod.
+        pressure: Above that outside, one number, one per chamber `(k,)`, or a schedule
+            of such [Pa]; below 0 it sucks.
+        area: Of the section, above 0, one number or one per chamber `(k,)` [m^2].
+        offsets: Of the axis along d1 and d2 `(2,)`; of several chambers `(k, 2)`; at
+            every node `(k, 2, n + 1)` [m]. By default along the centreline.
+        into: The `clamp` of an end, or a tuple of two, into which they go on.
+
+    Raises:
+        ValueError: If an argument is out of range or of the wrong shape.
+        TypeError: If `rod` or `into` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    path = fibre_path(rod, offsets)
+    shapes: list[tuple[int, ...]] = [(), (path.count,)]
+    kind = rod.rest_lengths.dtype
+    size = as_array("area", area, "m^2", shapes, positive=True, dtype=kind)
+    return Chamber(
+        path=path,
+        area=jnp.broadcast_to(size, (path.count,)),
+        pressure=as_timed("pressure", pressure, "Pa", *shapes),
+        walls=walls_of(into),
+    )
+
+
+def wound_chamber(
+    rod: Rod,
+    pressure: Timed,
+    radius: Numbers,
+    angle: Numbers,
+    *,
+    offsets: Numbers | None = None,
+    into: Clamp | tuple[Clamp, ...] | None = None,
+) -> WoundChamber:
+    """Chambers whose wall is wound with fibres that do not stretch.
+
+    Beyond 54.7 degrees they lengthen a rod, below they shorten it; one family of
+    fibres twists it besides. Two families of opposite angles are two chambers of half
+    the pressure.
+
+    Args:
+        rod: The rod.
+        pressure: Above that outside, one number, one per chamber `(k,)`, or a schedule
+            of such [Pa].
+        radius: Of the section, above 0, one number or one per chamber `(k,)` [m].
+        angle: Of the fibres to the axis, right-handed if above 0, between 0 and a
+            quarter turn in size, one number or one per chamber `(k,)` [rad].
+        offsets: Of the axis along d1 and d2, as of `chamber` [m].
+        into: The `clamp` of an end, or a tuple of two, into which they go on.
+
+    Raises:
+        ValueError: If an argument is out of range or of the wrong shape.
+        TypeError: If `rod` or `into` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    path = fibre_path(rod, offsets)
+    shapes: list[tuple[int, ...]] = [(), (path.count,)]
+    kind = rod.rest_lengths.dtype
+    wide = as_array("radius", radius, "m", shapes, positive=True, dtype=kind)
+    turn = as_array(
+        "angle", angle, "rad", shapes, at_most=float(np.pi / 2 - 1e-3), dtype=kind
+    )
+    size = as_array(
+        "size of angle", jnp.abs(turn), "rad", shapes, positive=True, dtype=kind
+    )
+    as_array("size of angle", size, "rad", shapes, at_most=float(np.pi / 2 - 1e-3))
+    return WoundChamber(
+        path=path,
+        radius=jnp.broadcast_to(wide, (path.count,)),
+        angle=jnp.broadcast_to(turn, (path.count,)),
+        pressure=as_timed("pressure", pressure, "Pa", *shapes),
+        walls=walls_of(into),
+    )

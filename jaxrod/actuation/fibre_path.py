@@ -1,0 +1,180 @@
+r"""Where fibres run inside a rod, and how long they are.
+
+A fibre is at the offset $x$ from the centreline at each node, in the section. Around a
+node it spans half of each neighbouring element, with the offset's change $\delta$ along
+the rod, and turns with the joint there:
+
+$$u = \tfrac12(\epsilon_{k-1} + \epsilon_k) + \phi\times x + \tfrac12(\delta_{k-1} +
+  \delta_k),$$
+
+the strain $\sigma + e_3 + \kappa\times x + x'$ of the fibre times the rest length
+around the node. At the ends it spans half an element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.actuation.along_rod import node_places, resampled_along
+from jaxrod.actuation.section_bounds import (
+    cross_bound,
+    fibre_bound,
+    section_bound,
+    together,
+    transport_bound,
+)
+from jaxrod.actuation.section_load import SectionStrains, at_nodes
+from jaxrod.effects.base import StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, numeric
+
+
+@pytree
+class FibrePath:
+    """Offsets of fibres from the centreline, along d1 and d2."""
+
+    offsets: Float[Array, "k 2 m"]
+    """Of each fibre, at every node, or one (m = 1) for the whole rod [m]."""
+
+    @property
+    def count(self) -> int:
+        """Number of fibres."""
+        return self.offsets.shape[0]
+
+    def segments(self, strains: SectionStrains) -> Vec3:
+        """What each fibre spans around each node, material frame, `(k, n + 1)` [m]."""
+        x, y = self.offsets[:, 0], self.offsets[:, 1]
+        a, b, c = (part[None, :] for part in strains.rotations)
+        e1, e2, e3 = (at_nodes(part)[None, :] for part in strains.edges)
+        dx, dy = _half_steps(x), _half_steps(y)
+        return e1 - c * y + dx, e2 + c * x + dy, e3 + (a * y - b * x)
+
+    def rest_segments(self, rod: Rod) -> Vec3:
+        """The same in the unstressed rod."""
+        edges = vectors.scale(
+            rod.rest_lengths, _along_axis(vectors.split(rod.rest_strains))
+        )
+        x, y, z = vectors.split(rod.rest_curvatures * rod.joint_lengths[None, :])
+        turns = vectors.pad(x, 1, 1), vectors.pad(y, 1, 1), vectors.pad(z, 1, 1)
+        return self.segments(SectionStrains(edges, turns))
+
+    def bound(
+        self, rod: Rod, force: Array, slope: Array, *, pulls: bool
+    ) -> StabilityBound:
+        """Bound on the stiffness of forces along the fibres, about the straight rod.
+
+        Args:
+            rod: The rod.
+            force: Bound on the force of each fibre around each node `(k, n + 1)` [N].
+            slope: On its rise with the fibre's length, likewise [N/m].
+            pulls: Whether all pull: then the rod gets no stiffer against shear.
+        """
+        span = self.rest_segments(rod)
+        length = vectors.safe_norm(span)
+        t1, t2, t3 = vectors.scale(1 / length, span)
+        across = jnp.sqrt(t1 * t1 + t2 * t2)
+        x, y = self.offsets[:, 0], self.offsets[:, 1]
+        offset = jnp.sqrt(x * x + y * y)
+        m1, m2, m3 = vectors.cross((x, y, jnp.zeros_like(x)), (t1, t2, t3))
+        lever = jnp.sqrt(m1 * m1 + m2 * m2 + m3 * m3)
+        tense = force / length
+        sideways = _size(_sum(force * t1), _sum(force * t2))
+        axial = _sum(tense)
+        axial = 0.5 * (axial[1:] + axial[:-1])
+        one = jnp.ones_like(length)
+        string = {"stretch": axial} if pulls else {"shear": axial}
+        return together(
+            fibre_bound(rod, slope, t3, across, lever),
+            section_bound(rod, **string),
+            # Across inclined fibres, and of those beside the centreline.
+            fibre_bound(rod, 2 * tense * across**2, one, one, 0 * one),
+            section_bound(rod, turning=_sum(tense * offset**2)),
+            cross_bound(rod, _size(_sum(tense * x), _sum(tense * y))),
+            transport_bound(
+                rod,
+                jnp.maximum(sideways[1:], sideways[:-1]),
+                _size(_sum(force * m1), _sum(force * m2), _sum(force * m3)),
+            ),
+        )
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> FibrePath:
+        """The same path at the nodes of a rod with another number of elements."""
+        old, new = node_places(rod), node_places(new_rod)
+        return replace(self, offsets=resampled_along(self.offsets, old, new))
+
+
+def _half_steps(values: Array) -> Array:
+    """Change of offsets over half of each element beside every node `(k, m)` [m]."""
+    padded = jnp.pad(values, ((0, 0), (1, 1)), mode="edge")
+    return 0.5 * (padded[:, 2:] - padded[:, :-2])
+
+
+def _along_axis(strain: Vec3) -> Vec3:
+    return strain[0], strain[1], 1 + strain[2]
+
+
+def _sum(of_fibres: Array) -> Array:
+    return jnp.sum(of_fibres, axis=0)
+
+
+def _size(*components: Array) -> Array:
+    squares = [part * part for part in components]
+    return jnp.sqrt(sum(squares[1:], squares[0]))
+
+
+def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
+    """A path from its offsets, checked.
+
+    Args:
+        rod: The rod.
+        offsets: Along d1 and d2 `(2,)`; of several fibres `(k, 2)`; at every node
+            `(k, 2, n + 1)` [m]. `None` is the centreline.
+
+    Raises:
+        ValueError: If they have another shape or are not finite.
+    """
+    if offsets is None:
+        return FibrePath(jnp.zeros((1, 2, 1), rod.rest_lengths.dtype))
+    given = numeric("offsets", offsets, "m")
+    count = given.shape[0] if given.ndim > 1 else 1
+    nodes = rod.n_elements + 1
+    shapes = [(2,), (count, 2), (count, 2, nodes)]
+    kind = rod.rest_lengths.dtype
+    found = as_array("offsets", given, "m", shapes, dtype=kind)
+    if found.ndim < 3:
+        found = found.reshape(-1, 2, 1)
+    return FibrePath(found)
+
+
+def helical_offsets(
+    rod: Rod, radius: Numbers, turns: Numbers, angles: Numbers = (0.0,)
+) -> Float[Array, "k 2 n+1"]:
+    """Offsets of fibres that wind around a rod, for `muscle` and `chamber`.
+
+    Args:
+        rod: The rod.
+        radius: Distance from the centreline, one number, or one per node [m].
+        turns: From the start of the rod to its finish, right-handed if above 0.
+        angles: Of each fibre at the start, from d1 towards d2 `(k,)` [rad].
+
+    Raises:
+        ValueError: If an argument is of the wrong shape or not finite.
+    """
+    kind = rod.rest_lengths.dtype
+    places = node_places(rod)
+    wide = as_array(
+        "radius", radius, "m", [(), places.shape], non_negative=True, dtype=kind
+    )
+    whole = as_array("turns", turns, "", dtype=kind)
+    first = numeric("angles", angles, "rad")
+    first = as_array("angles", first, "rad", [(first.size,)], dtype=kind)
+    share = jnp.asarray(places / places[-1], kind)
+    angle = first[:, None] + 2 * jnp.pi * (whole * share)[None, :]
+    wide = jnp.broadcast_to(wide, places.shape)[None, :]
+    return jnp.stack([wide * jnp.cos(angle), wide * jnp.sin(angle)], axis=1)

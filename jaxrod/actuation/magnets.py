@@ -1,0 +1,200 @@
+r"""Magnetised rods in a field: energy $-m\cdot B$.
+
+An element with the magnetic moment $m$, which turns with it, feels in the flux density
+$B(x)$ the couple $m\times B$ and the force $(\nabla B)^T m$ at its middle.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.actuation.along_rod import middle_places, resampled_along
+from jaxrod.actuation.section_load import at_nodes
+from jaxrod.effects.base import Effect, Reach, StabilityBound
+from jaxrod.effects.time import Timed, as_timed
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion, motion_of
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, check_kind
+
+
+class MagneticField(ABC):
+    """Base of fields that differ from place to place; a subclass is a pytree.
+
+    Its numbers may be schedules.
+    """
+
+    @abstractmethod
+    def __call__(self, place: Vec3) -> Vec3:
+        """Flux density at places, world frame [T]."""
+
+    @property
+    @abstractmethod
+    def largest(self) -> Any:
+        """Bounds on flux density [T], its slope [T/m] and the slope of that [T/m^2]."""
+
+
+@pytree
+class LinearField(MagneticField):
+    """A field that changes in proportion to the place."""
+
+    flux_density: Any
+    """At the origin `(3,)` [T]."""
+    gradient: Any
+    """Of component i along axis j `(3, 3)` [T/m]."""
+    extent: Float[Array, ""]
+    """Distance from the origin within which the rod is [m]."""
+
+    def __call__(self, place: Vec3) -> Vec3:
+        """Flux density [T]."""
+        x, y, z = (
+            self.flux_density[i]
+            + self.gradient[i, 0] * place[0]
+            + self.gradient[i, 1] * place[1]
+            + self.gradient[i, 2] * place[2]
+            for i in range(3)
+        )
+        return x, y, z
+
+    @property
+    def largest(self) -> tuple[Array, Array, Array]:
+        """From the largest numbers within the extent."""
+        slope = jnp.sqrt(jnp.sum(self.gradient**2))
+        size = jnp.sqrt(jnp.sum(self.flux_density**2)) + slope * self.extent
+        return size, slope, jnp.zeros_like(slope)
+
+
+@pytree
+class Magnetisation(Effect):
+    """Magnetic moments that turn with the elements; see `magnetisation`."""
+
+    moment_per_length: Float[Array, "3 m"]
+    """Material frame, per element or of all (m = 1) [A m]."""
+    field: Any
+    """Flux density, world frame `(3,)` [T], or a `MagneticField`."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Couples, and forces where the field differs from place to place."""
+        frame = directors(motion.orientation)
+        own = self._moments(rod)
+        if not isinstance(self.field, MagneticField):
+            flux = vectors.split(self.field[:, None])
+            return Loads(couples=vectors.cross(own, to_material(frame, flux)))
+        moment = to_world(frame, own)
+        flux, back = jax.vjp(self.field.__call__, _middles(motion))
+        ((x, y, z),) = back(moment)
+        return Loads(
+            forces=(at_nodes(x), at_nodes(y), at_nodes(z)),
+            couples=vectors.cross(own, to_material(frame, flux)),
+        )
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Minus moment times flux density [J]."""
+        motion = motion_of(state)
+        moment = to_world(directors(motion.orientation), self._moments(rod))
+        if isinstance(self.field, MagneticField):
+            flux = self.field(_middles(motion))
+        else:
+            flux = vectors.split(self.field[:, None])
+        return -jnp.sum(vectors.dot(moment, flux))
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Of couples that turn, and of forces that change from place to place."""
+        moment = vectors.safe_norm(self._moments(rod))
+        if not isinstance(self.field, MagneticField):
+            size = jnp.sqrt(jnp.sum(self.field**2))
+            return StabilityBound(elements=moment * size)
+        size, slope, curved = self.field.largest
+        # A move and a turn together, shared by the length of the element.
+        return StabilityBound(
+            nodes=at_nodes(moment * (curved + slope / rod.rest_lengths)),
+            elements=moment * (size + slope * rod.rest_lengths),
+        )
+
+    @property
+    def twists(self) -> str | None:
+        """Moments may be across the rod: `make_scene` finds out."""
+        return None
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Magnetisation:
+        """The same moments per length, at the new elements."""
+        old, new = middle_places(rod), middle_places(new_rod)
+        moments = resampled_along(self.moment_per_length, old, new)
+        return replace(self, moment_per_length=moments)
+
+    def _moments(self, rod: Rod) -> Vec3:
+        """Of the elements, material frame [A m^2]."""
+        x, y, z = vectors.split(self.moment_per_length)
+        lengths = rod.rest_lengths
+        return x * lengths, y * lengths, z * lengths
+
+
+def _middles(motion: Motion) -> Vec3:
+    """Of the elements, world frame [m]."""
+    x, y, z = (0.5 * (part[1:] + part[:-1]) for part in motion.position)
+    return x, y, z
+
+
+def magnetisation(
+    rod: Rod, moment_per_length: Numbers, field: Timed | MagneticField
+) -> Magnetisation:
+    """Magnetises a rod that is in a magnetic field.
+
+    Args:
+        rod: The rod.
+        moment_per_length: Magnetisation times the area of the section, material frame:
+            `(3,)`, or of every element `(3, n)` [A m].
+        field: Flux density, world frame `(3,)`, or a schedule of such [T]; or a
+            `MagneticField`, as `linear_field` makes one.
+
+    Raises:
+        ValueError: If an argument is not finite or of the wrong shape.
+        TypeError: If `rod` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    shapes = [(3,), (3, rod.n_elements)]
+    moments = as_array(
+        "moment_per_length",
+        moment_per_length,
+        "A m",
+        shapes,
+        dtype=rod.rest_lengths.dtype,
+    )
+    if moments.ndim == 1:
+        moments = moments[:, None]
+    if not isinstance(field, MagneticField):
+        field = as_timed("field", field, "T", (3,))
+    return Magnetisation(moments, field)
+
+
+def linear_field(
+    flux_density: Timed, gradient: Timed, *, extent: Numbers
+) -> LinearField:
+    """A field that changes in proportion to the place.
+
+    Args:
+        flux_density: At the origin `(3,)`, or a schedule of such [T].
+        gradient: Of component i along axis j `(3, 3)`, or a schedule of such [T/m].
+            Maxwell's equations ask for a symmetric one without trace.
+        extent: Distance from the origin within which the rod stays, above 0; the bound
+            on the stable step asks for it [m].
+
+    Raises:
+        ValueError: If an argument is out of range or of the wrong shape.
+    """
+    return LinearField(
+        as_timed("flux_density", flux_density, "T", (3,)),
+        as_timed("gradient", gradient, "T/m", (3, 3)),
+        as_array("extent", extent, "m", positive=True),
+    )

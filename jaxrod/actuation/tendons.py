@@ -1,0 +1,322 @@
+r"""Tendons: cables through eyelets on a rod, pulled with a force or to a length.
+
+An eyelet is fixed to the middle of an element, at $x = \bar x + R p$. A cable through
+eyelets has the length $\Lambda = \sum_j |x_{j+1} - x_j|$ and the energy $T\Lambda$ if
+it is pulled with a force, $\tfrac k2 \langle\Lambda - \Lambda_c\rangle^2$ if it is an
+elastic one wound up to a length: $\langle\ \rangle$ is smooth, and zero where the cable
+is slack. Each straight piece pulls its two eyelets towards each other.
+
+With friction, tension falls at an eyelet where the cable turns by $\theta_j$ and slips
+(Euler; Eytelwein),
+
+$$T_j = T_{j-1} \exp(-\mu\,\theta_j \tanh(v_j/v_s)),$$
+
+with the speed $v_j$ at which the cable slips towards its base, where it is pulled.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.actuation.section_load import at_nodes
+from jaxrod.effects.base import Effect, StabilityBound
+from jaxrod.effects.time import Schedule, Timed, as_timed
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion, motion_of
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, as_array, check_count, check_kind, numeric
+
+_TURN = 0.25
+"""Turn of a cable at an eyelet up to which the stability bound holds [rad]."""
+
+
+@pytree
+class Tendon(Effect):
+    """One or several cables through eyelets on the same elements; see `tendon`."""
+
+    eyelets: Float[Array, "k 2 m"]
+    """Offsets from the centreline along d1 and d2 [m]."""
+    tension: Array | Schedule | None
+    """At the base, one number or one of each cable `(k,)` [N]."""
+    length: Array | Schedule | None
+    """To which cables are wound up, one number or one of each `(k,)` [m]."""
+    stiffness: Float[Array, ""] | None
+    """Of a cable that is wound up to a length [N/m]."""
+    onset: Float[Array, ""] | None
+    """Elongation within which such a cable becomes taut [m]."""
+    anchors: Float[Array, "3 k"] | None = None
+    """Where cables come from, world frame [m]; `None`: from the first eyelet."""
+    friction: Float[Array, ""] | None = None
+    """Coefficient of friction at the eyelets [1]."""
+    slip_speed: Float[Array, ""] | None = None
+    """Speed of slip at which friction is 0.76 of its full size [m/s]."""
+    first: int = static(default=0)
+    """The element of the first eyelet."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The pulls of the pieces on their eyelets."""
+        levers, points = self._points(motion)
+        pieces, lengths = _pieces(points)
+        along = vectors.scale(1 / lengths, pieces)
+        tension = self._tension(jnp.sum(lengths, axis=1))[:, None]
+        if self.friction is not None:
+            tension = tension * self._held_back(rod, motion, levers, along)
+        pulls = vectors.scale(jnp.broadcast_to(tension, lengths.shape), along)
+        x, y, z = (_net(part) for part in pulls)
+        if self.anchors is not None:
+            x, y, z = x[:, 1:], y[:, 1:], z[:, 1:]
+        couple = vectors.cross(levers, (x, y, z))
+        force = _placed((x, y, z), self.first, rod.n_elements)
+        turning = _placed(couple, self.first, rod.n_elements)
+        a, b, c = force
+        return Loads(
+            forces=(at_nodes(a), at_nodes(b), at_nodes(c)),
+            couples=to_material(directors(motion.orientation), turning),
+        )
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Of the cables; that of a constant force is its work from length zero [J]."""
+        lengths = jnp.sum(_pieces(self._points(motion_of(state))[1])[1], axis=1)
+        if self.length is None:
+            return jnp.sum(self._tension(lengths) * lengths)
+        taut, _ = self._taut(lengths)
+        assert self.stiffness is not None
+        return 0.5 * self.stiffness * jnp.sum(taut**2)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Of pieces that turn, of cables that stretch, of friction.
+
+        For turns of the cable of up to a quarter of a radian at an eyelet, and for
+        the pull of a cable that is as long as the rod.
+        """
+        lever = jnp.max(jnp.sqrt(jnp.sum(self.eyelets**2, axis=1)))
+        count, held = self.eyelets.shape[0], self.eyelets.shape[2]
+        last = self.first + held - 1
+        masses, inertia = rod.node_masses, jnp.min(rod.inertias, axis=0)
+        node_share, element_share = (jnp.zeros_like(a) for a in (masses, inertia))
+        node_share = node_share.at[self.first : last + 2].set(1.0)
+        element_share = element_share.at[self.first : last + 1].set(1.0)
+        pull = self._largest_pull(rod)
+        shortest = jnp.min(rod.rest_lengths)
+        # Each piece: its ends are means of two nodes and turn with their elements.
+        light = jnp.min(jnp.where(node_share > 0, masses, jnp.inf))
+        slight = jnp.min(jnp.where(element_share > 0, inertia, jnp.inf))
+        turning = pull / shortest
+        nodes = 6 * turning * (masses / light) * 0.5
+        elements = 8 * turning * lever**2 * (inertia / slight) + 2 * pull * lever
+        # A cable as a whole: see `section_bounds`.
+        free = (0.5 * _TURN) ** 2
+        moved = free * jnp.sum(node_share / masses) + 0.5 / light
+        turned = _TURN**2 * jnp.sum(element_share / inertia) + 2 / slight
+        whole = count * (moved + lever**2 * turned)
+        drag = None
+        if self.stiffness is not None:
+            nodes = nodes + 1.5 * self.stiffness * whole * masses
+            elements = elements + 1.5 * self.stiffness * whole * inertia
+        if self.friction is not None:
+            assert self.slip_speed is not None
+            drag = pull * self.friction * jnp.pi / self.slip_speed * whole
+        return StabilityBound(
+            nodes=node_share * nodes,
+            elements=element_share * elements,
+            node_drag=None if drag is None else drag * node_share * masses,
+            element_drag=None if drag is None else drag * element_share * inertia,
+        )
+
+    @property
+    def twists(self) -> str:
+        """The eyelets, which turn with the elements."""
+        return "eyelets off the centreline"
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
+        """None: eyelets are on certain elements."""
+        raise ValueError(
+            "a tendon's eyelets are on certain elements: it has no counterpart on a "
+            "rod with another number of them"
+        )
+
+    def _points(self, motion: Motion) -> tuple[Vec3, Vec3]:
+        """Levers of the eyelets and the points of the cables, world frame [m].
+
+        Arrays of cables and eyelets `(k, m)`, and with the anchors `(k, m + 1)`.
+        """
+        held = slice(self.first, self.first + self.eyelets.shape[2])
+        d1, d2, _ = directors(motion.orientation)
+        p1, p2 = self.eyelets[:, 0], self.eyelets[:, 1]
+        levers, points = [], []
+        for axis in range(3):
+            lever = p1 * d1[axis][None, held] + p2 * d2[axis][None, held]
+            node = motion.position[axis]
+            point = (0.5 * (node[1:] + node[:-1]))[None, held] + lever
+            if self.anchors is not None:
+                point = jnp.concatenate([self.anchors[axis][:, None], point], axis=1)
+            levers.append(lever)
+            points.append(point)
+        return (levers[0], levers[1], levers[2]), (points[0], points[1], points[2])
+
+    def _tension(self, lengths: Array) -> Array:
+        """At the base of each cable `(k,)` [N]."""
+        if self.length is None:
+            assert self.tension is not None and not isinstance(self.tension, Schedule)
+            return jnp.broadcast_to(self.tension, lengths.shape)
+        taut, share = self._taut(lengths)
+        assert self.stiffness is not None
+        return self.stiffness * taut * share
+
+    def _taut(self, lengths: Array) -> tuple[Array, Array]:
+        """By how much cables are stretched [m], and the slope of that [1]."""
+        assert self.length is not None and not isinstance(self.length, Schedule)
+        assert self.onset is not None
+        width = self.onset
+        past = jnp.maximum(lengths - self.length + 0.5 * width, 0)
+        full = past >= width
+        taut = jnp.where(full, past - 0.5 * width, past * past / (2 * width))
+        return taut, jnp.where(full, 1, past / width)
+
+    def _largest_pull(self, rod: Rod) -> Array:
+        """Of all cables together [N]."""
+        if self.length is None:
+            assert self.tension is not None and not isinstance(self.tension, Schedule)
+            return jnp.sum(jnp.abs(self._tension(self.eyelets[:, 0, 0])))
+        assert self.length is not None and not isinstance(self.length, Schedule)
+        assert self.stiffness is not None and self.onset is not None
+        short = jnp.maximum(rod.length - self.length, 0)
+        longest = jnp.broadcast_to(short, self.eyelets.shape[:1])
+        return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))
+
+    def _held_back(self, rod: Rod, motion: Motion, levers: Vec3, along: Vec3) -> Array:
+        """Share of the tension at the base that is left in each piece `(k, m)` [1]."""
+        assert self.friction is not None and self.slip_speed is not None
+        held = slice(self.first, self.first + self.eyelets.shape[2])
+        x, y, z = (part[None, held] for part in motion.angular_velocities(rod))
+        turning = vectors.cross((x, y, z), levers)
+        rates = jnp.zeros_like(along[0])
+        for axis in range(3):
+            node = motion.velocity[axis]
+            speed = (0.5 * (node[1:] + node[:-1]))[None, held] + turning[axis]
+            if self.anchors is not None:
+                speed = jnp.pad(speed, ((0, 0), (1, 0)))
+            rates = rates + along[axis] * (speed[:, 1:] - speed[:, :-1])
+        # The cable is held at its far end: it slips as what is beyond gets shorter.
+        beyond = jnp.cumsum(rates[:, ::-1], axis=1)[:, ::-1][:, 1:]
+        before = along[0][:, :-1], along[1][:, :-1], along[2][:, :-1]
+        after = along[0][:, 1:], along[1][:, 1:], along[2][:, 1:]
+        sine = vectors.safe_norm(vectors.cross(before, after))
+        turn = jnp.arctan2(sine, vectors.dot(before, after))
+        lost = self.friction * turn * jnp.tanh(-beyond / self.slip_speed)
+        return jnp.exp(-jnp.pad(jnp.cumsum(lost, axis=1), ((0, 0), (1, 0))))
+
+
+def _pieces(points: Vec3) -> tuple[Vec3, Array]:
+    """Straight pieces between the points of the cables, and their lengths [m]."""
+    x, y, z = (part[:, 1:] - part[:, :-1] for part in points)
+    return (x, y, z), vectors.safe_norm((x, y, z))
+
+
+def _net(pull: Array) -> Array:
+    """Of the pieces on either side of each point."""
+    return jnp.pad(pull, ((0, 0), (0, 1))) - jnp.pad(pull, ((0, 0), (1, 0)))
+
+
+def _placed(of_eyelets: Vec3, first: int, n: int) -> Vec3:
+    """Sums over all cables, on the elements that have the eyelets."""
+
+    def one(part: Array) -> Array:
+        total = jnp.sum(part, axis=0)
+        return vectors.pad(total, first, n - first - total.shape[0])
+
+    return one(of_eyelets[0]), one(of_eyelets[1]), one(of_eyelets[2])
+
+
+def tendon(
+    rod: Rod,
+    offsets: Numbers,
+    *,
+    tension: Timed | None = None,
+    length: Timed | None = None,
+    stiffness: Numbers | None = None,
+    onset: Numbers | None = None,
+    elements: tuple[int, int] | None = None,
+    anchor: Numbers | None = None,
+    friction: Numbers | None = None,
+    slip_speed: Numbers = 1e-2,
+) -> Tendon:
+    """Cables through eyelets on a rod, fixed at the last one.
+
+    Args:
+        rod: The rod.
+        offsets: Of the eyelets from the centreline along d1 and d2 `(2,)`; of several
+            cables `(k, 2)`; of every eyelet `(k, 2, m)` [m].
+        tension: With which cables are pulled at the base: one number, one per cable
+            `(k,)`, or a schedule of such, at least 0 [N].
+        length: To which cables are wound up instead, likewise [m]; with `stiffness`.
+        stiffness: Force per elongation of a whole cable, above 0 [N/m].
+        onset: Elongation within which a cable becomes taut, above 0 [m]; a thousandth
+            of the rod by default.
+        elements: The first and the last element with an eyelet; all by default.
+        anchor: Point of the world from which cables come `(3,)`, or one per cable
+            `(k, 3)` [m]. Without one they begin at the first eyelet, to which their
+            actuator is fixed.
+        friction: Coefficient of friction at the eyelets, at least 0 [1]. Cables at
+            rest have none: `equilibrium` does not know of it.
+        slip_speed: Speed at which friction is 0.76 of its full size, above 0 [m/s].
+
+    Raises:
+        ValueError: If an argument is out of range or of the wrong shape, or not one of
+            tension and length is given.
+        TypeError: If `rod` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    if (tension is None) == (length is None):
+        raise ValueError("a tendon needs a tension in N or a length in m, one of them")
+    if (length is None) != (stiffness is None):
+        raise ValueError(
+            "a tendon with a length needs its stiffness in N/m, and no other has one"
+        )
+    kind, n = rod.rest_lengths.dtype, rod.n_elements
+    first, last = (0, n - 1) if elements is None else elements
+    first = check_count("first element", first, 0, n - 1)
+    last = check_count("last element", last, first, n - 1)
+    pieces = last - first + (anchor is not None)
+    if pieces < 1:
+        raise ValueError("a tendon needs two eyelets, or an anchor and one")
+    given = numeric("offsets", offsets, "m")
+    count = given.shape[0] if given.ndim > 1 else 1
+    held = last - first + 1
+    shapes = [(2,), (count, 2), (count, 2, held)]
+    eyelets = as_array("offsets", given, "m", shapes, dtype=kind)
+    if eyelets.ndim < 3:
+        eyelets = jnp.broadcast_to(eyelets.reshape(-1, 2, 1), (count, 2, held))
+    points = None
+    if anchor is not None:
+        points = as_array("anchor", anchor, "m", [(3,), (count, 3)], dtype=kind)
+        points = jnp.broadcast_to(points, (count, 3)).T
+    per_cable: list[tuple[int, ...]] = [(), (count,)]
+    wide = 1e-3 * 1.0 * rod.length if onset is None else onset
+    return Tendon(
+        eyelets=eyelets,
+        tension=None
+        if tension is None
+        else as_timed("tension", tension, "N", per_cable, non_negative=True),
+        length=None
+        if length is None
+        else as_timed("length", length, "m", per_cable, non_negative=True),
+        stiffness=None
+        if stiffness is None
+        else as_array("stiffness", stiffness, "N/m", positive=True, dtype=kind),
+        onset=None
+        if length is None
+        else as_array("onset", wide, "m", positive=True, dtype=kind),
+        anchors=points,
+        friction=None
+        if friction is None
+        else as_array("friction", friction, "", non_negative=True, dtype=kind),
+        slip_speed=None
+        if friction is None
+        else as_array("slip_speed", slip_speed, "m/s", positive=True, dtype=kind),
+        first=first,
+    )

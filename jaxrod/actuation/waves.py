@@ -1,0 +1,281 @@
+r"""Travelling waves of moment along a rod, about an axis of the section or of space.
+
+At the joint at arc length $s$ acts the moment
+
+$$\tau = r(t)\,A(s) \sin 2\pi\left(\frac tT - \frac s\lambda + \varphi\right),$$
+
+on the element after it with a plus sign and on the one before with a minus sign: it
+bends an unloaded rod by $\tau/B$. $r$ rises from 0 to 1 while the wave is ramped up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.actuation.along_rod import node_places, resampled_along
+from jaxrod.actuation.b_spline import b_spline_basis
+from jaxrod.actuation.section_bounds import transport_bound
+from jaxrod.actuation.section_load import (
+    SectionLoad,
+    SectionStrains,
+    SectionStress,
+    Walls,
+    walls_of,
+)
+from jaxrod.effects.base import Effect, Reach, StabilityBound
+from jaxrod.effects.clamps import Clamp
+from jaxrod.effects.ends import End, check_end
+from jaxrod.effects.time import Clock, Schedule
+from jaxrod.geometry import vectors
+from jaxrod.geometry.material_frames import unit_vector
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_kind,
+    is_traced,
+    numeric,
+)
+
+FEWEST_COEFFICIENTS = 4
+
+
+@pytree
+class Wave(Schedule):
+    """A sine of time whose phase differs from node to node, ramped up."""
+
+    amplitudes: Float[Array, " n+1"]
+    """At the nodes."""
+    phases: Float[Array, " n+1"]
+    """At time zero, in periods [1]."""
+    period: Float[Array, ""]
+    """Period [s]."""
+    ramp_up: Float[Array, ""] | None = None
+    """Time in which it rises to its full size [s]; `None`: it has it at once."""
+
+    def __call__(self, clock: Clock) -> Array:
+        """The values at a time, as exact after a million periods as in the first."""
+        turns = clock.phase(self.period) + self.phases
+        values = self.amplitudes * jnp.sin(2 * jnp.pi * turns)
+        if self.ramp_up is None:
+            return values
+        return jnp.clip(clock.time / self.ramp_up, 0, 1) * values
+
+    @property
+    def largest(self) -> Array:
+        """The amplitudes."""
+        return jnp.abs(self.amplitudes)
+
+
+@pytree
+class TravellingWave(SectionLoad):
+    r"""A moment at every joint about an axis of the section; see `travelling_wave`.
+
+    At a fixed time it has the energy $-\sum_k \tau_k\, a\cdot\phi_k$.
+    """
+
+    moments: Array | Schedule
+    """Of the joint at each node, from a schedule of such `(n + 1,)` [N m]."""
+    axis: Float[Array, "3"]
+    """Unit vector, material frame."""
+    walls: Walls = ()
+    """Walls into which it goes on."""
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def stored(self, rod: Rod, strains: SectionStrains) -> Array:
+        """Minus the work of the moments from the straight rod [J]."""
+        angle = vectors.dot(vectors.split(self.axis), strains.rotations)
+        return -jnp.sum(self._moments * angle)
+
+    def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
+        """The moments."""
+        a, b, c = vectors.split(self.axis)
+        size = -self._moments
+        return SectionStress(moment=(size * a, size * b, size * c))
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """The moments turn with the elements."""
+        return transport_bound(rod, moment=self._moments)
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> TravellingWave:
+        """The same wave at the new nodes."""
+        return replace(self, moments=_resampled(self.moments, rod, new_rod))
+
+    @property
+    def _moments(self) -> Array:
+        assert not isinstance(self.moments, Schedule)
+        return self.moments
+
+
+@pytree
+class WorldWave(Effect):
+    """A moment at every joint about an axis of space; see `muscle_torques`.
+
+    It has no energy. The couples on the two elements of a joint are opposite.
+    """
+
+    moments: Array | Schedule
+    """Of the joint at each node, from a schedule of such `(n + 1,)` [N m]."""
+    direction: Float[Array, "3"]
+    """World frame; its length is a factor."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Couples on the elements after the joints, less those on the ones before."""
+        assert not isinstance(self.moments, Schedule)
+        inner = self.moments[1:-1]
+        net = vectors.pad(inner, 1, 0) - vectors.pad(inner, 0, 1)
+        a, b, c = vectors.split(self.direction)
+        frame = directors(motion.orientation)
+        return Loads(couples=to_material(frame, (net * a, net * b, net * c)))
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the couples are constant in the world frame."""
+
+    def resampled(self, rod: Rod, new_rod: Rod) -> WorldWave:
+        """The same wave at the new nodes."""
+        return replace(self, moments=_resampled(self.moments, rod, new_rod))
+
+
+def _resampled(moments: Any, rod: Rod, new_rod: Rod) -> Any:
+    old, new = node_places(rod), node_places(new_rod)
+    if isinstance(moments, Wave):
+        return replace(
+            moments,
+            amplitudes=resampled_along(moments.amplitudes, old, new),
+            phases=resampled_along(moments.phases, old, new),
+        )
+    if isinstance(moments, Schedule):
+        raise ValueError(
+            "a schedule of moments at the nodes of a rod has no counterpart on a rod "
+            "with another number of elements"
+        )
+    return resampled_along(moments, old, new)
+
+
+def travelling_wave(
+    rod: Rod,
+    amplitude: Numbers,
+    *,
+    period: Numbers,
+    wavelength: Numbers,
+    axis: Numbers = (1.0, 0.0, 0.0),
+    phase: Numbers = 0.0,
+    ramp_up: Numbers | None = None,
+    head: End = "start",
+    into: Clamp | tuple[Clamp, ...] | None = None,
+) -> TravellingWave:
+    """A wave of bending or twist that runs along a rod, turning with its sections.
+
+    The moment about the axis is `amplitude(s) sin 2 pi (t / period - s / wavelength +
+    phase)`, with the arc length `s` from the head. Two waves about d1 and d2 lift a
+    body as it swings.
+
+    Args:
+        rod: The rod.
+        amplitude: One number [N m]; or the coefficients of a cubic B-spline along the
+            rod, from the head, at least 4: the first and the last are the values at
+            the ends, which free ends do not have.
+        period: Above 0 [s].
+        wavelength: Length of a wave, above 0 [m].
+        axis: Material frame, of any length `(3,)`: d1 and d2 bend, d3 twists.
+        phase: At time zero at the head, in periods: 0.25 makes it a cosine.
+        ramp_up: Time in which it rises from nothing, above 0 [s]; at once by default.
+        head: The end at which waves begin, "start" or "finish".
+        into: The `clamp` of an end, or a tuple of two, into which it goes on.
+
+    Raises:
+        ValueError: If an argument is out of range or of the wrong shape.
+        TypeError: If `rod` or `into` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    kind = rod.rest_lengths.dtype
+    places = node_places(rod)
+    from_head = places if check_end(head) == "start" else places[-1] - places
+    length = as_array("wavelength", wavelength, "m", positive=True, dtype=kind)
+    start = as_array("phase", phase, "", dtype=kind)
+    wave = Wave(
+        amplitudes=_amplitudes(amplitude, from_head / places[-1], kind),
+        phases=start - jnp.asarray(from_head, kind) / length,
+        period=as_array("period", period, "s", positive=True, dtype=kind),
+        ramp_up=_ramp_up(ramp_up, kind),
+    )
+    direction = jnp.asarray(unit_vector("axis", axis), kind)
+    return TravellingWave(wave, direction, walls_of(into))
+
+
+def muscle_torques(
+    rod: Rod,
+    amplitude: Numbers,
+    *,
+    period: Numbers,
+    wave_number: Numbers,
+    direction: Numbers,
+    phase_shift: Numbers = 0.0,
+    ramp_up_time: Numbers | None = None,
+) -> WorldWave:
+    """PyElastica's `MuscleTorques`: a wave about a direction of space, from the finish.
+
+    The moment at the joint with `j` elements after it is `amplitude(s) sin(2 pi t /
+    period - wave_number s + phase_shift)`, where `s` is the length of the first `j`
+    elements over that of the rod: the way from the finish if all are equally long. For
+    comparing with PyElastica; `travelling_wave` turns with the sections.
+
+    Args:
+        rod: The rod.
+        amplitude: One number [N m]; or the coefficients of a cubic B-spline, at
+            least 4, from the finish on (theirs is `b_coeff`).
+        period: Above 0 [s].
+        wave_number: Of the waves on the whole rod, `2 pi` for one [rad].
+        direction: World frame `(3,)`; its length is a factor, as there.
+        phase_shift: At time zero at the finish [rad].
+        ramp_up_time: Time in which it rises from nothing, above 0 [s].
+
+    Raises:
+        ValueError: If an argument is out of range or of the wrong shape.
+        TypeError: If `rod` is something else.
+    """
+    check_kind("rod", rod, Rod)
+    kind = rod.rest_lengths.dtype
+    places = node_places(rod)
+    shares = (places / places[-1])[::-1]
+    number = as_array("wave_number", wave_number, "rad", dtype=kind)
+    shift = as_array("phase_shift", phase_shift, "rad", dtype=kind)
+    wave = Wave(
+        amplitudes=_amplitudes(amplitude, shares, kind),
+        phases=(shift - number * jnp.asarray(shares, kind)) / (2 * jnp.pi),
+        period=as_array("period", period, "s", positive=True, dtype=kind),
+        ramp_up=_ramp_up(ramp_up_time, kind),
+    )
+    return WorldWave(wave, as_array("direction", direction, "", [(3,)], dtype=kind))
+
+
+def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
+    """Amplitudes at places along the rod, given as shares of its length."""
+    given = numeric("amplitude", amplitude, "N m")
+    given = check_array("amplitude", given, [given.shape], "N m", dtype=kind)
+    if given.ndim == 0:
+        return jnp.full(shares.shape, given, kind)
+    if given.ndim != 1 or given.size < FEWEST_COEFFICIENTS:
+        raise ValueError(
+            f"amplitude must be one number, or {FEWEST_COEFFICIENTS} or more "
+            f"coefficients in N m, got shape {given.shape}"
+        )
+    basis = b_spline_basis(given.size, shares)
+    xp = jnp if is_traced((given, basis)) else np
+    return jnp.asarray(xp.sum(basis * given[None, :], axis=1), kind)
+
+
+def _ramp_up(ramp_up: Numbers | None, kind: Any) -> Array | None:
+    if ramp_up is None:
+        return None
+    return as_array("ramp_up", ramp_up, "s", positive=True, dtype=kind)
