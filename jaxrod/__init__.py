@@ -114,6 +114,9 @@ _NAMES = {
         "with_memory",
     ),
     "structure": ("memory", "pytree", "static"),
+    "topology.crossings": ("crossed", "crossings"),
+    "topology.twist": ("twist",),
+    "topology.winding": ("link", "linking_number", "writhe"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

@@ -115,6 +115,12 @@ from jaxrod.stepping import with_memory as with_memory
 from jaxrod.structure import memory as memory
 from jaxrod.structure import pytree as pytree
 from jaxrod.structure import static as static
+from jaxrod.topology.crossings import crossed as crossed
+from jaxrod.topology.crossings import crossings as crossings
+from jaxrod.topology.twist import twist as twist
+from jaxrod.topology.winding import link as link
+from jaxrod.topology.winding import linking_number as linking_number
+from jaxrod.topology.winding import writhe as writhe
 from jaxrod.tradeoff.tuning import Tuned as Tuned
 from jaxrod.tradeoff.tuning import tune as tune
 
