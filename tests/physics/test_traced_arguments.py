@@ -21,6 +21,7 @@ ROD, STATE = jaxrod.straight_rod(3, length=1.2, **MATERIAL)
 SCENE = jaxrod.make_scene(ROD, jaxrod.clamp(STATE))
 BENT = ((0.0, 0.1, 0.1, 0.3), (0.0, 0.0, 1.0, 1.2), (0.0, 1.0, 1.1, 2.0))
 FRAMES = np.asarray(jaxrod.rod_along(BENT, **MATERIAL)[1].directors).tolist()
+SIDES = ((1.0, 0.5, 0.2), (0.3, 1.0, 0.1), (0.2, 0.1, 1.0))
 BALL = jaxrod.sphere((0.0, 0.0, 0.0), 0.1)
 
 FACTORIES = {
@@ -121,6 +122,17 @@ FACTORIES = {
     "rollout_times": [{"dt": 1e-3, "n_steps": 4, "every": 2}],
     "stable_dt": [{"scene": SCENE, "safety": 0.5}],
     "scale_inertia": [{"scene": SCENE, "dt": 1e-3}],
+    "twist": [{"curve": BENT, "normals": SIDES}],
+    "writhe": [{"curve": BENT, "ends": "next_tangent", "extension": 2.0}],
+    "link": [
+        {
+            "curve": BENT,
+            "normals": SIDES,
+            "offset": 0.1,
+            "ends": "next_tangent",
+            "extension": 2.0,
+        }
+    ],
 }
 ELSEWHERE = {
     # Runs: their step is traced in test_compilation and test_gradients.
