@@ -55,6 +55,7 @@ _NAMES = {
     "contacts.contact": ("Contact", "contact"),
     "contacts.near": ("near_contact",),
     "contacts.points": ("ThinBodyWarning",),
+    "damping.internal_damping": ("InternalDamping", "internal_damping"),
     "effects.actuation": (
         "ControlSpline",
         "ElementAverages",

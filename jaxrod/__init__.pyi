@@ -36,6 +36,8 @@ from jaxrod.contacts.contact import Contact as Contact
 from jaxrod.contacts.contact import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
+from jaxrod.damping.internal_damping import InternalDamping as InternalDamping
+from jaxrod.damping.internal_damping import internal_damping as internal_damping
 from jaxrod.effects.actuation import ControlSpline as ControlSpline
 from jaxrod.effects.actuation import ElementAverages as ElementAverages
 from jaxrod.effects.actuation import ElementCouples as ElementCouples

@@ -38,6 +38,7 @@ from jaxrod.scene import (
     constrain,
     constrain_rates,
     damping_rates,
+    dissipate,
     external_loads,
 )
 from jaxrod.structure import pytree
@@ -116,7 +117,8 @@ class ConsistentStepper(Verlet):
             velocity=vectors.apply(self.velocity_kick, motion.velocity, loads.forces),
             spin=vectors.apply(self.spin_kick, motion.spin, couples),
         )
-        return constrain_rates(self.scene, kicked)
+        slowed = dissipate(self.scene, kicked, self.dt)
+        return constrain_rates(self.scene, slowed)
 
 
 @pytree

@@ -92,4 +92,4 @@ class PlanarConsistentStepper(PlanarVerlet):
             ),
             spin=self.spin_kick(motion.spin, couple),
         )
-        return self.constrain_rates(kicked)
+        return self.constrain_rates(self.dissipate(kicked))

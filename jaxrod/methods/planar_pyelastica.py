@@ -27,7 +27,7 @@ from jaxrod.methods.planar_verlet import (
     spread,
 )
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, damping_rates
+from jaxrod.scene import Scene, damping_rates, dissipates
 from jaxrod.structure import pytree
 
 
@@ -118,12 +118,14 @@ class PlanarPyElasticaStepper(PlanarVerlet):
             spin=motion.spin + self.dt * stretch * self.inverse_inertia * couple,
         )
         held = self.constrain_rates(kicked)
-        if self.decay is None:
+        if self.decay is not None:
+            translation, rotation = self.decay
+            u, v = held.velocity
+            held = replace(
+                held,
+                velocity=(translation * u, translation * v),
+                spin=rotation * held.spin,
+            )
+        if not dissipates(self.scene):
             return held
-        translation, rotation = self.decay
-        u, v = held.velocity
-        return replace(
-            held,
-            velocity=(translation * u, translation * v),
-            spin=rotation * held.spin,
-        )
+        return self.constrain_rates(self.dissipate(held))

@@ -37,7 +37,7 @@ from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import constrain, constrain_rates
+from jaxrod.scene import constrain, constrain_rates, dissipate, dissipates
 from jaxrod.structure import pytree, static
 
 Vec2 = tuple[Array, Array]
@@ -283,6 +283,15 @@ class PlanarVerlet(Verlet):
         held = constrain_rates(self.scene, self.view(motion))
         velocity = held.velocity[a], held.velocity[b]
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
+
+    def dissipate(self, motion: PlanarMotion) -> PlanarMotion:
+        """Applies damping that is solved by itself."""
+        if not dissipates(self.scene):
+            return motion
+        a, b, _ = PLANES[self.plane]
+        slowed = dissipate(self.scene, self.view(motion), self.dt)
+        velocity = slowed.velocity[a], slowed.velocity[b]
+        return replace(motion, velocity=velocity, spin=self.spin_in_plane(slowed.spin))
 
     def view(self, motion: PlanarMotion) -> Motion:
         """The motion as effects see it. Fields that no effect reads cost nothing."""

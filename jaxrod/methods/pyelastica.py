@@ -43,6 +43,8 @@ from jaxrod.scene import (
     constrain,
     constrain_rates,
     damping_rates,
+    dissipate,
+    dissipates,
     external_loads,
 )
 from jaxrod.structure import pytree
@@ -172,13 +174,16 @@ class PyElasticaStepper(Verlet):
             spin=vectors.add(motion.spin, vectors.scale(self.dt * stretch, turn)),
         )
         held = constrain_rates(self.scene, kicked)
-        if self.decay is None:
+        if self.decay is not None:
+            held = replace(
+                held,
+                velocity=vectors.scale(self.decay[0], held.velocity),
+                spin=vectors.scale(self.decay[1], held.spin),
+            )
+        if not dissipates(self.scene):
             return held
-        return replace(
-            held,
-            velocity=vectors.scale(self.decay[0], held.velocity),
-            spin=vectors.scale(self.decay[1], held.spin),
-        )
+        slowed = dissipate(self.scene, held, self.dt)
+        return constrain_rates(self.scene, slowed)
 
 
 @pytree

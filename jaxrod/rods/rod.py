@@ -78,6 +78,12 @@ class Rod:
         return self.rotary_inertia * self.rest_lengths[None, :]
 
     @property
+    def principal_inertias(self) -> Float[Array, "3 n"]:
+        """Rotary inertia of each element about d1, d2, d3 [kg m^2]."""
+        transverse, polar = self.inertias
+        return jnp.stack([transverse, transverse, polar])
+
+    @property
     def joint_stiffness(self) -> Float[Array, "3 n-1"]:
         """Bend-twist stiffness at the joints [N m^2].
 
