@@ -55,6 +55,12 @@ _NAMES = {
     "contacts.contact": ("Contact", "contact"),
     "contacts.near": ("near_contact",),
     "contacts.points": ("ThinBodyWarning",),
+    "damping.filters": (
+        "LaplacianFilter",
+        "ShortWaveDamping",
+        "laplacian_filter",
+        "short_wave_damping",
+    ),
     "damping.internal_damping": ("InternalDamping", "internal_damping"),
     "effects.actuation": (
         "ControlSpline",

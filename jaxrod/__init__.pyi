@@ -36,6 +36,10 @@ from jaxrod.contacts.contact import Contact as Contact
 from jaxrod.contacts.contact import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
+from jaxrod.damping.filters import LaplacianFilter as LaplacianFilter
+from jaxrod.damping.filters import ShortWaveDamping as ShortWaveDamping
+from jaxrod.damping.filters import laplacian_filter as laplacian_filter
+from jaxrod.damping.filters import short_wave_damping as short_wave_damping
 from jaxrod.damping.internal_damping import InternalDamping as InternalDamping
 from jaxrod.damping.internal_damping import internal_damping as internal_damping
 from jaxrod.effects.actuation import ControlSpline as ControlSpline

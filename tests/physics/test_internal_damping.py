@@ -123,6 +123,7 @@ def test_momentum_is_kept_and_energy_lost(record):
     )
 
 
+@pytest.mark.slow
 def test_a_motion_in_a_plane_is_that_in_space():
     rod, state = arm(N, direction=(1.0, 0.0, 0.0))
     ends = []
@@ -139,6 +140,7 @@ def test_a_motion_in_a_plane_is_that_in_space():
     assert difference(*ends) < 1e-12
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences():
     rod, state = arm(3)
     state = deformed(rod, 1, largest_angle=0.4, speed=0.2)

@@ -64,6 +64,7 @@ FACTORIES = {
         {"translational_rate": 3.0},
     ],
     "internal_damping": [{"relaxation_time": 0.1}],
+    "short_wave_damping": [{"rate": 10.0}],
     "ramp": [{"first": (1.0, 2.0), "last": (3.0, 4.0), "duration": 2.0, "start": 0.5}],
     "sine": [{"amplitude": 2.0, "period": 0.3, "mean": 1.0, "phase": 0.2}],
     "table": [{"times": (0.0, 1.0), "values": ((1.0, 2.0), (3.0, 4.0))}],
