@@ -102,6 +102,7 @@ _NAMES = {
         "compensated",
         "with_angular_velocities",
     ),
+    "rods.section_shapes": ("Section", "circle", "ellipse", "rectangle", "tube"),
     "scene": (
         "Method",
         "Scene",

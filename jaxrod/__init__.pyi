@@ -103,6 +103,11 @@ from jaxrod.rods.rod import RodState as RodState
 from jaxrod.rods.rod import angular_velocities as angular_velocities
 from jaxrod.rods.rod import compensated as compensated
 from jaxrod.rods.rod import with_angular_velocities as with_angular_velocities
+from jaxrod.rods.section_shapes import Section as Section
+from jaxrod.rods.section_shapes import circle as circle
+from jaxrod.rods.section_shapes import ellipse as ellipse
+from jaxrod.rods.section_shapes import rectangle as rectangle
+from jaxrod.rods.section_shapes import tube as tube
 from jaxrod.scene import Method as Method
 from jaxrod.scene import Scene as Scene
 from jaxrod.scene import angular_momentum as angular_momentum

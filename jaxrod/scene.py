@@ -279,9 +279,7 @@ def kinetic_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     check_state(rod, state)
     translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
     spin = angular_velocities(rod, state)
-    transverse, polar = rod.inertias
-    inertia = jnp.stack([transverse, transverse, polar])
-    return translation + 0.5 * jnp.sum(inertia * spin**2)
+    return translation + 0.5 * jnp.sum(rod.principal_inertias * spin**2)
 
 
 def potential_energy(scene: Scene, state: RodState) -> Float[Array, ""]:

@@ -4,12 +4,11 @@ With $D$ the differences of neighbours and $M$ the inertia,
 
 $$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r,$$
 
-$w$ a quarter of the mass between two nodes, or of the smaller inertia of two elements;
-half of it belongs to either, so that no eigenvalue is above one. $B$ has the eigenvalues
-$\sin^2(k\ell/2)$ of waves of number $k$ on a uniform rod: the wave from node to node
-decays at the rate $g$, long ones by a share of it that falls with the power $2p$. What
-the rod does as a rigid body is taken out before and put back afterwards, so that
-momentum, angular momentum and rigid motion are left alone, and energy only falls.
+$w$ a quarter of the mass between two nodes, or of the smaller inertia of two elements,
+so that no eigenvalue of $B$ is above one. Waves of number $k$ on a uniform rod have
+$\sin^2(k\ell/2)$: the wave from node to node decays at the rate $g$, long ones
+at a share of it that falls with the power $2p$. What the rod does as a rigid body is
+taken out before and put back afterwards, so that momentum, angular momentum and rigid motion are left alone, and energy only falls.
 """
 
 from __future__ import annotations

@@ -205,10 +205,10 @@ class ImplicitStepper:
 
     def rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
         """Velocities and angular velocities, world frame."""
-        transverse, polar = self.scene.rod.inertias
+        one, two, three = self.scene.rod.principal_inertias
         frame = directors(motion.orientation)
         a, b, c = to_material(frame, motion.spin)
-        spin = to_world(frame, (a / transverse, b / transverse, c / polar))
+        spin = to_world(frame, (a / one, b / two, c / three))
         return motion.velocity, spin
 
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:

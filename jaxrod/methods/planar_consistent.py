@@ -18,6 +18,7 @@ from jaxrod.methods.planar_verlet import (
     PlanarRod,
     PlanarVerlet,
     PlaneName,
+    inertia_about_normal,
     spread,
 )
 from jaxrod.rods.rod import RodState
@@ -38,14 +39,15 @@ class PlanarConsistentStepper(PlanarVerlet):
     ) -> PlanarConsistentStepper:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
-        transverse, _ = rod.inertias
+        constants = PlanarRod.create(rod, state, plane)
+        transverse = inertia_about_normal(rod, constants)
         rates = damping_rates(scene) or (None, None)
         return PlanarConsistentStepper(
             scene=scene,
             plane=plane,
             dt=dt,
             start=state,
-            constants=PlanarRod.create(rod, state, plane),
+            constants=constants,
             inverse_inertia=1 / transverse,
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),

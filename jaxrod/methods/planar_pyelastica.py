@@ -24,6 +24,7 @@ from jaxrod.methods.planar_verlet import (
     PlanarRod,
     PlanarVerlet,
     PlaneName,
+    inertia_about_normal,
     spread,
 )
 from jaxrod.rods.rod import RodState
@@ -50,14 +51,15 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     ) -> PlanarPyElasticaStepper:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
-        transverse, _ = rod.inertias
+        constants = PlanarRod.create(rod, state, plane)
+        transverse = inertia_about_normal(rod, constants)
         rates = damping_rates(scene)
         return PlanarPyElasticaStepper(
             scene=scene,
             plane=plane,
             dt=dt,
             start=state,
-            constants=PlanarRod.create(rod, state, plane),
+            constants=constants,
             inverse_inertia=1 / transverse,
             decay=rates and (jnp.exp(-rates[0] * dt), jnp.exp(-rates[1] * dt)),
             inverse_masses=1 / rod.node_masses,

@@ -144,6 +144,15 @@ class PlanarRod:
         return self.joint * (turn[1:] - turn[:-1] + self.joint_offsets)
 
 
+def inertia_about_normal(rod: Rod, constants: PlanarRod) -> Array:
+    """Rotary inertia of the elements about the plane's normal [kg m^2]."""
+    if rod.is_round:
+        return rod.inertias[0]
+    one, two, _ = rod.principal_inertias
+    n1, n2 = constants.normal
+    return n1 * n1 * one + n2 * n2 * two
+
+
 @pytree
 class PlanarVerlet(Verlet):
     """Position Verlet of a rod in a plane, of either law."""
