@@ -8,7 +8,8 @@ $w$ a quarter of the mass between two nodes, or of the smaller inertia of two el
 so that no eigenvalue of $B$ is above one. Waves of number $k$ on a uniform rod have
 $\sin^2(k\ell/2)$: the wave from node to node decays at the rate $g$, long ones
 at a share of it that falls with the power $2p$. What the rod does as a rigid body is
-taken out before and put back afterwards, so that momentum, angular momentum and rigid motion are left alone, and energy only falls.
+taken out before and put back afterwards, so that momentum, angular momentum and rigid
+motion are left alone, and energy only falls.
 """
 
 from __future__ import annotations

@@ -48,6 +48,7 @@ def test_the_numbers_of_shapes():
     np.testing.assert_allclose(jaxrod.tube(1.0, 0.9999).shear_factors, 0.6, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_tube_bends_as_a_rod_of_the_same_stiffness(record):
     """Small load, little shear: one bends as far as the other."""
     sag = []
@@ -164,6 +165,7 @@ def two_materials(n, joint_mean):
     return tip / exact - 1
 
 
+@pytest.mark.slow
 def test_joints_in_series_between_two_materials(record):
     errors = [two_materials(n, "series") for n in (10, 20)]
     record(
@@ -217,7 +219,7 @@ def test_what_is_no_section_is_refused(call, words):
 
 @pytest.mark.slow
 def test_a_strip_buckles_sideways(record):
-    """A cantilever loaded along its width: its lowest frequency squared goes to zero."""
+    """A cantilever loaded along its width: its lowest frequency goes to zero."""
     width, height, n = 0.1, 0.004, 30
     rod, state = strip(n, width, height, normal=(1.0, 0.0, 0.0))
     bending, _, twisting = np.asarray(rod.bend_twist_stiffness)[:, 0]
