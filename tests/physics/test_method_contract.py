@@ -148,7 +148,30 @@ class Damping(jaxrod.Effect):
         return 100 * self.size, 50 * self.size
 
 
-HOOKS = (Forces, Couples, Drag, Friction, Strings, Place, Frame, Pace, Damping)
+@pytree
+class Slowing(jaxrod.Effect):
+    """Lets rates decay by itself."""
+
+    size: jax.Array
+
+    def dissipate(self, scene, motion, dt):
+        velocity = vectors.scale(1 - 100 * self.size * dt, motion.velocity)
+        spin = vectors.scale(1 - 50 * self.size * dt, motion.spin)
+        return replace(motion, velocity=velocity, spin=spin)
+
+
+HOOKS = (
+    Forces,
+    Couples,
+    Drag,
+    Friction,
+    Strings,
+    Place,
+    Frame,
+    Pace,
+    Damping,
+    Slowing,
+)
 OFF, ON = np.zeros(len(HOOKS)), np.eye(len(HOOKS))
 
 
@@ -255,9 +278,13 @@ def one_step(method, *effects):
 def test_every_method_calls_every_hook_that_is_alone(method):
     """Whatever else is in a scene: no other effect is there to have it called."""
     for hook in HOOKS:
-        overridden = {"loads", "constrain", "constrain_rates", "damping_rates"} & set(
-            vars(hook)
-        )
+        overridden = set(vars(hook)) & {
+            "loads",
+            "constrain",
+            "constrain_rates",
+            "damping_rates",
+            "dissipate",
+        }
         name = overridden.pop()
         calls = []
 
