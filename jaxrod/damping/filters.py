@@ -71,23 +71,22 @@ class _Body:
         self.frame = directors(motion.orientation)
         total = jnp.sum(self.masses)
         x = motion.position
-        self.places = tuple(c - jnp.sum(self.masses * c) / total for c in x)
+        a, b, c = (p - jnp.sum(self.masses * p) / total for p in x)
+        self.places: Vec3 = (a, b, c)
         self.total = total
 
     def deforming(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
         """Rates without those of the rigid motion with the same momenta."""
         m, r = self.masses, self.places
-        drift = tuple(jnp.sum(m * c) / self.total for c in velocity)
-        v = tuple(c - d for c, d in zip(velocity, drift, strict=True))
-        orbital = vectors.scale(m, vectors.cross(r, v))
+        a, b, c = (speed - jnp.sum(m * speed) / self.total for speed in velocity)
+        orbital = vectors.scale(m, vectors.cross(r, (a, b, c)))
         spin = self._momentum(turning)
-        momentum = tuple(
-            jnp.sum(a) + jnp.sum(b) for a, b in zip(orbital, spin, strict=True)
+        x, y, z = (
+            jnp.sum(one) + jnp.sum(two) for one, two in zip(orbital, spin, strict=True)
         )
-        whole = self._turning_of(momentum)
+        whole = self._turning_of((x, y, z))
         around = vectors.cross(whole, r)
-        free = tuple(c - w for c, w in zip(turning, whole, strict=True))
-        return vectors.subtract(v, around), free
+        return vectors.subtract((a, b, c), around), vectors.subtract(turning, whole)
 
     def _momentum(self, turning: Vec3) -> Vec3:
         local = to_material(self.frame, turning)

@@ -132,12 +132,11 @@ def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
     walls = [w for e in scene.effects if (w := e.wall(rod)) is not None]
     walls = [wall for wall in walls if wall.stiffness is not None]
     for k, axis in enumerate(directors(_middle(motion.orientation))):
-        onward = tuple(vectors.pad(c, 0, 1) for c in axis)
+        x, y, z = (vectors.pad(c, 0, 1) for c in axis)
         # Past the last element the joint is to a wall, about the element's own axes.
-        back = tuple(
-            -c.at[-1].set(d[-1]) for c, d in zip(onward, frame[k], strict=True)
-        )
-        rows.append(((*none, *back), (*none, *onward)))
+        both = zip((x, y, z), frame[k], strict=True)
+        u, v, w = (-c.at[-1].set(d[-1]) for c, d in both)
+        rows.append(((*none, u, v, w), (*none, x, y, z)))
     own, following = (
         jnp.stack([jnp.stack(row[k], axis=-1) for row in rows], axis=1) for k in (0, 1)
     )
@@ -161,11 +160,10 @@ def _mobility(scene: Scene, motion: Motion) -> Float[Array, "n+1 6 6"]:
     """Inverse masses and rotary inertias, world frame; zero for what is held."""
     rod = scene.rod
     frame = directors(motion.orientation)
-    turning = turned_diagonal(frame, vectors.split(1 / rod.principal_inertias))
-    turning = jnp.pad(stacked(turning), ((0, 1), (3, 0), (3, 0)))
-    moving = (1 / rod.node_masses)[:, None, None] * jnp.eye(3, dtype=turning.dtype)[
-        None
-    ]
+    matrices = turned_diagonal(frame, vectors.split(1 / rod.principal_inertias))
+    turning = jnp.pad(stacked(matrices), ((0, 1), (3, 0), (3, 0)))
+    identity = jnp.eye(3, dtype=turning.dtype)[None]
+    moving = (1 / rod.node_masses)[:, None, None] * identity
     free = (blocks(*free_rates(scene, motion)) != 0).astype(turning.dtype)
     both = free[:, :, None] * free[:, None, :]
     return both * (jnp.pad(moving, ((0, 0), (0, 3), (0, 3))) + turning)

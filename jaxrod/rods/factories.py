@@ -228,10 +228,11 @@ def _build(
         "poisson_ratio": poisson_ratio,
         "dtype": dtype,
     }
-    if section is None:
+    if radius is not None:
         correction = CIRCLE if shear_correction is None else shear_correction
         rod = round_rod(n, radius=radius, shear_correction=correction, **material)
     else:
+        assert section is not None
         rod = shaped_rod(
             n, section=section, shear_correction=shear_correction, **material
         )
