@@ -135,8 +135,8 @@ def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
         x, y, z = (vectors.pad(c, 0, 1) for c in axis)
         # Past the last element the joint is to a wall, about the element's own axes.
         both = zip((x, y, z), frame[k], strict=True)
-        u, v, w = (-c.at[-1].set(d[-1]) for c, d in both)
-        rows.append(((*none, u, v, w), (*none, x, y, z)))
+        back_x, back_y, back_z = (-c.at[-1].set(d[-1]) for c, d in both)
+        rows.append(((*none, back_x, back_y, back_z), (*none, x, y, z)))
     own, following = (
         jnp.stack([jnp.stack(row[k], axis=-1) for row in rows], axis=1) for k in (0, 1)
     )

@@ -15,7 +15,7 @@ from jaxrod.geometry.material_frames import module_for
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, is_traced, numeric
 
-CIRCLE = 27 / 28
+CIRCLE = np.float64(27 / 28)
 """Shear factor of a circular section at Poisson's ratio 1/2, as in PyElastica 1.0."""
 
 
@@ -109,7 +109,13 @@ def rectangle(width: Numbers, height: Numbers) -> Section:
     torsion = a * b**3 * (1 / 3 - 0.21 * share * (1 - share**4 / 12))
     area = w * h
     moments = (area * h**2 / 12, area * w**2 / 12)
-    return Section(area, moments, torsion, (5 / 6, 5 / 6), xp.sqrt(area / np.pi))
+    return Section(
+        area,
+        moments,
+        torsion,
+        (np.float64(5 / 6), np.float64(5 / 6)),
+        xp.sqrt(area / np.pi),
+    )
 
 
 def ellipse(half_width: Numbers, half_height: Numbers) -> Section:
