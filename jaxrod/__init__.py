@@ -76,6 +76,13 @@ _NAMES = {
     "contacts.factories": ("contact",),
     "contacts.near": ("near_contact",),
     "contacts.points": ("ThinBodyWarning",),
+    "damping.filters": (
+        "LaplacianFilter",
+        "ShortWaveDamping",
+        "laplacian_filter",
+        "short_wave_damping",
+    ),
+    "damping.internal_damping": ("InternalDamping", "internal_damping"),
     "effects.actuation": ("ElementCouples", "limit_rate", "spline_couples"),
     "effects.base": ("Effect", "Reaction", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
@@ -123,6 +130,7 @@ _NAMES = {
         "compensated",
         "with_angular_velocities",
     ),
+    "rods.section_shapes": ("Section", "circle", "ellipse", "rectangle", "tube"),
     "scene": (
         "Method",
         "Scene",
@@ -150,6 +158,9 @@ _NAMES = {
     "systems.system": ("System", "make_system"),
     "systems.ties": ("tie",),
     "systems.welds": ("attach", "weld"),
+    "topology.crossings": ("crossed", "crossings"),
+    "topology.twist": ("twist",),
+    "topology.winding": ("link", "linking_number", "writhe"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

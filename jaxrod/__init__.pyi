@@ -62,6 +62,12 @@ from jaxrod.contacts.contact import Contact as Contact
 from jaxrod.contacts.factories import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
+from jaxrod.damping.filters import LaplacianFilter as LaplacianFilter
+from jaxrod.damping.filters import ShortWaveDamping as ShortWaveDamping
+from jaxrod.damping.filters import laplacian_filter as laplacian_filter
+from jaxrod.damping.filters import short_wave_damping as short_wave_damping
+from jaxrod.damping.internal_damping import InternalDamping as InternalDamping
+from jaxrod.damping.internal_damping import internal_damping as internal_damping
 from jaxrod.effects.actuation import ElementCouples as ElementCouples
 from jaxrod.effects.actuation import limit_rate as limit_rate
 from jaxrod.effects.actuation import spline_couples as spline_couples
@@ -140,6 +146,11 @@ from jaxrod.rods.rod import RodState as RodState
 from jaxrod.rods.rod import angular_velocities as angular_velocities
 from jaxrod.rods.rod import compensated as compensated
 from jaxrod.rods.rod import with_angular_velocities as with_angular_velocities
+from jaxrod.rods.section_shapes import Section as Section
+from jaxrod.rods.section_shapes import circle as circle
+from jaxrod.rods.section_shapes import ellipse as ellipse
+from jaxrod.rods.section_shapes import rectangle as rectangle
+from jaxrod.rods.section_shapes import tube as tube
 from jaxrod.scene import Method as Method
 from jaxrod.scene import Scene as Scene
 from jaxrod.scene import angular_momentum as angular_momentum
@@ -174,6 +185,12 @@ from jaxrod.systems.system import make_system as make_system
 from jaxrod.systems.ties import tie as tie
 from jaxrod.systems.welds import attach as attach
 from jaxrod.systems.welds import weld as weld
+from jaxrod.topology.crossings import crossed as crossed
+from jaxrod.topology.crossings import crossings as crossings
+from jaxrod.topology.twist import twist as twist
+from jaxrod.topology.winding import link as link
+from jaxrod.topology.winding import linking_number as linking_number
+from jaxrod.topology.winding import writhe as writhe
 from jaxrod.tradeoff.tuning import Tuned as Tuned
 from jaxrod.tradeoff.tuning import tune as tune
 

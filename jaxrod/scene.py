@@ -339,6 +339,20 @@ def constrain_rates(scene: Scene, motion: Motion) -> Motion:
     return motion
 
 
+def dissipates(scene: Scene) -> bool:
+    """Whether an effect of the scene has damping that is solved by itself."""
+    return any(type(e).dissipate is not Effect.dissipate for e in scene.effects)
+
+
+def dissipate(scene: Scene, motion: Motion, dt: Array) -> Motion:
+    """Applies all damping that is solved by itself, for a step."""
+    for effect in scene.effects:
+        if type(effect).dissipate is not Effect.dissipate:
+            # What is held has got a rate from the kick that it does not have.
+            motion = effect.dissipate(scene, constrain_rates(scene, motion), dt)
+    return motion
+
+
 def damping_rates(scene: Scene) -> tuple[Array, Array] | None:
     """Total decay rates [1/s] of velocities and of spins; `None` without damping."""
     total: tuple[Array, Array] | None = None
@@ -358,9 +372,7 @@ def kinetic_energy(rod: Rod | Composite, state: Any) -> Float[Array, ""]:
     check_state(rod, state)
     translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
     spin = angular_velocities(rod, state)
-    transverse, polar = rod.inertias
-    inertia = jnp.stack([transverse, transverse, polar])
-    return translation + 0.5 * jnp.sum(inertia * spin**2)
+    return translation + 0.5 * jnp.sum(rod.principal_inertias * spin**2)
 
 
 def potential_energy(scene: Scene | Composite, state: Any) -> Float[Array, ""]:

@@ -66,7 +66,7 @@ def clean_rod(
     )
 
 
-def _frame(axis: str) -> dict[str, tuple[float, float, float]]:
+def _frame(axis: str) -> dict[str, Any]:
     if axis == "y":
         return {"direction": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
     return {"direction": (0.0, 0.0, 1.0), "normal": (0.0, 1.0, 0.0)}

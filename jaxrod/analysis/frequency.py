@@ -129,9 +129,8 @@ def linearised(
     """
     rod = scene.rod
     n = rod.n_elements
-    transverse, polar = rod.inertias
     masses = inertia_factors[0] * rod.node_masses
-    inertia = inertia_factors[1][None, :] * jnp.stack([transverse, transverse, polar])
+    inertia = inertia_factors[1][None, :] * rod.principal_inertias
     root = jnp.sqrt(jnp.concatenate([masses, masses, masses, jnp.ravel(inertia)]))
     still = motion_of(state).at_rest
 

@@ -118,15 +118,15 @@ def frequency_changes(
 
 
 def _scaled(scene: Scene, factors: Array) -> Scene:
-    transverse, polar = scene.rod.rotary_inertia
-    inertia = jnp.stack([factors * transverse, polar])
+    *transverse, polar = scene.rod.rotary_inertia
+    inertia = jnp.stack([*(factors * row for row in transverse), polar])
     return replace(scene, rod=replace(scene.rod, rotary_inertia=inertia))
 
 
 def _reasonable(rod: Rod) -> Array:
     """Factor up to which an element's inertia stays that of a ball of its length."""
     largest = rod.linear_density * rod.rest_lengths**2 / 4
-    return jnp.maximum(largest / rod.rotary_inertia[0], 1)
+    return jnp.maximum(largest / jnp.max(rod.rotary_inertia[:-1], axis=0), 1)
 
 
 @jax.jit

@@ -68,7 +68,7 @@ class Effect:
     """Base of all effects: every hook does nothing.
 
     Hooks are pure. `loads` is called at the configuration in the middle of a step;
-    `constrain_rates` after the rates were changed by all loads and by damping;
+    `constrain_rates` and `dissipate` after the rates were changed by all loads;
     `constrain` after every change of configuration. What holds something has both.
 
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
@@ -123,6 +123,20 @@ class Effect:
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Constrains velocities and spins."""
+        return motion
+
+    def dissipate(self, scene: Any, motion: Motion, dt: Array) -> Motion:
+        """The motion after rates have decayed for a step, at this configuration.
+
+        For damping that is solved by itself, so that it has no bound on the step. After
+        loads and `damping_rates` have changed the rates and `constrain_rates` has held
+        what is held, which it does once more afterwards.
+
+        Args:
+            scene: The scene, with all effects.
+            motion: Where the rod is and how it moves.
+            dt: Step size [s].
+        """
         return motion
 
     def after_step(self, rod: Rod, motion: Motion, dt: Array) -> Effect:

@@ -28,6 +28,7 @@ from jaxrod.geometry.rotations import (
     sine_ratio_and_cosine,
     to_world,
 )
+from jaxrod.methods.asymmetric_drift import asymmetric_drift
 from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.verlet import Verlet
@@ -40,6 +41,7 @@ from jaxrod.scene import (
     constrain,
     constrain_rates,
     damping_rates,
+    dissipate,
     external_loads,
 )
 from jaxrod.structure import pytree
@@ -60,14 +62,21 @@ class ConsistentStepper(Verlet):
     spin_kick: Kick
     """Kick of the angular momenta by couples."""
     inverse_inertia: Array
-    """One over transverse inertia [1/(kg m^2)]."""
-    inertia_contrast: Array
-    """One over polar less one over transverse inertia [1/(kg m^2)]."""
+    """One over transverse inertia; of sections not round, polar [1/(kg m^2)]."""
+    inertia_contrast: Array | tuple[Array, Array]
+    """One over polar less one over transverse inertia [1/(kg m^2)]. Of sections that
+    are not round, those about d1 and d2 less the polar one, beside one over that."""
 
     @staticmethod
     def create(scene: Scene, dt: Array) -> ConsistentStepper:
         """Works out the constants once, outside the loop."""
-        transverse, polar = scene.rod.inertias
+        contrast: Array | tuple[Array, Array]
+        if scene.rod.is_round:
+            transverse, polar = scene.rod.inertias
+            inverse, contrast = 1 / transverse, 1 / polar - 1 / transverse
+        else:
+            one, two, three = scene.rod.principal_inertias
+            inverse, contrast = 1 / three, (1 / one - 1 / three, 1 / two - 1 / three)
         rates = damping_rates(scene) or (None, None)
         return ConsistentStepper(
             scene=scene,
@@ -75,8 +84,8 @@ class ConsistentStepper(Verlet):
             law=elastic_law(scene.rod),
             velocity_kick=Kick.create(1 / scene.rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
-            inverse_inertia=1 / transverse,
-            inertia_contrast=1 / polar - 1 / transverse,
+            inverse_inertia=inverse,
+            inertia_contrast=contrast,
         )
 
     def enter(self, state: RodState) -> Motion:
@@ -90,6 +99,12 @@ class ConsistentStepper(Verlet):
     def drift(self, motion: Motion, dt: Array) -> Motion:
         """Moves nodes and turns elements freely for a time `dt` [s]."""
         q, momentum = motion.orientation, motion.spin
+        if isinstance(self.inertia_contrast, tuple):
+            orientation = asymmetric_drift(
+                q, momentum, self.inverse_inertia, self.inertia_contrast, dt
+            )
+            turned = replace(motion, orientation=orientation)
+            return constrain(self.scene, turned.moved(dt))
         axial = vectors.dot(directors(q)[2], momentum)
         half_twist = 0.5 * dt * self.inertia_contrast * axial
         sine_ratio, cosine = sine_ratio_and_cosine(half_twist * half_twist)
@@ -129,7 +144,8 @@ class ConsistentStepper(Verlet):
                 vectors.apply(self.spin_kick, motion.spin, couples),
             )
         kicked = replace(motion, velocity=rates[0], spin=rates[1])
-        return constrain_rates(self.scene, kicked)
+        slowed = dissipate(self.scene, kicked, self.dt)
+        return constrain_rates(self.scene, slowed)
 
 
 @pytree

@@ -41,7 +41,14 @@ from jaxrod.methods.now import Now, memory_in, remembering, scene_at
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Method, Scene, constrain, constrain_rates, damping_rates
+from jaxrod.scene import (
+    Method,
+    Scene,
+    constrain,
+    constrain_rates,
+    damping_rates,
+    dissipate,
+)
 from jaxrod.statics.blocks import blocks
 from jaxrod.statics.freedoms import free_places
 from jaxrod.statics.newton import default_tolerance, newton
@@ -193,14 +200,15 @@ class ImplicitStepper:
         share = 0.5 / self.coefficient
         one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
         after = _add(_add(motion, one), two)
-        return constrain_rates(self.scene, constrain(self.scene, after))
+        slowed = dissipate(self.scene, constrain(self.scene, after), self.dt)
+        return constrain_rates(self.scene, slowed)
 
     def rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
         """Velocities and angular velocities, world frame."""
-        transverse, polar = self.scene.rod.inertias
+        one, two, three = self.scene.rod.principal_inertias
         frame = directors(motion.orientation)
         a, b, c = to_material(frame, motion.spin)
-        spin = to_world(frame, (a / transverse, b / transverse, c / polar))
+        spin = to_world(frame, (a / one, b / two, c / three))
         return motion.velocity, spin
 
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:

@@ -33,6 +33,7 @@ _PARTS = (
     "rest strains",
     "bending stiffness",
     "shear stiffness",
+    "rotary inertia",
     "forces of effects",
     "couples of effects",
     "the surfaces of bodies",
@@ -175,11 +176,20 @@ def _shares_outside(
         "rest strains": _largest(n1 * rod.rest_strains[0] + n2 * rod.rest_strains[1]),
         "bending stiffness": _share(oblique * (bend[0] - bend[1]), bend, 0),
         "shear stiffness": _share(oblique * (shear[0] - shear[1]), shear, 0),
+        "rotary inertia": _oblique_inertia(rod, oblique),
         "forces of effects": force,
         "couples of effects": couple,
         "the surfaces of bodies": tilt,
     }
     return jnp.stack([shares[part] for part in _PARTS])
+
+
+def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
+    """Share of the inertia that couples turns about the normal with others."""
+    if rod.is_round:
+        return jnp.zeros_like(oblique[0])
+    inertia = rod.principal_inertias
+    return _share(oblique * (inertia[0] - inertia[1]), inertia, 0)
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:

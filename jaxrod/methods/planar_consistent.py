@@ -20,6 +20,7 @@ from jaxrod.methods.planar_verlet import (
     PlanarVerlet,
     PlaneName,
     Vec2,
+    inertia_about_normal,
     spread,
 )
 from jaxrod.rods.rod import RodState
@@ -40,14 +41,15 @@ class PlanarConsistentStepper(PlanarVerlet):
     ) -> PlanarConsistentStepper:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
-        transverse, _ = rod.inertias
+        constants = PlanarRod.create(rod, state, plane)
+        transverse = inertia_about_normal(rod, constants)
         rates = damping_rates(scene) or (None, None)
         return PlanarConsistentStepper(
             scene=scene,
             plane=plane,
             dt=dt,
             start=state,
-            constants=PlanarRod.create(rod, state, plane),
+            constants=constants,
             inverse_inertia=1 / transverse,
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
@@ -87,7 +89,8 @@ class PlanarConsistentStepper(PlanarVerlet):
         others = replace(self, scene=without_drag(self.scene))
         forces, couple = others.add_loads(motion, forces, couple)
         if others.scene is not self.scene:
-            return self.constrain_rates(self._dragged(motion, forces, couple))
+            dragged = self._dragged(motion, forces, couple)
+            return self.constrain_rates(self.dissipate(dragged))
         u, v = motion.velocity
         kicked = replace(
             motion,
@@ -97,7 +100,7 @@ class PlanarConsistentStepper(PlanarVerlet):
             ),
             spin=self.spin_kick(motion.spin, couple),
         )
-        return self.constrain_rates(kicked)
+        return self.constrain_rates(self.dissipate(kicked))
 
     def _dragged(
         self, motion: PlanarMotion, forces: Vec2, couple: Array

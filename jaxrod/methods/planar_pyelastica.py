@@ -24,10 +24,11 @@ from jaxrod.methods.planar_verlet import (
     PlanarRod,
     PlanarVerlet,
     PlaneName,
+    inertia_about_normal,
     spread,
 )
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, damping_rates
+from jaxrod.scene import Scene, damping_rates, dissipates
 from jaxrod.structure import pytree
 
 
@@ -50,14 +51,15 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     ) -> PlanarPyElasticaStepper:
         """Works out the constants once, outside the loop."""
         rod = scene.rod
-        transverse, _ = rod.inertias
+        constants = PlanarRod.create(rod, state, plane)
+        transverse = inertia_about_normal(rod, constants)
         rates = damping_rates(scene)
         return PlanarPyElasticaStepper(
             scene=scene,
             plane=plane,
             dt=dt,
             start=state,
-            constants=PlanarRod.create(rod, state, plane),
+            constants=constants,
             inverse_inertia=1 / transverse,
             decay=rates and (jnp.exp(-rates[0] * dt), jnp.exp(-rates[1] * dt)),
             inverse_masses=1 / rod.node_masses,
@@ -118,12 +120,14 @@ class PlanarPyElasticaStepper(PlanarVerlet):
             spin=motion.spin + self.dt * stretch * self.inverse_inertia * couple,
         )
         held = self.constrain_rates(kicked)
-        if self.decay is None:
+        if self.decay is not None:
+            translation, rotation = self.decay
+            u, v = held.velocity
+            held = replace(
+                held,
+                velocity=(translation * u, translation * v),
+                spin=rotation * held.spin,
+            )
+        if not dissipates(self.scene):
             return held
-        translation, rotation = self.decay
-        u, v = held.velocity
-        return replace(
-            held,
-            velocity=(translation * u, translation * v),
-            spin=rotation * held.spin,
-        )
+        return self.constrain_rates(self.dissipate(held))

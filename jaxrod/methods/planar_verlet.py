@@ -37,7 +37,7 @@ from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import constrain, constrain_rates
+from jaxrod.scene import constrain, constrain_rates, dissipate, dissipates
 from jaxrod.structure import pytree, static
 
 Vec2 = tuple[Array, Array]
@@ -142,6 +142,15 @@ class PlanarRod:
     def moments(self, turn: Array) -> Array:
         """Bending moments of the joints about the normal [N m]."""
         return self.joint * (turn[1:] - turn[:-1] + self.joint_offsets)
+
+
+def inertia_about_normal(rod: Rod, constants: PlanarRod) -> Array:
+    """Rotary inertia of the elements about the plane's normal [kg m^2]."""
+    if rod.is_round:
+        return rod.inertias[0]
+    one, two, _ = rod.principal_inertias
+    n1, n2 = constants.normal
+    return n1 * n1 * one + n2 * n2 * two
 
 
 @pytree
@@ -283,6 +292,15 @@ class PlanarVerlet(Verlet):
         held = constrain_rates(self.scene, self.view(motion))
         velocity = held.velocity[a], held.velocity[b]
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
+
+    def dissipate(self, motion: PlanarMotion) -> PlanarMotion:
+        """Applies damping that is solved by itself."""
+        if not dissipates(self.scene):
+            return motion
+        a, b, _ = PLANES[self.plane]
+        slowed = dissipate(self.scene, self.view(motion), self.dt)
+        velocity = slowed.velocity[a], slowed.velocity[b]
+        return replace(motion, velocity=velocity, spin=self.spin_in_plane(slowed.spin))
 
     def view(self, motion: PlanarMotion) -> Motion:
         """The motion as effects see it. Fields that no effect reads cost nothing."""

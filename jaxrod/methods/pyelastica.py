@@ -43,6 +43,8 @@ from jaxrod.scene import (
     constrain,
     constrain_rates,
     damping_rates,
+    dissipate,
+    dissipates,
     external_loads,
 )
 from jaxrod.structure import pytree
@@ -77,7 +79,7 @@ class PyElasticaStepper(Verlet):
     def create(scene: Scene, dt: Array) -> PyElasticaStepper:
         """Works out the constants once, outside the loop."""
         rod: Rod = scene.rod
-        transverse, polar = rod.inertias
+        inertia = vectors.split(rod.principal_inertias)
         rates = damping_rates(scene)
         decay = rates and (jnp.exp(-rates[0] * dt), jnp.exp(-rates[1] * dt))
         return PyElasticaStepper(
@@ -92,8 +94,8 @@ class PyElasticaStepper(Verlet):
             rest_strains=vectors.split(rod.rest_strains),
             rest_curvatures=vectors.split(rod.rest_curvatures),
             inverse_masses=1 / rod.node_masses,
-            inertia=(transverse, transverse, polar),
-            inverse_inertia=(1 / transverse, 1 / transverse, 1 / polar),
+            inertia=inertia,
+            inverse_inertia=(1 / inertia[0], 1 / inertia[1], 1 / inertia[2]),
         )
 
     def enter(self, state: RodState) -> Motion:
@@ -181,13 +183,16 @@ class PyElasticaStepper(Verlet):
             spin=vectors.add(motion.spin, vectors.scale(self.dt * stretch, turn)),
         )
         held = constrain_rates(self.scene, kicked)
-        if self.decay is None:
+        if self.decay is not None:
+            held = replace(
+                held,
+                velocity=vectors.scale(self.decay[0], held.velocity),
+                spin=vectors.scale(self.decay[1], held.spin),
+            )
+        if not dissipates(self.scene):
             return held
-        return replace(
-            held,
-            velocity=vectors.scale(self.decay[0], held.velocity),
-            spin=vectors.scale(self.decay[1], held.spin),
-        )
+        slowed = dissipate(self.scene, held, self.dt)
+        return constrain_rates(self.scene, slowed)
 
 
 @pytree

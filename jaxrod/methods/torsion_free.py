@@ -52,7 +52,15 @@ from jaxrod.methods.torsion_free_checks import (
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Method, Scene, constrain, constrain_rates, damping_rates
+from jaxrod.scene import (
+    Method,
+    Scene,
+    constrain,
+    constrain_rates,
+    damping_rates,
+    dissipate,
+    dissipates,
+)
 from jaxrod.structure import pytree, static
 
 
@@ -212,7 +220,15 @@ class TorsionFreeStepper(Verlet):
                 vectors.apply(self.spin_kick, motion.spin, couples),
             )
         kicked = replace(motion, velocity=rates[0], spin=rates[1])
-        return self.constrain_rates(kicked)
+        return self.constrain_rates(self.dissipate(kicked))
+
+    def dissipate(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
+        """Applies damping that is solved by itself."""
+        if not dissipates(self.scene):
+            return motion
+        slowed = dissipate(self.scene, motion.view, self.dt)
+        spin = _across(slowed.spin, motion.direction)
+        return replace(motion, velocity=slowed.velocity, spin=spin)
 
     def constrain_rates(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
         """Applies all constraints on rates."""

@@ -111,6 +111,8 @@ def check_torsion_free(scene: Scene) -> None:
     """
     check_structure(scene)
     rod = scene.rod
+    if not rod.is_round:
+        _refuse("round sections", "rotary inertia about d1, d2 and d3")
     if is_traced(scene) or rod.rest_lengths.ndim > 1:
         return
     tolerance = float(np.sqrt(np.finfo(np.asarray(rod.radii).dtype).eps))

@@ -19,8 +19,10 @@ from jaxrod.geometry.material_frames import (
 from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.geometry.vectors import inner_difference, join, split
 from jaxrod.rods.elasticity import joint_rotations, shear_stretch
-from jaxrod.rods.rod import Rod, RodState, check_state
+from jaxrod.rods.rod import JointMean, Rod, RodState, check_state
+from jaxrod.rods.section_shapes import CIRCLE, Section
 from jaxrod.rods.sections import round_rod
+from jaxrod.rods.shaped_rods import shaped_rod
 from jaxrod.validation import (
     Numbers,
     check_array,
@@ -30,8 +32,6 @@ from jaxrod.validation import (
     numeric,
 )
 
-TIMOSHENKO_SHEAR_CORRECTION = 27 / 28
-"""Shear correction factor of a circular section, as in PyElastica 1.0."""
 MOST_ELEMENTS = 1_000_000
 """More are taken for a mistake."""
 ROUNDED = 0.01
@@ -42,18 +42,20 @@ def straight_rod(
     n_elements: int,
     *,
     length: Numbers,
-    radius: Numbers,
+    radius: Numbers | None = None,
+    section: Section | None = None,
     density: Numbers,
     youngs_modulus: Numbers,
     shear_modulus: Numbers | None = None,
     poisson_ratio: Numbers = 0.5,
-    shear_correction: Numbers = TIMOSHENKO_SHEAR_CORRECTION,
+    shear_correction: Numbers | None = None,
+    joint_mean: JointMean = "arithmetic",
     start: Numbers = (0.0, 0.0, 0.0),
     direction: Numbers = (0.0, 0.0, 1.0),
     normal: Numbers | None = None,
     dtype: Any = None,
 ) -> tuple[Rod, RodState]:
-    """A straight, unstressed rod of circular section, at rest.
+    """A straight, unstressed rod at rest.
 
     Args:
         n_elements: Number of elements, at least 2.
@@ -61,12 +63,18 @@ def straight_rod(
         radius: Radius [m]: one number, one per element `(n,)`, or the pair `(2,)` of
             base and tip radius, between which it varies linearly; for 2 elements, of
             which a pair could be either, one number only.
+        section: Shape of the sections instead of a radius: `circle`, `tube`,
+            `rectangle` or `ellipse`.
         density: Mass density [kg/m^3], one number or one per element.
         youngs_modulus: Young's modulus [Pa], one number or one per element.
         shear_modulus: Shear modulus [Pa]; by default
             `youngs_modulus / (2 (1 + poisson_ratio))`.
         poisson_ratio: Poisson's ratio [1], used when no shear modulus is given.
-        shear_correction: Timoshenko's shear correction factor [1].
+        shear_correction: Timoshenko's shear correction factor [1]; by default that of
+            the section, 27/28 of a circle.
+        joint_mean: How joints get their stiffness from two elements: "arithmetic", the
+            mean, as in PyElastica; "series", as springs one after the other, better
+            where materials change by more than a few times.
         start: Position of the first node [m].
         direction: Direction from first to last node; any length but zero.
         normal: Direction of d1; its part along `direction` is removed. By default
@@ -94,6 +102,8 @@ def straight_rod(
         module_for(frame).repeat(quaternions(frame[:, :, None]), n, axis=1),
         rest_lengths=extent * np.full(n, 1 / n),
         radius=radius,
+        section=section,
+        joint_mean=joint_mean,
         density=density,
         youngs_modulus=youngs_modulus,
         shear_modulus=shear_modulus,
@@ -107,12 +117,14 @@ def straight_rod(
 def rod_along(
     positions: Numbers,
     *,
-    radius: Numbers,
+    radius: Numbers | None = None,
+    section: Section | None = None,
     density: Numbers,
     youngs_modulus: Numbers,
     shear_modulus: Numbers | None = None,
     poisson_ratio: Numbers = 0.5,
-    shear_correction: Numbers = TIMOSHENKO_SHEAR_CORRECTION,
+    shear_correction: Numbers | None = None,
+    joint_mean: JointMean = "arithmetic",
     normal: Numbers | None = None,
     directors: Numbers | None = None,
     dtype: Any = None,
@@ -126,11 +138,13 @@ def rod_along(
     Args:
         positions: Nodes of the rest shape `(3, n + 1)` [m], n at least 2.
         radius: As in `straight_rod`.
+        section: As in `straight_rod`.
         density: As in `straight_rod`.
         youngs_modulus: As in `straight_rod`.
         shear_modulus: As in `straight_rod`.
         poisson_ratio: As in `straight_rod`.
         shear_correction: As in `straight_rod`.
+        joint_mean: As in `straight_rod`.
         normal: Direction of d1 of the first element; see `straight_rod`.
         directors: Material frames `(3, 3, n)`, `[i, j]` being world component j of
             director i, orthonormal and right-handed, d3 along the rod to 10 degrees;
@@ -170,6 +184,8 @@ def rod_along(
         quaternions(frames),
         rest_lengths=lengths,
         radius=radius,
+        section=section,
+        joint_mean=joint_mean,
         density=density,
         youngs_modulus=youngs_modulus,
         shear_modulus=shear_modulus,
@@ -186,27 +202,41 @@ def _build(
     orientations: Any,
     *,
     rest_lengths: Any,
-    radius: Numbers,
+    radius: Numbers | None,
+    section: Section | None,
+    joint_mean: JointMean,
     density: Numbers,
     youngs_modulus: Numbers,
     shear_modulus: Numbers | None,
     poisson_ratio: Numbers,
-    shear_correction: Numbers,
+    shear_correction: Numbers | None,
     dtype: Any,
     straight: bool,
 ) -> tuple[Rod, RodState]:
     n = orientations.shape[1]
-    rod = round_rod(
-        n,
-        rest_lengths=rest_lengths,
-        radius=radius,
-        density=density,
-        youngs_modulus=youngs_modulus,
-        shear_modulus=shear_modulus,
-        poisson_ratio=poisson_ratio,
-        shear_correction=shear_correction,
-        dtype=dtype,
-    )
+    if (radius is None) == (section is None):
+        raise ValueError("give either a radius or a section, such as jaxrod.tube")
+    if joint_mean not in ("arithmetic", "series"):
+        raise ValueError(
+            f'joint_mean must be "arithmetic" or "series", got {joint_mean!r}'
+        )
+    material: dict[str, Any] = {
+        "rest_lengths": rest_lengths,
+        "density": density,
+        "youngs_modulus": youngs_modulus,
+        "shear_modulus": shear_modulus,
+        "poisson_ratio": poisson_ratio,
+        "dtype": dtype,
+    }
+    if radius is not None:
+        correction = CIRCLE if shear_correction is None else shear_correction
+        rod = round_rod(n, radius=radius, shear_correction=correction, **material)
+    else:
+        assert section is not None
+        rod = shaped_rod(
+            n, section=section, shear_correction=shear_correction, **material
+        )
+    rod = dataclasses.replace(rod, joint_mean=joint_mean)
     if not is_traced(positions, rest_lengths):
         _check_resolved(placed_by, positions, rest_lengths, dtype)
     state = RodState(

@@ -13,6 +13,7 @@ from jaxrod.geometry.rotations import (
     directors,
     join_quaternion,
     split_quaternion,
+    to_material,
     to_world,
 )
 from jaxrod.geometry.vectors import (
@@ -77,6 +78,10 @@ class Motion:
         frame = directors(self.orientation)
         if self.spin_is_velocity:
             return to_world(frame, self.spin)
+        if not rod.is_round:
+            a, b, c = to_material(frame, self.spin)
+            one, two, three = split(rod.principal_inertias)
+            return to_world(frame, (a / one, b / two, c / three))
         transverse, polar = rod.inertias
         axial = (1 / polar - 1 / transverse) * dot(frame[2], self.spin)
         return add(scale(1 / transverse, self.spin), scale(axial, frame[2]))

@@ -9,24 +9,26 @@ comes first: `(3, n + 1)`, `(4, n)`.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors_from_orientations
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, check_kind, numeric
+
+JointMean = Literal["arithmetic", "series"]
 
 
 @pytree
 class Rod:
-    """Parameters of one rod. Every field is a traced leaf.
+    """Parameters of one rod. All numbers are traced leaves.
 
     `vmap` over a rod is domain randomisation; `grad` over it is system
     identification. Per-length quantities (density, inertia, stiffness) do not change
-    when the discretisation does. Sections have equal second moments about d1 and d2.
+    when the discretisation does.
     """
 
     rest_lengths: Float[Array, " n"]
@@ -35,8 +37,9 @@ class Rod:
     """Element radii [m]; for contact, health and drawing only."""
     linear_density: Float[Array, " n"]
     """Mass per rest length [kg/m]."""
-    rotary_inertia: Float[Array, "2 n"]
-    """Rotary inertia per rest length, transverse (d1, d2) and polar (d3) [kg m]."""
+    rotary_inertia: Float[Array, "2 n"] | Float[Array, "3 n"]
+    """Rotary inertia per rest length [kg m]: transverse (d1, d2) and polar (d3) of
+    sections alike about d1 and d2; of others about d1, d2 and d3."""
     shear_stretch_stiffness: Float[Array, "3 n"]
     """Shear stiffness along d1, d2 and axial stiffness along d3 [N]."""
     bend_twist_stiffness: Float[Array, "3 n"]
@@ -45,6 +48,8 @@ class Rod:
     """Shear-stretch strain of the unstressed shape, material frame [1]."""
     rest_curvatures: Float[Array, "3 n-1"]
     """Curvature and twist of the unstressed shape, material frame [1/m]."""
+    joint_mean: JointMean = static(default="arithmetic")
+    """How joints get their stiffness from the elements they join."""
 
     @property
     def n_elements(self) -> int:
@@ -73,16 +78,40 @@ class Rod:
         return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
     @property
+    def is_round(self) -> bool:
+        """Whether sections have one rotary inertia for d1 and d2: structure."""
+        return self.rotary_inertia.shape[-2] == 2
+
+    @property
     def inertias(self) -> Float[Array, "2 n"]:
-        """Rotary inertia of each element, transverse and polar [kg m^2]."""
-        return self.rotary_inertia * self.rest_lengths[None, :]
+        """Rotary inertia of each element, transverse and polar [kg m^2].
+
+        Of sections that are not round the smaller transverse one: for bounds.
+        """
+        inertias = self.rotary_inertia * self.rest_lengths[None, :]
+        if self.is_round:
+            return inertias
+        return jnp.stack([jnp.minimum(inertias[0], inertias[1]), inertias[2]])
+
+    @property
+    def principal_inertias(self) -> Float[Array, "3 n"]:
+        """Rotary inertia of each element about d1, d2, d3 [kg m^2]."""
+        inertias = self.rotary_inertia * self.rest_lengths[None, :]
+        if not self.is_round:
+            return inertias
+        return jnp.stack([inertias[0], inertias[0], inertias[1]])
 
     @property
     def joint_stiffness(self) -> Float[Array, "3 n-1"]:
         """Bend-twist stiffness at the joints [N m^2].
 
-        The length-weighted mean of the neighbouring elements', as in PyElastica.
+        The length-weighted mean of the neighbouring elements', as in PyElastica; with
+        `joint_mean="series"` that of springs one after the other.
         """
+        if self.joint_mean == "series":
+            compliance = self.rest_lengths[None, :] / self.bend_twist_stiffness
+            lengths = self.rest_lengths[1:] + self.rest_lengths[:-1]
+            return lengths[None, :] / (compliance[:, 1:] + compliance[:, :-1])
         weighted = self.bend_twist_stiffness * self.rest_lengths[None, :]
         total = weighted[:, 1:] + weighted[:, :-1]
         return total / (self.rest_lengths[1:] + self.rest_lengths[:-1])[None, :]
@@ -128,8 +157,7 @@ def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
     check_state(rod, state)
     frame = state.directors
     material = jnp.sum(frame * state.angular_momenta[None], axis=1)
-    transverse, polar = rod.inertias
-    return material / jnp.stack([transverse, transverse, polar])
+    return material / rod.principal_inertias
 
 
 def with_angular_velocities(
@@ -155,8 +183,7 @@ def with_angular_velocities(
             f"{given.shape}"
         )
     given = jnp.asarray(given, rod.rest_lengths.dtype)
-    transverse, polar = rod.inertias
-    material = given * jnp.stack([transverse, transverse, polar])
+    material = given * rod.principal_inertias
     world = jnp.sum(state.directors * material[:, None], axis=0)
     return replace(state, angular_momenta=world)
 

@@ -213,8 +213,7 @@ class Balance:
     @property
     def _inertia(self) -> Vec3:
         """Rotary inertia of the elements about their axes [kg m^2]."""
-        transverse, polar = self.scene.rod.inertias
-        return transverse, transverse, polar
+        return vectors.split(self.scene.rod.principal_inertias)
 
     @property
     def _rates(self) -> tuple[Array, Array]:

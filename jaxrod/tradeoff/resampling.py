@@ -95,6 +95,7 @@ def _resampled_rod(rod: Rod, n: int) -> Rod:
         bend_twist_stiffness=positive(rod.bend_twist_stiffness),
         rest_strains=along(rod.rest_strains, middles, new_middles),
         rest_curvatures=along(rod.rest_curvatures, joints, new_joints),
+        joint_mean=rod.joint_mean,
     )
 
 

@@ -162,6 +162,18 @@ class Viscous(jaxrod.Effect):
         return jaxrod.drag_loads(rod, motion, self.drag(rod, motion))
 
 
+@pytree
+class Slowing(jaxrod.Effect):
+    """Lets rates decay by itself."""
+
+    size: jax.Array
+
+    def dissipate(self, scene, motion, dt):
+        velocity = vectors.scale(1 - 100 * self.size * dt, motion.velocity)
+        spin = vectors.scale(1 - 50 * self.size * dt, motion.spin)
+        return replace(motion, velocity=velocity, spin=spin)
+
+
 HOOKS = (
     Forces,
     Couples,
@@ -173,6 +185,7 @@ HOOKS = (
     Pace,
     Damping,
     Viscous,
+    Slowing,
 )
 OFF, ON = np.zeros(len(HOOKS)), np.eye(len(HOOKS))
 
@@ -280,9 +293,13 @@ def one_step(method, *effects):
 def test_every_method_calls_every_hook_that_is_alone(method):
     """Whatever else is in a scene: no other effect is there to have it called."""
     for hook in HOOKS:
-        overridden = {"loads", "constrain", "constrain_rates", "damping_rates"} & set(
-            vars(hook)
-        )
+        overridden = set(vars(hook)) & {
+            "loads",
+            "constrain",
+            "constrain_rates",
+            "damping_rates",
+            "dissipate",
+        }
         name = overridden.pop()
         calls = []
 

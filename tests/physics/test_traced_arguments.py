@@ -21,6 +21,7 @@ ROD, STATE = jaxrod.straight_rod(3, length=1.2, **MATERIAL)
 SCENE = jaxrod.make_scene(ROD, jaxrod.clamp(STATE))
 BENT = ((0.0, 0.1, 0.1, 0.3), (0.0, 0.0, 1.0, 1.2), (0.0, 1.0, 1.1, 2.0))
 FRAMES = np.asarray(jaxrod.rod_along(BENT, **MATERIAL)[1].directors).tolist()
+SIDES = ((1.0, 0.5, 0.2), (0.3, 1.0, 0.1), (0.2, 0.1, 1.0))
 BALL = jaxrod.sphere((0.0, 0.0, 0.0), 0.1)
 
 FACTORIES = {
@@ -62,6 +63,12 @@ FACTORIES = {
         {"translational_rate": 3.0, "rotational_rate": 2.0},
         {"translational_rate": 3.0},
     ],
+    "internal_damping": [{"relaxation_time": 0.1}],
+    "short_wave_damping": [{"rate": 10.0}],
+    "circle": [{"radius": 0.1}],
+    "tube": [{"outer_radius": 0.1, "inner_radius": 0.05}],
+    "rectangle": [{"width": 0.1, "height": 0.05}],
+    "ellipse": [{"half_width": 0.1, "half_height": 0.05}],
     "ramp": [{"first": (1.0, 2.0), "last": (3.0, 4.0), "duration": 2.0, "start": 0.5}],
     "sine": [{"amplitude": 2.0, "period": 0.3, "mean": 1.0, "phase": 0.2}],
     "table": [{"times": (0.0, 1.0), "values": ((1.0, 2.0), (3.0, 4.0))}],
@@ -196,6 +203,17 @@ FACTORIES = {
     "rollout_times": [{"dt": 1e-3, "n_steps": 4, "every": 2}],
     "stable_dt": [{"scene": SCENE, "safety": 0.5}],
     "scale_inertia": [{"scene": SCENE, "dt": 1e-3}],
+    "twist": [{"curve": BENT, "normals": SIDES}],
+    "writhe": [{"curve": BENT, "ends": "next_tangent", "extension": 2.0}],
+    "link": [
+        {
+            "curve": BENT,
+            "normals": SIDES,
+            "offset": 0.1,
+            "ends": "next_tangent",
+            "extension": 2.0,
+        }
+    ],
 }
 ELSEWHERE = {
     # Runs: their step is traced in test_compilation and test_gradients.

@@ -1,0 +1,199 @@
+r"""Damping of short waves: filters of velocities and spins along the rod.
+
+With $D$ the differences of neighbours and $M$ the inertia,
+
+$$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r,$$
+
+$w$ a quarter of the mass between two nodes, or of the smaller inertia of two elements,
+so that no eigenvalue of $B$ is above one. Waves of number $k$ on a uniform rod have
+$\sin^2(k\ell/2)$: the wave from node to node decays at the rate $g$, long ones
+at a share of it that falls with the power $2p$. What the rod does as a rigid body is
+taken out before and put back afterwards, so that momentum, angular momentum and rigid
+motion are left alone, and energy only falls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.scene import Scene
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, as_array, check_count
+
+
+@pytree
+class ShortWaveDamping(Effect):
+    """A conservative filter with a rate; see the module."""
+
+    rate: Float[Array, ""]
+    """At which motion that alternates from node to node decays [1/s]."""
+    order: int = static(default=2)
+    """Half the power of the wave number with which the rate falls."""
+
+    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+        """The motion after short waves have decayed for a step."""
+        body = _Body(scene.rod, motion)
+        turning = motion.angular_velocities(scene.rod)
+        velocity, spin = body.deforming(motion.velocity, turning)
+        for _ in range(self.order):
+            velocity, spin = body.roughness(velocity, spin)
+        lost = body.deforming(velocity, spin)
+        share = -jnp.expm1(-self.rate * dt)
+        change = vectors.scale(share, lost[1])
+        frame = directors(motion.orientation)
+        local = to_material(frame, change)
+        if not motion.spin_is_velocity:
+            inertia = vectors.split(scene.rod.principal_inertias)
+            local = to_world(frame, vectors.multiply(inertia, local))
+        return replace(
+            motion,
+            velocity=vectors.subtract(motion.velocity, vectors.scale(share, lost[0])),
+            spin=vectors.subtract(motion.spin, local),
+        )
+
+
+class _Body:
+    """Inertia of a rod at a configuration, as a whole and along it."""
+
+    def __init__(self, rod: Rod, motion: Motion) -> None:
+        self.masses = rod.node_masses
+        self.element_masses = rod.element_masses
+        self.inertia = vectors.split(rod.principal_inertias)
+        self.frame = directors(motion.orientation)
+        total = jnp.sum(self.masses)
+        x = motion.position
+        a, b, c = (p - jnp.sum(self.masses * p) / total for p in x)
+        self.places: Vec3 = (a, b, c)
+        self.total = total
+
+    def deforming(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
+        """Rates without those of the rigid motion with the same momenta."""
+        m, r = self.masses, self.places
+        a, b, c = (speed - jnp.sum(m * speed) / self.total for speed in velocity)
+        orbital = vectors.scale(m, vectors.cross(r, (a, b, c)))
+        spin = self._momentum(turning)
+        x, y, z = (
+            jnp.sum(one) + jnp.sum(two) for one, two in zip(orbital, spin, strict=True)
+        )
+        whole = self._turning_of((x, y, z))
+        around = vectors.cross(whole, r)
+        return vectors.subtract((a, b, c), around), vectors.subtract(turning, whole)
+
+    def _momentum(self, turning: Vec3) -> Vec3:
+        local = to_material(self.frame, turning)
+        return to_world(self.frame, vectors.multiply(self.inertia, local))
+
+    def _turning_of(self, momentum: Vec3) -> Vec3:
+        """Angular velocity of the rod as a rigid body of an angular momentum."""
+        m, r = self.masses, self.places
+        squared = vectors.dot(r, r)
+        rows = []
+        for i in range(3):
+            row = [jnp.sum(m * ((i == j) * squared - r[i] * r[j])) for j in range(3)]
+            for axis, inertia in zip(self.frame, self.inertia, strict=True):
+                row = [
+                    c + jnp.sum(inertia * axis[i] * axis[j]) for j, c in enumerate(row)
+                ]
+            rows.append((row[0], row[1], row[2]))
+        one, two, three = rows
+        # Cramer's rule; the matrix is symmetric and positive.
+        first = vectors.cross(two, three)
+        second = vectors.cross(three, one)
+        third = vectors.cross(one, two)
+        determinant = vectors.dot(one, first)
+        a, b, c = momentum
+        turned = vectors.add(
+            vectors.add(vectors.scale(a, first), vectors.scale(b, second)),
+            vectors.scale(c, third),
+        )
+        return vectors.scale(1 / determinant, turned)
+
+    def roughness(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
+        """`B` times the rates."""
+        flux = vectors.scale(
+            0.25 * self.element_masses, vectors.inner_difference(velocity)
+        )
+        rough = vectors.scale(-1 / self.masses, vectors.difference(flux))
+        least = jnp.minimum(
+            jnp.minimum(self.inertia[0], self.inertia[1]), self.inertia[2]
+        )
+        weight = 0.25 * jnp.minimum(least[1:], least[:-1])
+        flux = vectors.scale(weight, vectors.inner_difference(turning))
+        a, b, c = to_material(self.frame, vectors.difference(flux))
+        one, two, three = self.inertia
+        return rough, to_world(self.frame, (-a / one, -b / two, -c / three))
+
+
+@pytree
+class LaplacianFilter(Effect):
+    """PyElastica's filter of rates; see `laplacian_filter`."""
+
+    order: int = static()
+    """Times that the Laplacian is applied."""
+
+    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+        """The motion, filtered."""
+        if not motion.spin_is_velocity:
+            raise ValueError(
+                "laplacian_filter is PyElastica's, for method=pyelastica(): "
+                "short_wave_damping(rate) is for the other methods"
+            )
+
+        def filtered(rates: Vec3) -> Vec3:
+            a, b, c = (rate - self._rough(rate) for rate in rates)
+            return a, b, c
+
+        return replace(
+            motion, velocity=filtered(motion.velocity), spin=filtered(motion.spin)
+        )
+
+    def _rough(self, rate: Array) -> Array:
+        for _ in range(self.order):
+            inner = 0.25 * (2 * rate[1:-1] - rate[2:] - rate[:-2])
+            rate = vectors.pad(inner, 1, 1)
+        return rate
+
+
+def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
+    """Damps what changes from node to node; keeps momenta, rigid motion, long waves.
+
+    Stable at any rate and, unlike a filter of fixed strength, the same at any step.
+
+    Args:
+        rate: At which motion that alternates from node to node decays [1/s].
+        order: A wave of number k decays at `rate sin(k l / 2)^(2 order)` on elements of
+            length l.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    return ShortWaveDamping(
+        as_array("rate", rate, "1/s", non_negative=True),
+        check_count("order", order, 1),
+    )
+
+
+def laplacian_filter(order: int) -> LaplacianFilter:
+    """PyElastica's `LaplaceDissipationFilter`, for `method=pyelastica()`.
+
+    Every step takes from velocities and angular velocities, component by component,
+    their Laplacian over -4, applied `order` times with zeros at both ends: its strength
+    is per step, and momentum is lost near the ends. Other methods refuse it when they
+    step; `short_wave_damping` is the one with a rate.
+
+    Args:
+        order: Times that the Laplacian is applied; 3 to 7 are usual there.
+
+    Raises:
+        ValueError: If it is not a positive integer.
+    """
+    return LaplacianFilter(check_count("order", order, 1))

@@ -1,0 +1,124 @@
+r"""What passed through what between two moments.
+
+Nodes are taken to move straight from where they were to where they are. The vector from
+a point of one segment to a point of another is then a map of a cube, of two places and
+time, and segments pass through each other where it is zero. How often, counted with
+sign, is the solid angle of the surface of the cube's image over that of a sphere: a
+whole number however large the motion, and the sum over all pairs is by how much the
+Gauss integral has jumped.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.geometry.vectors import Vec3, dot, split, subtract
+from jaxrod.topology.curves import Curve, nodes_of
+from jaxrod.topology.solid_angles import quadrilateral, unit
+
+
+def crossings(
+    before: Curve,
+    after: Curve,
+    other_before: Curve | None = None,
+    other_after: Curve | None = None,
+) -> Float[Array, "n m"]:
+    """How often each element of a curve passed through each of another, or of itself.
+
+    Signed, +1 where the Gauss integral grows; a half where they touch at one of the two
+    moments. Between the moments nodes move straight: compare states between which no
+    element turns by more than a right angle. Elements that share a node do not count.
+    Of a rollout, `jax.vmap` over neighbouring records.
+
+    Args:
+        before: A state, or nodes `(3, n + 1)`, at the first moment [m].
+        after: The same at the second.
+        other_before: The other curve, with `m + 1` nodes; by default the same one.
+        other_after: The same at the second.
+
+    Returns:
+        Counts per pair of elements `(n, m)`; of a curve with itself every pair is
+        there twice.
+
+    Raises:
+        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+    """
+    if (other_before is None) != (other_after is None):
+        raise ValueError("other_before and other_after must be given together")
+    one = _moving("before", before, "after", after)
+    if other_before is None or other_after is None:
+        two = one
+    else:
+        two = _moving("other_before", other_before, "other_after", other_after)
+    corners = [[split(x[:, k : x.shape[1] - 1 + k]) for x in two] for k in (0, 1)]
+    span = jnp.max(jnp.abs(two[0][:, 1:] - two[0][:, :-1]))
+    same = jnp.finfo(span.dtype).eps * span * span
+
+    def seen_from(segment: tuple[Array, Array, Array, Array]) -> Array:
+        places = split(segment[0]), split(segment[1])
+        places_later = split(segment[2]), split(segment[3])
+        # Index: place along the first, place along the second, moment.
+        vector = {
+            (s, u, t): subtract(corners[u][t], (places, places_later)[t][s])
+            for s in (0, 1)
+            for u in (0, 1)
+            for t in (0, 1)
+        }
+        joined = jnp.zeros(vector[0, 0, 0][0].shape, bool)
+        for s in (0, 1):
+            for u in (0, 1):
+                pair = vector[s, u, 0], vector[s, u, 1]
+                joined |= (dot(pair[0], pair[0]) < same) & (
+                    dot(pair[1], pair[1]) < same
+                )
+        return jnp.where(joined, 0, _winding({k: unit(v) for k, v in vector.items()}))
+
+    # Starts and finishes of the elements at the first moment, then at the second.
+    rows = [x[:, k : x.shape[1] - 1 + k].T for x in one for k in (0, 1)]
+    return lax.map(seen_from, (rows[0], rows[1], rows[2], rows[3]))
+
+
+def crossed(
+    before: Curve,
+    after: Curve,
+    other_before: Curve | None = None,
+    other_after: Curve | None = None,
+) -> Bool[Array, ""]:
+    """Whether a curve passed through itself, or another, between two moments.
+
+    Arguments as in `crossings`, which says where.
+    """
+    counts = crossings(before, after, other_before, other_after)
+    return jnp.any(jnp.abs(counts) > 0.25)
+
+
+def _moving(
+    name: str, before: Curve, name_after: str, after: Curve
+) -> tuple[Array, Array]:
+    """Nodes at both moments."""
+    first, last = nodes_of(name, before), nodes_of(name_after, after)
+    if first.shape != last.shape:
+        raise ValueError(
+            f"{name_after} must have as many nodes as {name}, {first.shape[1]}, got "
+            f"{last.shape[1]}"
+        )
+    return first, last
+
+
+def _winding(d: dict[tuple[int, int, int], Vec3]) -> Array:
+    """Solid angle of the surface of a cube over that of a sphere [1].
+
+    Opposite faces are cut along the same diagonal, so that what is on a face belongs
+    to one of the two cubes that share it.
+    """
+    total = jnp.zeros_like(d[0, 0, 0][0])
+    for k in (0, 1):
+        sign = 2 * k - 1
+        total += sign * (
+            quadrilateral(d[0, 0, k], d[1, 0, k], d[1, 1, k], d[0, 1, k])
+            + quadrilateral(d[k, 0, 0], d[k, 1, 0], d[k, 1, 1], d[k, 0, 1])
+            + quadrilateral(d[0, k, 0], d[0, k, 1], d[1, k, 1], d[1, k, 0])
+        )
+    return total / (4 * jnp.pi)

@@ -1,0 +1,143 @@
+r"""Curves as polylines: how they are given, and how their ends are completed.
+
+Writhe and link are invariants of closed curves. An open one is left as it is, closed by
+a segment, or lengthened by a straight piece at each end, so long that what lies beyond
+it adds little.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.geometry.vectors import Vec3, dot, inner_difference, scale, split, subtract
+from jaxrod.rods.rod import RodState, check_one
+from jaxrod.topology.solid_angles import unit
+from jaxrod.validation import Numbers, as_array, numeric
+
+Ends = Literal["open", "joined", "next_tangent", "end_to_end", "net_tangent"]
+"""What is done about the ends of a curve.
+
+"open": nothing. "joined": the last node is joined to the first, be it at the same place
+(a welded ring) or not. The others add a straight piece at each end, as PyElastica's
+`type_of_additional_segment` does: along the end elements, along the line from one end
+to the other, along the line between the means of both halves' nodes.
+"""
+
+KINDS = (jnp.float32, jnp.float64)
+
+Curve = RodState | Numbers
+"""A state, or node positions `(3, n + 1)` [m]."""
+
+
+def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
+    """Nodes of a curve [m].
+
+    Raises:
+        ValueError: If they are not at least two points, in three rows.
+    """
+    if isinstance(curve, RodState):
+        check_one(curve)
+        return curve.positions
+    points = numeric(name, curve, "m")
+    if points.ndim != 2 or points.shape[0] != 3 or points.shape[1] < 2:
+        raise ValueError(
+            f"{name} must be a state, or nodes (3, n + 1) with n >= 1, in metres, got "
+            f"shape {points.shape}; of frames, use jax.vmap"
+        )
+    return as_array(name, points, "m", [points.shape], dtype=_kind(curve))
+
+
+def _kind(given: Any) -> Any:
+    """The floating-point type of an array that has one; `None` for JAX's default."""
+    kind = getattr(given, "dtype", None)
+    return kind if isinstance(given, jax.Array) and kind in KINDS else None
+
+
+def normals_of(curve: Curve, normals: Numbers | None) -> Float[Array, "3 n"]:
+    """Normals of the elements: those given, or d1 of a state.
+
+    Raises:
+        ValueError: If there are none, or not as many as elements.
+    """
+    if isinstance(curve, RodState) and normals is None:
+        return curve.directors[0]
+    if normals is None:
+        raise ValueError("normals (3, n) of the elements must be given with positions")
+    nodes = nodes_of("curve", curve)
+    return as_array(
+        "normals", normals, "", [(3, nodes.shape[1] - 1)], dtype=nodes.dtype
+    )
+
+
+def check_ends(ends: Ends, allowed: tuple[Ends, ...] = get_args(Ends)) -> None:
+    """Raises a `ValueError` if there is no such way of completing a curve."""
+    if not isinstance(ends, str) or ends not in allowed:
+        raise ValueError(f"ends must be one of {', '.join(allowed)}, got {ends!r}")
+
+
+def seamless(nodes: Float[Array, "3 nodes"]) -> Float[Array, "3 nodes"]:
+    """The nodes of a ring: ends apart by no more than rounding are one place."""
+    gap = nodes[:, 0] - nodes[:, -1]
+    edges = nodes[:, 1:] - nodes[:, :-1]
+    typical = jnp.sum(edges * edges) / edges.shape[1]
+    near = jnp.sum(gap * gap) < jnp.finfo(nodes.dtype).eps * typical
+    return nodes.at[:, -1].set(jnp.where(near, nodes[:, 0], nodes[:, -1]))
+
+
+def end_directions(nodes: Float[Array, "3 nodes"], ends: Ends) -> tuple[Array, Array]:
+    """Unit vectors `(3,)` outwards at the first and the last node."""
+    if ends == "next_tangent":
+        first, last = nodes[:, 0] - nodes[:, 1], nodes[:, -1] - nodes[:, -2]
+    elif ends == "end_to_end":
+        first = nodes[:, 0] - nodes[:, -1]
+        last = -first
+    else:
+        half = nodes.shape[1] // 2
+        # PyElastica divides the second sum by one more than there are nodes, so that
+        # its directions depend on the origin. They agree if that sum is zero.
+        rest = nodes.shape[1] - (nodes.shape[1] + 1) // 2
+        first = (
+            jnp.sum(nodes[:, :half], axis=1) / half
+            - jnp.sum(nodes[:, nodes.shape[1] - rest :], axis=1) / rest
+        )
+        last = -first
+    return jnp.stack(unit(split(first))), jnp.stack(unit(split(last)))
+
+
+def completed(
+    nodes: Float[Array, "3 nodes"],
+    ends: Ends,
+    directions: tuple[Array, Array] | None = None,
+    extension: Array | None = None,
+) -> Float[Array, "3 all"]:
+    """The curve with what is added at its ends."""
+    if ends == "open":
+        return nodes
+    if ends == "joined":
+        return jnp.concatenate([nodes, nodes[:, :1]], axis=1)
+    assert directions is not None and extension is not None
+    first = nodes[:, 0] + extension * directions[0]
+    last = nodes[:, -1] + extension * directions[1]
+    return jnp.concatenate([first[:, None], nodes, last[:, None]], axis=1)
+
+
+def length_of(nodes: Float[Array, "3 nodes"]) -> Array:
+    """Length of a curve [m]."""
+    edges: Vec3 = inner_difference(split(nodes))
+    return jnp.sum(dot(edges, unit(edges)))
+
+
+def shortest(nodes: Float[Array, "3 nodes"]) -> Array:
+    """Length of the shortest element [m]."""
+    edges: Vec3 = inner_difference(split(nodes))
+    return jnp.min(dot(edges, unit(edges)))
+
+
+def across(directions: Vec3, tangents: Vec3) -> Vec3:
+    """Unit vectors along the parts of vectors perpendicular to unit tangents."""
+    along = scale(dot(directions, tangents), tangents)
+    return unit(subtract(directions, along))

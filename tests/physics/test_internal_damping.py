@@ -1,0 +1,162 @@
+"""Viscosity of the material: what it damps, and what it leaves alone."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.rods.motion import motion_of, state_of
+from physics.rods import DENSITY, YOUNG, arm, deformed, difference, largest, random_rod
+
+N = 6
+WAVE_SPEED = np.sqrt(YOUNG / DENSITY)
+
+
+def damped(rod, *effects, time, method=None):
+    return jaxrod.make_scene(
+        rod, *effects, jaxrod.internal_damping(time), method=method
+    )
+
+
+def rate_of_decay(scene, state, dt, start, end):
+    """Decay rate of the total energy between two times [1/s]."""
+    steps = round(start / dt), round((end - start) / dt)
+    before = jaxrod.advance(scene, state, dt, steps[0])
+    after = jaxrod.advance(scene, before, dt, steps[1])
+    energies = [float(jaxrod.total_energy(scene, s)) for s in (before, after)]
+    return np.log(energies[0] / energies[1]) / (steps[1] * dt)
+
+
+@pytest.mark.parametrize("share", [0.8, 0.2])
+def test_an_axial_mode_decays(share, record):
+    """Free ends, second mode, at two step sizes: whole periods of the discrete mode."""
+    rod, state = arm(N)
+    wave = np.cos(2 * np.pi * np.arange(N + 1) / N)
+    state = replace(state, velocities=state.velocities.at[2].set(1e-3 * wave))
+    frequency = 2 * WAVE_SPEED * N * np.sin(np.pi / N)
+    time = 0.01 / frequency
+    scene = damped(rod, time=time)
+    dt = share * float(jaxrod.stable_dt(scene, 1.0).dt)
+    period = 2 * np.pi / frequency
+    measured = rate_of_decay(scene, state, dt, 0.0, 20 * period)
+    record(
+        f"Decay of an axial mode by internal damping, dt {share} of the limit, off by",
+        "relaxation time times frequency^2 / 2",
+        abs(measured / (time * frequency**2) - 1),
+        at_most=1e-2,
+    )
+
+
+def test_a_clamped_rod_s_bending_decays(record):
+    """The clamp's own joint too, or a tenth would be missing. Faster modes go first."""
+    rod, state = arm(N)
+    wall = jaxrod.clamp(state)
+    (frequency,) = np.asarray(
+        jaxrod.natural_frequencies(jaxrod.make_scene(rod, wall), state, 1)
+    )
+    push = 1e-2 * jnp.linspace(0, 1, N + 1) ** 2
+    state = replace(state, velocities=state.velocities.at[0].set(push))
+    time = 0.02 / frequency
+    scene = damped(rod, wall, time=time)
+    dt = float(jaxrod.stable_dt(scene).dt)
+    period = 2 * np.pi / frequency
+    measured = rate_of_decay(scene, state, dt, 2 * period, 5 * period)
+    record(
+        "Decay of the first bending mode of a clamped rod by internal damping, off by",
+        "relaxation time times frequency^2 / 2",
+        abs(measured / (time * frequency**2) - 1),
+        at_most=1e-2,
+    )
+
+
+def spinning(rod, state, axis):
+    """The rod turning about its middle and moving as a rigid body."""
+    axis = jnp.asarray(axis)
+    middle = jnp.mean(state.positions, axis=1, keepdims=True)
+    around = jnp.cross(axis, state.positions - middle, axisa=0, axisb=0, axisc=0)
+    material = jnp.sum(state.directors * axis[None, :, None], axis=1)
+    moving = replace(state, velocities=around + jnp.array([[1.0], [-2.0], [0.5]]))
+    return jaxrod.with_angular_velocities(rod, moving, material)
+
+
+def test_a_rigid_motion_is_not_damped(record):
+    """Bent rest shape, any axis; one kick with a relaxation time of a whole second."""
+    rod, state = random_rod(3, n_elements=N)
+    state = spinning(rod, state, [3.0, -1.0, 2.0])
+    effect = jaxrod.internal_damping(1.0)
+    scene = jaxrod.make_scene(rod, effect)
+    after = state_of(effect.dissipate(scene, motion_of(state), jnp.asarray(1e-3)))
+    change = largest(after.velocities - state.velocities) / 3.0
+    spin = jaxrod.angular_velocities(rod, after) - jaxrod.angular_velocities(rod, state)
+    record(
+        "Rigid motion of a bent rod after a step of strong internal damping, change",
+        "0",
+        max(change, largest(spin) / 3.0),
+        at_most=1e-13,
+    )
+
+
+def test_momentum_is_kept_and_energy_lost(record):
+    """At the largest safe step, with relaxation times from small to huge."""
+    rod, _ = random_rod(5, n_elements=N)
+    state = deformed(rod, 5, largest_angle=0.3, largest_strain=0.05, speed=0.3)
+    bare = jaxrod.make_scene(rod)
+    dt = jaxrod.stable_dt(bare).dt
+    worst = 0.0
+    for time in (1e-4, 1.0, 1e6):
+        scene = damped(rod, time=time)
+        assert jaxrod.stable_dt(scene).dt == dt
+        after = jaxrod.advance(scene, state, dt, 2000)
+        assert jaxrod.total_energy(scene, after) < jaxrod.total_energy(bare, state)
+        for quantity in (jaxrod.momentum, jaxrod.angular_momentum):
+            before = quantity(rod, state)
+            change = largest(quantity(rod, after) - before)
+            worst = max(worst, change / float(jnp.linalg.norm(before)))
+    record(
+        "Momentum and angular momentum of a free rod, 2000 steps of internal damping",
+        "their initial values",
+        worst,
+        at_most=1e-12,
+    )
+
+
+@pytest.mark.slow
+def test_a_motion_in_a_plane_is_that_in_space():
+    rod, state = arm(N, direction=(1.0, 0.0, 0.0))
+    ends = []
+    for method in (None, jaxrod.planar("xy")):
+        scene = damped(
+            rod,
+            jaxrod.clamp(state),
+            jaxrod.gravity((0.0, -9.81, 0.0)),
+            time=1e-3,
+            method=method,
+        )
+        ends.append(jaxrod.advance(scene, state, 1e-4, 300))
+    assert ends[0].tip[1] < -0.002
+    assert difference(*ends) < 1e-12
+
+
+@pytest.mark.slow
+def test_gradients_are_those_of_differences():
+    rod, state = arm(3)
+    state = deformed(rod, 1, largest_angle=0.4, speed=0.2)
+
+    @jax.jit
+    @jax.value_and_grad
+    def tip(time):
+        scene = damped(rod, jaxrod.clamp(state), time=time)
+        return jnp.sum(jaxrod.advance(scene, state, 1e-4, 20).tip)
+
+    _, slope = tip(1e-3)
+    numeric = (tip(1.001e-3)[0] - tip(0.999e-3)[0]) / 2e-6
+    assert float(slope) == pytest.approx(float(numeric), rel=1e-6)
+    assert np.isfinite(tip(0.0)[1])
+
+
+def test_what_is_no_time_is_refused():
+    with pytest.raises(ValueError, match="relaxation_time must be non-negative"):
+        jaxrod.internal_damping(-1.0)
