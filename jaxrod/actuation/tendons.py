@@ -301,10 +301,10 @@ def tendon(
         eyelets=eyelets,
         tension=None
         if tension is None
-        else as_timed("tension", tension, "N", per_cable, non_negative=True),
+        else as_timed("tension", tension, "N", *per_cable, non_negative=True),
         length=None
         if length is None
-        else as_timed("length", length, "m", per_cable, non_negative=True),
+        else as_timed("length", length, "m", *per_cable, non_negative=True),
         stiffness=None
         if stiffness is None
         else as_array("stiffness", stiffness, "N/m", positive=True, dtype=kind),

@@ -164,7 +164,6 @@ def as_timed(
     Raises:
         ValueError: Naming the argument.
     """
-    shapes = shape if isinstance(shape, list) else [shape]
     if not isinstance(value, Schedule):
         return as_array(name, value, unit, shapes, **limits)
     kind = jnp.result_type(float)

@@ -33,8 +33,7 @@ class Parts:
     node_masses: Float[Array, " nodes"]
     """Mass of each node, or of each body [kg]."""
     inertias: Float[Array, "rows elements"]
-    """Of rods transverse and polar (2 rows), of bodies along their axes (3) [kg m^2].
-    """
+    """Of round rods transverse and polar (2 rows), else about all axes (3) [kg m^2]."""
     rest_lengths: Float[Array, " elements"] | None = None
     """Of the elements of rods [m]."""
     radii: Float[Array, " elements"] | None = None
@@ -59,6 +58,17 @@ class Parts:
         within = np.arange(self.n_elements)[None, :]
         per_rod = self.n_elements + 1 if self.is_rod else 1
         return np.ravel(rods * per_rod + within)
+
+    # As a rod has them, for `Motion.angular_velocities`.
+    @property
+    def is_round(self) -> bool:
+        """Whether elements have one inertia for d1 and d2."""
+        return self.inertias.shape[0] == 2
+
+    @property
+    def principal_inertias(self) -> Array:
+        """About all three axes; of what is not round [kg m^2]."""
+        return self.inertias
 
     @property
     def n_nodes(self) -> int:
@@ -85,7 +95,7 @@ def parts_of(member: Rod | RigidBodies) -> Parts:
 def _of_rod(rod: Rod) -> Parts:
     return Parts(
         node_masses=rod.node_masses,
-        inertias=rod.inertias,
+        inertias=rod.inertias if rod.is_round else rod.principal_inertias,
         rest_lengths=rod.rest_lengths,
         radii=rod.radii,
         bend_twist_stiffness=rod.bend_twist_stiffness,

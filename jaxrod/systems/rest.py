@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Float
 
 from jaxrod.geometry.rotations import Quaternion, split_quaternion
 from jaxrod.structure import pytree
@@ -18,11 +17,11 @@ from jaxrod.validation import is_traced
 class Pose:
     """A place in a state: where it is, how what turns with it is turned."""
 
-    place: Float[ArrayLike, "3"]
+    place: Any
     """Position of the node, or origin of the body [m]."""
     orientation: Quaternion
     """Of the element, or of the body."""
-    spacing: ArrayLike
+    spacing: Any
     """Distance to the next node; infinite for a body [m]."""
 
 

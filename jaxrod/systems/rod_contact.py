@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,24 +31,20 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.centrelines import (
-    Centrelines,
-    Layout,
-    Lines,
-    at_points,
-    centrelines,
-    layout_of,
-    lines_at,
-    loads_on_members,
-)
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.places import Indices
-from jaxrod.systems.rows import gathered_sum
+from jaxrod.systems.near_segments import Nearness, nearnesses
+from jaxrod.systems.parts import Parts
+from jaxrod.systems.strands import (
+    ContactPoints,
+    Segments,
+    StrandLoads,
+    Strands,
+    loads_on_member,
+    points_at,
+    segments_at,
+    strands,
+)
 from jaxrod.validation import Numbers, as_array, check_count, is_traced
-
-_ROUNDED = 1e-7
-"""Share of the radii within which distances are rounded off [1]."""
-_PI = math.pi
 
 
 @pytree
@@ -66,16 +61,14 @@ class RodContact(Coupling):
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
     """Largest friction per length and speed of slip [kg/(m s)]."""
-    lines: Centrelines | None = None
-    """Constants of the members' points and segments, once prepared."""
-    layout: Layout | None = static(default=None)
-    """Numbering of points and segments, once fitted."""
+    strands: tuple[Strands, ...] = ()
+    """Points and segments of each member, once prepared."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
     itself: bool = static(default=False)
     """Whether rods touch themselves."""
-    points_per_element: int | None = static(default=None)
-    """Contact points per element; `None`: as many as the radii need."""
+    points_per_element: tuple[int, ...] = static(default=())
+    """Contact points per element of each member, once fitted; or one number for all."""
     partners: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
 
@@ -99,64 +92,66 @@ class RodContact(Coupling):
                 "one rod has nothing to touch but itself: give itself=True, or more "
                 "members"
             )
-        per = [self.points_per_element or _needed(name, parts) for name in self.members]
-        return replace(self, layout=layout_of(self.members, parts, per))
+        given = self.points_per_element * len(self.members)
+        per = given or tuple(_needed(name, parts) for name in self.members)
+        return replace(self, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
         """With radii and lengths of points and segments."""
-        assert self.layout is not None
-        return replace(self, lines=centrelines(self.layout, parts))
+        made = tuple(
+            strands(parts[name], per)
+            for name, per in zip(self.members, self.points_per_element, strict=True)
+        )
+        return replace(self, strands=made)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all members."""
-        layout = self._layout()
-        now = lines_at(layout, seen, spins=self.friction is not None)
-        n_segments = len(layout.first_nodes)
-        zero = jnp.zeros(n_segments, now.edge[0].dtype)
-        first = following = couples = (zero, zero, zero)
-        for block in self._blocks(layout):
-            part = self._block_loads(now, block)
-            first = vectors.add(first, part[0])
-            following = vectors.add(following, part[1])
-            couples = vectors.add(couples, part[2])
-        return loads_on_members(layout, seen, first, following, couples)
+        rubs = self.friction is not None
+        total: dict[int, StrandLoads] = {}
+        for a, b, weights in self._pairs():
+            points = points_at(self.strands[a], seen[self.members[a]], spins=rubs)
+            segments = segments_at(self.strands[b], seen[self.members[b]], spins=rubs)
+            for near in self._near(a, b, weights, points, segments):
+                on_a, on_b = self._pair_loads(near, points, segments)
+                total[a] = total.get(a, StrandLoads()).added(on_a)
+                total[b] = total.get(b, StrandLoads()).added(on_b)
+        return {
+            self.members[k]: loads_on_member(
+                self.strands[k], seen[self.members[k]], loads
+            )
+            for k, loads in total.items()
+        }
 
     def energy(self, seen: AllSeen) -> Array:
         """Energy of all contacts [J]."""
-        layout = self._layout()
-        now = lines_at(layout, seen, spins=False)
-        total = jnp.zeros((), now.edge[0].dtype)
-        for block in self._blocks(layout):
-            for near in self._feet(now, block):
-                density = energy_density(near.depth, near.width, self.stiffness)
-                total = total + jnp.sum(near.weight * density)
+        total = jnp.zeros((), self.stiffness.dtype)
+        for near in self._all(seen):
+            density = energy_density(near.depth, near.width, self.stiffness)
+            total = total + jnp.sum(near.weight * density)
         return total
 
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration over half the sum of the radii."""
-        layout = self._layout()
-        now = lines_at(layout, seen, spins=False)
-        worst = jnp.zeros((), now.edge[0].dtype)
-        for block in self._blocks(layout):
-            near = next(iter(self._feet(now, block)))
+        worst = jnp.zeros((), self.stiffness.dtype)
+        for near in self._all(seen):
             depth = jnp.where(near.weight > 0, near.depth, 0)
             worst = jnp.maximum(worst, jnp.max(depth / near.half_sum))
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if all of every rod touched its partners."""
-        lightest = jnp.min(
-            jnp.stack([jnp.min(parts[m].node_masses[1:-1]) for m in self.members])
-        )
-        easiest = jnp.min(jnp.stack([jnp.min(parts[m].inertias) for m in self.members]))
+        own = [parts[name] for name in self.members]
+        lightest = jnp.min(jnp.stack([jnp.min(_inner_masses(p)) for p in own]))
+        easiest = jnp.min(jnp.stack([jnp.min(p.inertias) for p in own]))
         return {
             name: self._bound(parts[name], lightest, easiest) for name in self.members
         }
 
-    def _bound(self, own: Any, lightest: Array, easiest: Array) -> StabilityBound:
+    def _bound(self, own: Parts, lightest: Array, easiest: Array) -> StabilityBound:
+        assert own.linear_density is not None and own.rest_lengths is not None
+        assert own.radii is not None
         # A node stands for as much length as it has of the mass.
-        density = own.linear_density
-        lengths = own.node_masses / jnp.min(density)
+        lengths = own.node_masses / jnp.min(own.linear_density)
         pair = self.partners * lengths * (1 + own.node_masses / lightest)
         drag = self.damping
         node_drag = None if drag is None else drag * pair
@@ -164,7 +159,7 @@ class RodContact(Coupling):
             return StabilityBound(nodes=self.stiffness * pair, node_drag=node_drag)
         radius = jnp.max(own.radii)
         inertia = jnp.min(own.inertias, axis=0)
-        # By Young's inequality, the slip's square is at most twice that of each.
+        # The square of the slip is at most twice that of either part of it.
         both = 2 * self.friction_drag
         largest = both if drag is None else jnp.maximum(drag, both)
         turning = self.partners * own.rest_lengths * radius * radius
@@ -174,229 +169,76 @@ class RodContact(Coupling):
             element_drag=both * turning * (1 + inertia / easiest),
         )
 
-    def _layout(self) -> Layout:
-        assert self.layout is not None
-        return self.layout
+    def _pairs(self) -> Iterator[tuple[int, int, Array]]:
+        """Members whose points and segments meet, and half the lengths that count."""
+        for a in range(len(self.members)):
+            for b in range(len(self.members)):
+                points, segments = self.strands[a], self.strands[b]
+                half = 0.5 * points.lengths[None, :]
+                if a != b:
+                    yield a, b, half
+                elif points.count > 1 or self.itself:
+                    yield a, b, self._within(points, segments, half)
 
-    def _blocks(self, layout: Layout) -> Iterator[_Block]:
-        """Pairs of members whose points and segments meet."""
-        rods = layout.rods.values
-        ends = np.cumsum(layout.element_counts)
-        slices = list(zip(ends - np.asarray(layout.element_counts), ends, strict=True))
-        segment_of = layout.point_segments.values
-        for begin, end in slices:
-            chosen = np.flatnonzero((segment_of >= begin) & (segment_of < end))
-            for other, stop in slices:
-                several = rods[begin] != rods[end - 1]
-                if begin == other and not (several or self.itself):
-                    continue
-                yield _Block(chosen, int(other), int(stop))
-
-    def _weights(self, block: _Block) -> Array:
-        """Half the length of each point, where it may touch a segment."""
-        lines = self.lines
-        assert lines is not None
-        layout, part = self._layout(), slice(block.begin, block.end)
-        rods = layout.rods.values
-        same = (
-            rods[part][:, None]
-            == rods[layout.point_segments.values[block.points]][None, :]
-        )
-        half = 0.5 * lines.lengths[block.points][None, :]
-        if not np.any(same):
-            return jnp.broadcast_to(half, same.shape)
+    def _within(self, points: Strands, segments: Strands, half: Array) -> Array:
+        """Half the lengths of points, for segments of the same member."""
+        same = segments.segment_rods[:, None] == points.point_rods[None, :]
         if not self.itself:
             return jnp.where(same, 0, half)
         # Near along the rod nothing touches: bent to a curvature of one over the
         # radius it just would, half a turn away.
-        place = lines.places[block.points][None, :]
-        start = lines.starts[part][:, None]
-        length = lines.rest_lengths[part][:, None]
+        place, start = points.places[None, :], segments.starts[:, None]
+        length = segments.rest_lengths[:, None]
         apart = jnp.maximum(start - place, place - start - length)
-        share = (apart - _PI * lines.radii[part][:, None]) / length
+        share = (apart - math.pi * segments.radii[:, None]) / length
         return jnp.where(same, half * jnp.clip(share, 0, 1), half)
 
-    def _feet(self, now: Lines, block: _Block) -> Iterator[_Near]:
-        """Points at their nearest places on segments, then at the segments' ends.
+    def _near(
+        self,
+        a: int,
+        b: int,
+        weights: Array,
+        points: ContactPoints,
+        segments: Segments,
+    ) -> Iterator[Nearness]:
+        last = self.strands[b].is_last
+        radii = self.strands[b].radii, self.strands[a].point_radii
+        return nearnesses(points, segments, weights, last, radii, self.onset)
 
-        The second count negative, and only where another segment follows.
-        """
-        lines = self.lines
-        assert lines is not None
-        layout, part = self._layout(), slice(block.begin, block.end)
+    def _all(self, seen: AllSeen) -> Iterator[Nearness]:
+        for a, b, weights in self._pairs():
+            points = points_at(self.strands[a], seen[self.members[a]], spins=False)
+            segments = segments_at(self.strands[b], seen[self.members[b]], spins=False)
+            yield from self._near(a, b, weights, points, segments)
 
-        def of_segments(field: Vec3) -> Vec3:
-            x, y, z = (component[part][:, None] for component in field)
-            return x, y, z
-
-        def of_points(field: Vec3) -> Vec3:
-            x, y, z = (component[block.points][None, :] for component in field)
-            return x, y, z
-
-        place = of_points(at_points(layout, now.first, now.edge))
-        first, edge = of_segments(now.first), of_segments(now.edge)
-        apart = vectors.subtract(place, first)
-        square = vectors.dot(edge, edge)
-        share = jnp.clip(vectors.dot(apart, edge) / square, 0, 1)
-        weight = self._weights(block)
-        radii = lines.radii[part][:, None], lines.point_radii[block.points][None, :]
-        follows = jnp.asarray(1 - layout.is_last.values[part])[:, None]
-        ends = jnp.ones_like(share)
-        for fraction, factor in ((share, weight), (ends, -follows * weight)):
-            way = vectors.subtract(apart, vectors.scale(fraction, edge))
-            yield _near(way, fraction, factor, radii, self.onset)
-
-    def _block_loads(self, now: Lines, block: _Block) -> tuple[Vec3, Vec3, Vec3]:
-        """Forces on first and next nodes of all segments, and couples on them."""
-        layout, part = self._layout(), slice(block.begin, block.end)
-        n_segments = len(layout.first_nodes)
-        change = vectors.subtract(now.next_velocity, now.first_velocity)
-        velocity = at_points(layout, now.first_velocity, change)
-        segment = layout.point_segments.values[block.points]
-        sums: list[Any] = []
-        for near in self._feet(now, block):
-
-            def of_segments(field: Vec3) -> Vec3:
-                x, y, z = (component[part][:, None] for component in field)
-                return x, y, z
-
-            def of_points(field: Vec3, index: Any) -> Vec3:
-                x, y, z = (component[index][None, :] for component in field)
-                return x, y, z
-
-            other = vectors.add(
-                of_segments(now.first_velocity),
-                vectors.scale(near.fraction, of_segments(change)),
-            )
-            rate = vectors.subtract(of_points(velocity, block.points), other)
-            leaving = vectors.dot(rate, near.normal)
-            push = normal_force(
-                near.depth, leaving, near.width, self.stiffness, self.damping
-            )
-            force = vectors.scale(push, near.normal)
-            turn: tuple[Vec3, Vec3] | None = None
-            if self.friction is not None:
-                assert self.friction_drag is not None
-                arms = near.arms()
-                slip = vectors.add(
-                    rate, vectors.cross(of_points(now.spin, segment), arms[0])
-                )
-                slip = vectors.subtract(
-                    slip, vectors.cross(of_segments(now.spin), arms[1])
-                )
-                along = vectors.subtract(
-                    slip, vectors.scale(vectors.dot(slip, near.normal), near.normal)
-                )
-                rub = friction_force(push, along, self.friction, self.friction_drag)
-                force = vectors.add(force, rub)
-                turn = vectors.cross(arms[0], rub), vectors.cross(rub, arms[1])
-            sums.append(_summed(near, force, turn))
-        total = sums[0]
-        for more in sums[1:]:
-            total = [vectors.add(a, b) for a, b in zip(total, more, strict=True)]
-        on_points, on_first, on_next, couple_points, couple_segments = total
-        # From the points to their segments' nodes, by the lever rule.
-        fraction = jnp.asarray(layout.point_fractions, push.dtype)[block.points]
-        owners = Indices(segment)
-
-        def gathered(field: Vec3) -> Vec3:
-            x, y, z = (gathered_sum(c, owners, n_segments) for c in field)
-            return x, y, z
-
-        def spread(field: Vec3) -> Vec3:
-            x, y, z = (jnp.pad(c, (block.begin, n_segments - block.end)) for c in field)
-            return x, y, z
-
-        later = vectors.scale(fraction, on_points)
-        first = vectors.add(
-            gathered(vectors.subtract(on_points, later)), spread(on_first)
+    def _pair_loads(
+        self, near: Nearness, points: ContactPoints, segments: Segments
+    ) -> tuple[StrandLoads, StrandLoads]:
+        """Loads of one kind of nearness on the points' member and the segments'."""
+        rate = near.rates(points, segments)
+        leaving = vectors.dot(rate, near.normal)
+        push = normal_force(
+            near.depth, leaving, near.width, self.stiffness, self.damping
         )
-        following = vectors.add(gathered(later), spread(on_next))
-        couples = vectors.add(gathered(couple_points), spread(couple_segments))
-        return first, following, couples
+        force = vectors.scale(push, near.normal)
+        turns: tuple[Vec3, Vec3] | None = None
+        if self.friction is not None:
+            assert self.friction_drag is not None
+            arms = near.arms()
+            slip = near.slip(rate, leaving, arms, points, segments)
+            rub = friction_force(push, slip, self.friction, self.friction_drag)
+            force = vectors.add(force, rub)
+            turns = vectors.cross(arms[0], rub), vectors.cross(rub, arms[1])
+        return near.summed(force, turns)
 
 
-class _Block:
-    """Points of one member and segments of one, which may be the same."""
-
-    def __init__(self, points: np.ndarray, begin: int, end: int) -> None:
-        self.points, self.begin, self.end = points, begin, end
-
-
-@pytree
-class _Near:
-    """Points near segments, `(segments, points)`."""
-
-    normal: Vec3
-    fraction: Array
-    weight: Array
-    depth: Array
-    width: Array
-    radii: tuple[Array, Array]
-
-    @property
-    def half_sum(self) -> Array:
-        """Mean of both radii [m]."""
-        return 0.5 * (self.radii[0] + self.radii[1])
-
-    def arms(self) -> tuple[Vec3, Vec3]:
-        """From the axes of the points and of the segments to the common point [m]."""
-        overlap = 0.5 * self.depth
-        return (
-            vectors.scale(overlap - self.radii[1], self.normal),
-            vectors.scale(self.radii[0] - overlap, self.normal),
-        )
-
-
-def _near(
-    way: Vec3,
-    fraction: Array,
-    weight: Array,
-    radii: tuple[Array, Array],
-    onset: Array,
-) -> _Near:
-    """Distance and normal, rounded off where centrelines meet."""
-    together = radii[0] + radii[1]
-    rounded = (_ROUNDED * together) * (_ROUNDED * together)
-    distance = jnp.sqrt(vectors.dot(way, way) + rounded)
-    return _Near(
-        normal=vectors.scale(1 / distance, way),
-        fraction=fraction,
-        weight=weight,
-        depth=together - distance,
-        width=0.5 * onset * together,
-        radii=radii,
-    )
-
-
-def _summed(near: _Near, force: Vec3, turn: tuple[Vec3, Vec3] | None) -> list[Vec3]:
-    """Sums over segments on the points, and over points on the segments.
-
-    Forces on points; on first nodes; on next nodes; couples on points' segments; on
-    segments.
-    """
-    weighted = vectors.scale(near.weight, force)
-    back = vectors.scale(-1.0, weighted)
-    later = vectors.scale(near.fraction, back)
-    zero = jnp.zeros_like(near.depth)
-    none = (zero, zero, zero)
-    twist = (none, none) if turn is None else turn
-
-    def total(field: Vec3, axis: int) -> Vec3:
-        x, y, z = (jnp.sum(component, axis=axis) for component in field)
-        return x, y, z
-
-    return [
-        total(weighted, 0),
-        total(vectors.subtract(back, later), 1),
-        total(later, 1),
-        total(vectors.scale(near.weight, twist[0]), 0),
-        total(vectors.scale(near.weight, twist[1]), 1),
-    ]
+def _inner_masses(own: Parts) -> Array:
+    """Masses of the nodes between the ends of rods [kg]."""
+    return own.node_masses.reshape(own.count, -1)[:, 1:-1]
 
 
 def _needed(name: str, parts: AllParts) -> int:
-    """Points per element such that neighbours are half a radius apart at most."""
+    """Points per element such that neighbours are a third of a radius apart at most."""
     own = parts[name]
     if is_traced(own.rest_lengths, own.radii):
         raise ValueError(
@@ -404,7 +246,7 @@ def _needed(name: str, parts: AllParts) -> int:
             "points_per_element"
         )
     ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)
-    return max(1, math.ceil(2 * float(np.max(ratio)) - 1e-6))
+    return max(1, math.ceil(3 * float(np.max(ratio)) - 1e-6))
 
 
 def rod_contact(
@@ -431,7 +273,7 @@ def rod_contact(
             along the rod than pi times its radius nothing is seen.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
         points_per_element: Contact points per element; by default so many that they
-            are half a radius apart, which makes the force of two rods that cross
+            are a third of a radius apart, which makes the force of rods that cross
             the same to 3 % wherever they do.
         partners: Rods that may touch one place at the same time, for `stable_dt`: 2
             for a few rods, 6 in a bundle.
@@ -470,6 +312,6 @@ def rod_contact(
         ),
         members=members,
         itself=bool(itself),
-        points_per_element=points_per_element,
+        points_per_element=() if points_per_element is None else (points_per_element,),
         partners=check_count("partners", partners, 1, 1000),
     )

@@ -236,7 +236,8 @@ def check_together(a: Place, b: Place, state: Mapping[str, Any]) -> None:
     if is_traced(one, two):
         return
     apart = float(np.linalg.norm(np.asarray(one.place) - np.asarray(two.place)))
-    if apart > _APART * min(one.spacing, two.spacing):
+    nearest = min(float(one.spacing), float(two.spacing))
+    if apart > _APART * nearest:
         raise ValueError(
             f"{tuple(a)} and {tuple(b)} must be at one place, but are {apart:.3g} m "
             "apart"

@@ -68,13 +68,14 @@ def test_a_crossing_is_counted_once_wherever_it_is(record):
     distance = np.sqrt(gap**2 + along**2)
     depth = np.maximum(2 * RADIUS - distance, 0)
     expected = np.trapezoid(0.5 * STIFFNESS * depth**2, along)
-    error = np.max(np.abs(np.array(energies) / expected - 1))
+    energies = np.array(energies) / expected
     record(
-        "energy of rods that cross, sliding over an element",
+        "energy of rods that cross, sliding over an element: ripple",
         "the integral over one line",
-        error,
-        at_most=0.05,
+        np.ptp(energies) / 2,
+        at_most=0.03,
     )
+    assert abs(np.mean(energies) - 1) < 0.06
 
 
 def test_collision_keeps_momenta(record):
@@ -111,7 +112,7 @@ def test_collision_keeps_momenta(record):
 
 def test_loads_are_minus_the_gradient_of_the_energy():
     system, state = touching(
-        rod(5, 0.3), rod(4, 0.3, (0.1, -0.1, 0.03), (0.1, 1, 0.2)), points_per_element=2
+        rod(5, 0.3), rod(4, 0.3, (0.1, -0.1, 0.01), (0.1, 1, 0.2)), points_per_element=2
     )
 
     @jax.jit

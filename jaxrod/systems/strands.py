@@ -1,0 +1,250 @@
+"""Strands: the segments and contact points of a member's rods, in one row each.
+
+A segment is an element, from its first node to its next. On every segment lie equally
+many contact points, the first at its first node; the last node of a rod is one more.
+Each stands for some of the rod's rest length (trapezoidal rule). All is regular: rows
+are taken apart and put together by shapes, without indices.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree, static
+from jaxrod.systems.parts import Parts, Seen, mapped
+
+
+@pytree
+class Strands:
+    """Constants of the segments and points of a member."""
+
+    lengths: Array
+    """Rest length that each point stands for [m]."""
+    point_radii: Array
+    """Radius at each point [m]."""
+    places: Array
+    """Rest arc length of each point along its rod [m]."""
+    radii: Array
+    """Radius of each segment [m]."""
+    starts: Array
+    """Rest arc length where each segment begins [m]."""
+    rest_lengths: Array
+    """Rest length of each segment [m]."""
+    count: int = static()
+    """Number of rods."""
+    per_element: int = static()
+    """Contact points per element."""
+
+    @property
+    def n_elements(self) -> int:
+        """Elements of each rod."""
+        return self.radii.shape[0] // self.count
+
+    @property
+    def segment_rods(self) -> np.ndarray:
+        """Number of the rod of each segment."""
+        return np.repeat(np.arange(self.count), self.n_elements)
+
+    @property
+    def point_rods(self) -> np.ndarray:
+        """Number of the rod of each point."""
+        return np.repeat(np.arange(self.count), self.n_elements * self.per_element + 1)
+
+    @property
+    def is_last(self) -> np.ndarray:
+        """Whether each segment is the last of its rod."""
+        return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)
+
+    def _rods(self, row: Array) -> Array:
+        """A row as one row for each rod."""
+        return row.reshape(self.count, -1)
+
+    def firsts(self, nodes: Array) -> Array:
+        """A field on nodes, at the first node of each segment."""
+        return self._rods(nodes)[:, :-1].reshape(-1)
+
+    def nexts(self, nodes: Array) -> Array:
+        """A field on nodes, at the next node of each segment."""
+        return self._rods(nodes)[:, 1:].reshape(-1)
+
+    def at_points(self, nodes: Array) -> Array:
+        """A field on nodes, at the points."""
+        rods = self._rods(nodes)
+        first, change = rods[:, :-1, None], (rods[:, 1:] - rods[:, :-1])[:, :, None]
+        within = (first + self._fractions(nodes) * change).reshape(self.count, -1)
+        return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
+
+    def of_points(self, segments: Array) -> Array:
+        """A field on segments, at the points on them."""
+        rods = self._rods(segments)
+        within = jnp.repeat(rods, self.per_element, axis=1)
+        return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
+
+    def to_nodes(self, points: Array, firsts: Array, nexts: Array) -> Array:
+        """Forces at points and at both nodes of segments, on the nodes."""
+        rods = self._rods(points)
+        within = rods[:, :-1].reshape(self.count, -1, self.per_element)
+        later = jnp.sum(self._fractions(points) * within, axis=2)
+        first = jnp.sum(within, axis=2) - later + self._rods(firsts)
+        following = later + self._rods(nexts)
+        none = jnp.zeros_like(rods[:, :1])
+        nodes = jnp.concatenate([first, rods[:, -1:]], axis=1)
+        return (nodes + jnp.concatenate([none, following], axis=1)).reshape(-1)
+
+    def to_segments(self, points: Array) -> Array:
+        """Couples at points, on their segments."""
+        rods = self._rods(points)
+        within = rods[:, :-1].reshape(self.count, -1, self.per_element)
+        last = jnp.pad(rods[:, -1:], ((0, 0), (self.n_elements - 1, 0)))
+        return (jnp.sum(within, axis=2) + last).reshape(-1)
+
+    def _fractions(self, like: Array) -> Array:
+        """Places of the points along a segment, over its length."""
+        fractions = np.arange(self.per_element) / self.per_element
+        return jnp.asarray(fractions, like.dtype)[None, None, :]
+
+
+def strands(parts: Parts, per_element: int) -> Strands:
+    """Works out the constants of a member.
+
+    Args:
+        parts: Of rods.
+        per_element: Contact points per element.
+    """
+    assert parts.rest_lengths is not None and parts.radii is not None
+    count, n = parts.count, parts.n_elements
+    lengths = parts.rest_lengths.reshape(count, n)
+    radii = parts.radii.reshape(count, n)
+    starts = jnp.cumsum(lengths, axis=1) - lengths
+    fractions = jnp.asarray(np.arange(per_element) / per_element, lengths.dtype)
+    along = starts[:, :, None] + fractions[None, None, :] * lengths[:, :, None]
+    ends = starts[:, -1:] + lengths[:, -1:]
+    places = jnp.concatenate([along.reshape(count, -1), ends], axis=1)
+    gaps = places[:, 1:] - places[:, :-1]
+    spacing = 0.5 * (jnp.pad(gaps, ((0, 0), (1, 0))) + jnp.pad(gaps, ((0, 0), (0, 1))))
+    # A node between two elements has the mean of their radii, by length.
+    weighted = radii * lengths
+    inner = (weighted[:, 1:] + weighted[:, :-1]) / (lengths[:, 1:] + lengths[:, :-1])
+    at_first = jnp.concatenate([radii[:, :1], inner], axis=1)
+    within = jnp.repeat(radii[:, :, None], per_element - 1, axis=2)
+    of_element = jnp.concatenate([at_first[:, :, None], within], axis=2)
+    at_points = jnp.concatenate([of_element.reshape(count, -1), radii[:, -1:]], axis=1)
+    return Strands(
+        lengths=spacing.reshape(-1),
+        point_radii=at_points.reshape(-1),
+        places=places.reshape(-1),
+        radii=parts.radii,
+        starts=starts.reshape(-1),
+        rest_lengths=parts.rest_lengths,
+        count=count,
+        per_element=per_element,
+    )
+
+
+@pytree
+class Segments:
+    """Segments at a moment."""
+
+    first: Vec3
+    """First nodes [m]."""
+    edge: Vec3
+    """From there to the next [m]."""
+    first_velocity: Vec3
+    """Of the first nodes [m/s]."""
+    velocity_change: Vec3
+    """From there to the next [m/s]."""
+    spin: Vec3 | None
+    """Angular velocities, world frame [rad/s]."""
+
+
+@pytree
+class ContactPoints:
+    """Contact points at a moment."""
+
+    position: Vec3
+    """Places [m]."""
+    velocity: Vec3
+    """Velocities of the centreline [m/s]."""
+    spin: Vec3 | None
+    """Angular velocities of their segments, world frame [rad/s]."""
+
+
+def segments_at(strand: Strands, seen: Seen, *, spins: bool) -> Segments:
+    """A member's segments."""
+    first = mapped(strand.firsts, seen.motion.position)
+    slow = mapped(strand.firsts, seen.motion.velocity)
+    following = mapped(strand.nexts, seen.motion.position)
+    fast = mapped(strand.nexts, seen.motion.velocity)
+    return Segments(
+        first=first,
+        edge=vectors.subtract(following, first),
+        first_velocity=slow,
+        velocity_change=vectors.subtract(fast, slow),
+        spin=seen.angular_velocities if spins else None,
+    )
+
+
+def points_at(strand: Strands, seen: Seen, *, spins: bool) -> ContactPoints:
+    """A member's contact points."""
+    return ContactPoints(
+        position=mapped(strand.at_points, seen.motion.position),
+        velocity=mapped(strand.at_points, seen.motion.velocity),
+        spin=mapped(strand.of_points, seen.angular_velocities) if spins else None,
+    )
+
+
+@pytree
+class StrandLoads:
+    """Forces and couples on points and segments, world frame."""
+
+    on_points: Vec3 | None = None
+    """Forces at the points [N]."""
+    on_firsts: Vec3 | None = None
+    """Forces on the first nodes of segments [N]."""
+    on_nexts: Vec3 | None = None
+    """Forces on the next nodes of segments [N]."""
+    turning_points: Vec3 | None = None
+    """Couples at the points [N m]."""
+    turning_segments: Vec3 | None = None
+    """Couples on segments [N m]."""
+
+    def added(self, more: StrandLoads) -> StrandLoads:
+        """Sum of both, of which parts may be missing."""
+        return StrandLoads(
+            _added(self.on_points, more.on_points),
+            _added(self.on_firsts, more.on_firsts),
+            _added(self.on_nexts, more.on_nexts),
+            _added(self.turning_points, more.turning_points),
+            _added(self.turning_segments, more.turning_segments),
+        )
+
+
+def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return vectors.add(a, b)
+
+
+def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
+    """The loads on nodes and elements."""
+    assert loads.on_points is not None
+    assert loads.on_firsts is not None and loads.on_nexts is not None
+    x, y, z = (
+        strand.to_nodes(at, first, following)
+        for at, first, following in zip(
+            loads.on_points, loads.on_firsts, loads.on_nexts, strict=True
+        )
+    )
+    if loads.turning_points is None or loads.turning_segments is None:
+        return Loads((x, y, z))
+    couples = vectors.add(
+        mapped(strand.to_segments, loads.turning_points), loads.turning_segments
+    )
+    frame = directors(seen.motion.orientation)
+    return Loads((x, y, z), to_material(frame, couples))
