@@ -145,6 +145,7 @@ _NAMES = {
     "stepping.memory": ("with_memory",),
     "stepping.runs": ("advance", "rollout", "rollout_times", "step"),
     "structure": ("memory", "pytree", "static"),
+    "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
     "systems.rigid_bodies": (

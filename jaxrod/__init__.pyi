@@ -169,6 +169,8 @@ from jaxrod.stepping.runs import step as step
 from jaxrod.structure import memory as memory
 from jaxrod.structure import pytree as pytree
 from jaxrod.structure import static as static
+from jaxrod.systems.body_contact import BodyContact as BodyContact
+from jaxrod.systems.body_contact import body_contact as body_contact
 from jaxrod.systems.coupling import Coupling as Coupling
 from jaxrod.systems.hinges import hinge_joint as hinge_joint
 from jaxrod.systems.hinges import rigid_joint as rigid_joint

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrod.contacts.bodies import Body
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import directors, to_material, to_world
@@ -42,6 +43,8 @@ class Parts:
     """Of the elements of rods [N m^2]."""
     linear_density: Float[Array, " elements"] | None = None
     """Of the elements of rods [kg/m]."""
+    shape: Body | None = None
+    """Surface of bodies, in their own frame."""
     held: Vec3 | None = None
     """Of each node along each axis, one where a support holds it, else zero."""
     count: int = static(default=1)
@@ -82,6 +85,7 @@ def parts_of(member: Rod | RigidBodies) -> Parts:
         return Parts(
             node_masses=member.masses,
             inertias=member.principal_inertias,
+            shape=member.shape,
             count=member.n_elements,
             is_rod=False,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -131,7 +132,7 @@ def rigid_body(
     body = RigidBodies(
         masses=total[None],
         principal_inertias=moments[:, None],
-        shape=None if solid is None else solid.shape,
+        shape=None if solid is None else _in_type(solid.shape, dtype),
         effects=tuple(effects),
     )
     state = BodyState(
@@ -143,6 +144,11 @@ def rigid_body(
         )[:, None],
     )
     return body, state
+
+
+def _in_type(shape: Body, dtype: Any) -> Body:
+    """A shape with its numbers in a type."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), shape)
 
 
 def _inertia(

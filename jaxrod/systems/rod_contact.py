@@ -139,34 +139,27 @@ class RodContact(Coupling):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if all of every rod touched its partners."""
-        own = [parts[name] for name in self.members]
-        lightest = jnp.min(jnp.stack([jnp.min(_inner_masses(p)) for p in own]))
-        easiest = jnp.min(jnp.stack([jnp.min(p.inertias) for p in own]))
-        return {
-            name: self._bound(parts[name], lightest, easiest) for name in self.members
-        }
+        """Stiffness and drag as if all of every rod touched its partners.
 
-    def _bound(self, own: Parts, lightest: Array, easiest: Array) -> StabilityBound:
+        The square of what a spring sees of both rods is at most twice the sum of the
+        squares of either; of the four parts of a slip, four times.
+        """
+        return {name: self._bound(parts[name]) for name in self.members}
+
+    def _bound(self, own: Parts) -> StabilityBound:
         assert own.linear_density is not None and own.rest_lengths is not None
         assert own.radii is not None
         # A node stands for as much length as it has of the mass.
-        lengths = own.node_masses / jnp.min(own.linear_density)
-        pair = self.partners * lengths * (1 + own.node_masses / lightest)
-        drag = self.damping
-        node_drag = None if drag is None else drag * pair
-        if self.friction_drag is None:
-            return StabilityBound(nodes=self.stiffness * pair, node_drag=node_drag)
-        radius = jnp.max(own.radii)
-        inertia = jnp.min(own.inertias, axis=0)
-        # The square of the slip is at most twice that of either part of it.
-        both = 2 * self.friction_drag
-        largest = both if drag is None else jnp.maximum(drag, both)
-        turning = self.partners * own.rest_lengths * radius * radius
+        lengths = self.partners * own.node_masses / jnp.min(own.linear_density)
+        drag, sides, turning = self.damping, 2, None
+        if self.friction_drag is not None:
+            rub = self.friction_drag
+            drag, sides = rub if drag is None else jnp.maximum(drag, rub), 4
+            turning = 4 * self.partners * drag * own.rest_lengths * own.radii**2
         return StabilityBound(
-            nodes=self.stiffness * pair,
-            node_drag=largest * pair,
-            element_drag=both * turning * (1 + inertia / easiest),
+            nodes=2 * self.stiffness * lengths,
+            node_drag=None if drag is None else sides * drag * lengths,
+            element_drag=turning,
         )
 
     def _pairs(self) -> Iterator[tuple[int, int, Array]]:
@@ -230,11 +223,6 @@ class RodContact(Coupling):
             force = vectors.add(force, rub)
             turns = vectors.cross(arms[0], rub), vectors.cross(rub, arms[1])
         return near.summed(force, turns)
-
-
-def _inner_masses(own: Parts) -> Array:
-    """Masses of the nodes between the ends of rods [kg]."""
-    return own.node_masses.reshape(own.count, -1)[:, 1:-1]
 
 
 def _needed(name: str, parts: AllParts) -> int:

@@ -48,7 +48,7 @@ def test_parallel_rods_press_alike_on_any_grids(n, m, record):
     )
     # Every node takes the load of its own length, to what points between nodes give.
     inner = force[1:-1] / (STIFFNESS * depth * 0.5 / m)
-    assert np.max(np.abs(inner - 1)) < 0.05
+    assert np.max(np.abs(inner - 1)) < 0.08
 
 
 @pytest.mark.slow

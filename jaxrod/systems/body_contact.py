@@ -1,0 +1,317 @@
+r"""Contact of rods with rigid bodies that move.
+
+The law is that of `jaxrod.contacts.contact`, at points along the rod against the signed
+distance of a body's surface where the body is, with the velocity of its surface. Force
+and reaction act at one point, $c = x - r n$ on the rod's surface: on the rod's section
+with the lever $-r n$, on the body with the lever $c - X$. Momentum and angular momentum
+are exact, with damping and friction too, and friction makes both roll.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
+from jaxrod.effects.base import StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree, static
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.parts import Parts, mapped
+from jaxrod.systems.posed import Posed, posed
+from jaxrod.systems.strands import (
+    ContactPoints,
+    StrandLoads,
+    Strands,
+    loads_on_member,
+    points_at,
+    strands,
+)
+from jaxrod.validation import Numbers, as_array, check_count, is_traced
+
+
+@pytree
+class BodyContact(Coupling):
+    """Contact of the rods of one member with the bodies of another."""
+
+    stiffness: Float[Array, ""]
+    """Force per length of rod and penetration [N/m^2]."""
+    onset: Float[Array, ""]
+    """Width of the smooth onset over the rod's radius [1]."""
+    damping: Float[Array, ""] | None = None
+    """Force per length and speed along the normal [kg/(m s)]."""
+    friction: Float[Array, ""] | None = None
+    """Coefficient of Coulomb friction [1]."""
+    friction_drag: Float[Array, ""] | None = None
+    """Largest friction per length and speed of slip [kg/(m s)]."""
+    strand: Strands | None = None
+    """Points of the rods, once prepared."""
+    rod: str = static(default="")
+    """Name of the rods."""
+    body: str = static(default="")
+    """Name of the bodies."""
+    points_per_element: int | None = static(default=None)
+    """Contact points per element; `None`: as many as the radii need."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if members are missing, of other kinds or without shape."""
+        for name, rods in ((self.rod, True), (self.body, False)):
+            if name not in parts:
+                raise ValueError(
+                    f"no member is called {name!r}; there are "
+                    + ", ".join(map(repr, parts))
+                )
+            if parts[name].is_rod != rods:
+                raise ValueError(
+                    "body_contact is between a rod and a rigid body, got "
+                    f"{self.rod!r} and {self.body!r}"
+                )
+        if parts[self.body].shape is None:
+            raise ValueError(
+                f"body_contact needs a surface, but {self.body!r} has no shape"
+            )
+
+    def fitted(self, parts: AllParts) -> BodyContact:
+        """With the number of points."""
+        if self.points_per_element is not None:
+            return self
+        return replace(self, points_per_element=_needed(self.rod, parts))
+
+    def prepared(self, parts: AllParts) -> BodyContact:
+        """With lengths and radii of the points."""
+        assert self.points_per_element is not None
+        return replace(self, strand=strands(parts[self.rod], self.points_per_element))
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Forces and couples on rods and bodies."""
+        strand, own = self._strand(), seen[self.rod]
+        points = points_at(strand, own, spins=self.friction is not None)
+        total = vectors.scale(0.0, points.position)
+        turning: Vec3 | None = None if self.friction is None else total
+        reactions = []
+        for body in self._bodies(seen):
+            force, turn, place = self._force(points, body)
+            total = vectors.add(total, force)
+            if turn is not None:
+                assert turning is not None
+                turning = vectors.add(turning, turn)
+            arm = vectors.subtract(place, body.position)
+            couple = vectors.cross(force, arm)
+            reactions.append((mapped(_sum, force), mapped(_sum, couple)))
+        none = vectors.scale(0.0, mapped(strand.firsts, own.motion.position))
+        on_rod = loads_on_member(
+            strand,
+            own,
+            StrandLoads(
+                on_points=total,
+                on_firsts=none,
+                on_nexts=none,
+                turning_points=turning,
+                turning_segments=None if turning is None else none,
+            ),
+        )
+        return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
+
+    def _on_bodies(self, seen: AllSeen, reactions: list[tuple[Vec3, Vec3]]) -> Loads:
+        """The sums of reactions on each body, couples in the bodies' frames."""
+
+        def row(which: int) -> Vec3:
+            x, y, z = (
+                jnp.stack([reaction[which][axis] for reaction in reactions])
+                for axis in range(3)
+            )
+            return x, y, z
+
+        frame = directors(seen[self.body].motion.orientation)
+        return Loads(vectors.scale(-1.0, row(0)), to_material(frame, row(1)))
+
+    def _force(
+        self, points: ContactPoints, body: Posed
+    ) -> tuple[Vec3, Vec3 | None, Vec3]:
+        """Forces on the points, couples on their sections, and where they act."""
+        strand = self._strand()
+        distance, normal = body.surface(points.position)
+        radii = strand.point_radii
+        arm = vectors.scale(-radii, normal)
+        place = vectors.add(points.position, arm)
+        rate = vectors.subtract(points.velocity, body.velocity_at(place))
+        leaving = vectors.dot(rate, normal)
+        push = normal_force(
+            radii - distance, leaving, self.onset * radii, self.stiffness, self.damping
+        )
+        force = vectors.scale(push, normal)
+        turn: Vec3 | None = None
+        if self.friction is not None:
+            assert self.friction_drag is not None and points.spin is not None
+            slip = vectors.add(rate, vectors.cross(points.spin, arm))
+            along = vectors.dot(slip, normal)
+            slip = vectors.subtract(slip, vectors.scale(along, normal))
+            rub = friction_force(push, slip, self.friction, self.friction_drag)
+            force = vectors.add(force, rub)
+            turn = vectors.scale(strand.lengths, vectors.cross(arm, rub))
+        return vectors.scale(strand.lengths, force), turn, place
+
+    def energy(self, seen: AllSeen) -> Array:
+        """Energy of all contacts [J]."""
+        strand = self._strand()
+        points = points_at(strand, seen[self.rod], spins=False)
+        total = jnp.zeros((), self.stiffness.dtype)
+        for body in self._bodies(seen):
+            distance, _ = body.surface(points.position)
+            depth, width = (
+                strand.point_radii - distance,
+                self.onset * strand.point_radii,
+            )
+            density = energy_density(depth, width, self.stiffness)
+            total = total + jnp.sum(strand.lengths * density)
+        return total
+
+    def violation(self, seen: AllSeen) -> Array:
+        """Deepest penetration of a point over the radius."""
+        strand = self._strand()
+        points = points_at(strand, seen[self.rod], spins=False)
+        worst = jnp.zeros((), self.stiffness.dtype)
+        for body in self._bodies(seen):
+            distance, _ = body.surface(points.position)
+            worst = jnp.maximum(worst, jnp.max(1 - distance / strand.point_radii))
+        return worst
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and drag as if all of every rod touched every body.
+
+        The square of what a spring sees of node and body is at most twice the sum of
+        the squares of both, and of a body's as much again of moving and turning.
+        """
+        rods, bodies = parts[self.rod], parts[self.body]
+        assert rods.linear_density is not None and rods.radii is not None
+        assert rods.rest_lengths is not None
+        lengths = bodies.count * rods.node_masses / jnp.min(rods.linear_density)
+        touching = jnp.broadcast_to(jnp.sum(lengths), (bodies.count,)) / bodies.count
+        square = _size(bodies) ** 2
+        drag, sides, turning = self.damping, 2, None
+        if self.friction_drag is not None:
+            # The section's turning besides.
+            drag = (
+                self.friction_drag
+                if drag is None
+                else jnp.maximum(drag, self.friction_drag)
+            )
+            sides = 3
+            turning = 3 * bodies.count * drag * rods.rest_lengths * rods.radii**2
+        node_drag = body_drag = turn_drag = None
+        if drag is not None:
+            node_drag = sides * drag * lengths
+            body_drag = 2 * sides * drag * touching
+            turn_drag = body_drag * square
+        push = 4 * self.stiffness * touching
+        return {
+            self.rod: StabilityBound(
+                nodes=2 * self.stiffness * lengths,
+                node_drag=node_drag,
+                element_drag=turning,
+            ),
+            self.body: StabilityBound(
+                nodes=push,
+                elements=push * square,
+                node_drag=body_drag,
+                element_drag=turn_drag,
+            ),
+        }
+
+    def _strand(self) -> Strands:
+        assert self.strand is not None
+        return self.strand
+
+    def _bodies(self, seen: AllSeen) -> Iterator[Posed]:
+        own = seen[self.body]
+        for number in range(own.parts.count):
+            yield posed(own, number)
+
+
+def _sum(field: Array) -> Array:
+    return jnp.sum(field)
+
+
+def _size(bodies: Parts) -> Array:
+    """Largest distance of a surface from the centre, of what is filled evenly [m]."""
+    largest = jnp.max(bodies.inertias, axis=0)
+    return jnp.sqrt(5 * largest / bodies.node_masses)
+
+
+def _needed(name: str, parts: AllParts) -> int:
+    """Points per element such that neighbours are a radius apart at most."""
+    own = parts[name]
+    if is_traced(own.rest_lengths, own.radii):
+        raise ValueError(
+            f"body_contact: of {name!r} the lengths or radii are traced: give "
+            "points_per_element"
+        )
+    ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)
+    return max(1, math.ceil(float(np.max(ratio)) - 1e-6))
+
+
+def body_contact(
+    rod: str,
+    body: str,
+    *,
+    stiffness: Numbers,
+    damping: Numbers | None = None,
+    friction: Numbers | None = None,
+    friction_drag: Numbers | None = None,
+    onset: Numbers = 0.01,
+    points_per_element: int | None = None,
+) -> BodyContact:
+    """Contact of the rods of one member with the rigid bodies of another.
+
+    With fixed bodies a rod's own `contact` is cheaper.
+
+    Args:
+        rod: Name of a rod, or of equal rods.
+        body: Name of rigid bodies with a shape.
+        stiffness: Force per length of rod and penetration [N/m^2].
+        damping: Force per length and normal speed [kg/(m s)].
+        friction: Coefficient of Coulomb friction [1].
+        friction_drag: Largest friction per length and speed of slip [kg/(m s)]; by
+            default as much as `damping`.
+        onset: Width of the smooth onset of contact over the rod's radius [1].
+        points_per_element: Contact points per element; by default so many that they
+            are a radius apart.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If a number is out of range, or friction has no drag.
+    """
+    drag = damping if friction_drag is None else friction_drag
+    if friction is not None and drag is None:
+        raise ValueError(
+            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
+            "and speed at the onset of slip (by default the damping), got none"
+        )
+
+    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
+        return None if value is None else as_array(name, value, unit, positive=True)
+
+    if points_per_element is not None:
+        check_count("points_per_element", points_per_element, 1, 1000)
+    return BodyContact(
+        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
+        onset=as_array("onset", onset, "", positive=True),
+        damping=number("damping", damping, "kg/(m s)"),
+        friction=number("friction", friction, ""),
+        friction_drag=(
+            None if friction is None else number("friction_drag", drag, "kg/(m s)")
+        ),
+        rod=rod,
+        body=body,
+        points_per_element=points_per_element,
+    )
