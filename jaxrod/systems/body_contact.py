@@ -24,7 +24,7 @@ from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.parts import Parts, mapped
 from jaxrod.systems.posed import Posed, posed
 from jaxrod.systems.strands import (
@@ -79,7 +79,7 @@ class BodyContact(Coupling):
                 f"body_contact needs a surface, but {self.body!r} has no shape"
             )
 
-    def fitted(self, parts: AllParts) -> BodyContact:
+    def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
         """With the number of points."""
         if self.points_per_element is not None:
             return self

@@ -14,6 +14,8 @@ AllSeen = Mapping[str, Seen]
 """Members of a system at a moment, by name."""
 AllParts = Mapping[str, Parts]
 """Constants of the members of a system, by name."""
+TiedPair = tuple[str, int, str, int]
+"""Member and node of the one and of the other."""
 
 
 class Coupling:
@@ -29,8 +31,13 @@ class Coupling:
     def check(self, parts: AllParts) -> None:
         """Raises a `ValueError` where the coupling does not fit the members."""
 
-    def fitted(self, parts: AllParts) -> Coupling:
-        """Itself with structure that follows from the members; for `make_system`."""
+    def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> Coupling:
+        """Itself with structure that follows from the members; for `make_system`.
+
+        Args:
+            parts: Constants of the members.
+            tied: Pairs of nodes that are tied together.
+        """
         return self
 
     def prepared(self, parts: AllParts) -> Coupling:

@@ -31,7 +31,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.near_segments import Nearness, nearnesses
 from jaxrod.systems.parts import Parts
 from jaxrod.systems.strands import (
@@ -69,6 +69,8 @@ class RodContact(Coupling):
     """Whether rods touch themselves."""
     points_per_element: tuple[int, ...] = static(default=())
     """Contact points per element of each member, once fitted; or one number for all."""
+    tied: tuple[TiedPair, ...] = static(default=())
+    """Pairs of nodes that are tied together, near which nothing touches."""
     partners: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
 
@@ -83,8 +85,8 @@ class RodContact(Coupling):
             if not parts[name].is_rod:
                 raise ValueError(f"rod_contact is between rods, and {name!r} is rigid")
 
-    def fitted(self, parts: AllParts) -> RodContact:
-        """With points and segments numbered."""
+    def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
+        """With the number of points, and what is tied and so does not touch."""
         self.check(parts)
         rods = sum(parts[name].count for name in self.members)
         if rods < 2 and not self.itself:
@@ -94,7 +96,8 @@ class RodContact(Coupling):
             )
         given = self.points_per_element * len(self.members)
         per = given or tuple(_needed(name, parts) for name in self.members)
-        return replace(self, points_per_element=per)
+        near = tuple(pair for pair in tied if {pair[0], pair[2]} <= set(self.members))
+        return replace(self, points_per_element=per, tied=near)
 
     def prepared(self, parts: AllParts) -> RodContact:
         """With radii and lengths of points and segments."""
@@ -168,10 +171,14 @@ class RodContact(Coupling):
             for b in range(len(self.members)):
                 points, segments = self.strands[a], self.strands[b]
                 half = 0.5 * points.lengths[None, :]
-                if a != b:
-                    yield a, b, half
-                elif points.count > 1 or self.itself:
-                    yield a, b, self._within(points, segments, half)
+                if a == b and not (points.count > 1 or self.itself):
+                    continue
+                if a == b:
+                    half = self._within(points, segments, half)
+                for one, i, other, j in self.tied:
+                    if (one, other) == (self.members[a], self.members[b]):
+                        half = half * _away(points, i, segments, j)
+                yield a, b, half
 
     def _within(self, points: Strands, segments: Strands, half: Array) -> Array:
         """Half the lengths of points, for segments of the same member."""
@@ -223,6 +230,23 @@ class RodContact(Coupling):
             force = vectors.add(force, rub)
             turns = vectors.cross(arms[0], rub), vectors.cross(rub, arms[1])
         return near.summed(force, turns)
+
+
+def _away(points: Strands, node: int, segments: Strands, other: int) -> Array:
+    """Zero for points and segments near nodes that are tied, along their rods."""
+    rod = node // (points.n_elements + 1)
+    fellow = other // (segments.n_elements + 1)
+    along = jnp.abs(points.places - points.node_places[node])
+    ends = segments.starts + segments.rest_lengths
+    mark = segments.node_places[other]
+    beside = jnp.maximum(jnp.maximum(segments.starts - mark, mark - ends), 0)
+    apart = along[None, :] + beside[:, None]
+    reach = 0.5 * math.pi * (segments.radii[:, None] + points.point_radii[None, :])
+    share = jnp.clip((apart - reach) / segments.rest_lengths[:, None], 0, 1)
+    concerned = (segments.segment_rods == fellow)[:, None] & (points.point_rods == rod)[
+        None, :
+    ]
+    return jnp.where(concerned, share, 1)
 
 
 def _needed(name: str, parts: AllParts) -> int:

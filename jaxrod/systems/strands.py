@@ -57,6 +57,11 @@ class Strands:
         return np.repeat(np.arange(self.count), self.n_elements * self.per_element + 1)
 
     @property
+    def node_places(self) -> Array:
+        """Rest arc length of each node along its rod [m]."""
+        return self._rods(self.places)[:, :: self.per_element].reshape(-1)
+
+    @property
     def is_last(self) -> np.ndarray:
         """Whether each segment is the last of its rod."""
         return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)

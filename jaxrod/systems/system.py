@@ -134,7 +134,8 @@ def make_system(
         parts = held_parts(system, state)
     for coupling in ordered:
         coupling.check(parts)
-    fitted = tuple(coupling.fitted(parts) for coupling in ordered)
+    tied = () if ties is None else ties.pairs
+    fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
     couplings_in_type = jax.tree.map(_in_type(system.dtype), fitted)
     _check_followers(ordered)
     return replace(system, couplings=couplings_in_type)

@@ -20,7 +20,7 @@ from jaxtyping import Array
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree, static
-from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.places import Indices, Place, Points, layouts_of, resolved
 from jaxrod.systems.rest import position_of
 from jaxrod.systems.rows import picked, replaced, summed
@@ -65,6 +65,21 @@ class Tie(Coupling):
             )
             changed[points.member] = replace(motion, velocity=(x, y, z))
         return changed
+
+    @property
+    def pairs(self) -> tuple[TiedPair, ...]:
+        """All pairs of nodes that are tied together, each in both orders."""
+        nodes = [
+            (points.member, int(node), int(group))
+            for points, groups in zip(self.points, self.groups, strict=True)
+            for node, group in zip(points.nodes.values, groups.values, strict=True)
+        ]
+        return tuple(
+            (a, i, b, j)
+            for k, (a, i, g) in enumerate(nodes)
+            for m, (b, j, h) in enumerate(nodes)
+            if g == h and k != m
+        )
 
     def _shared(self, seen: AllSeen, axis: int) -> Any:
         """The velocity along an axis of each tied node's group, member by member."""
