@@ -16,7 +16,7 @@ KEY = jax.random.key(0)
 @pytest.mark.parametrize(
     "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("double", [False, True])
+@pytest.mark.parametrize("double", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_arm_stays_in_its_plane_exactly(variant, double):
     """For whole episodes, whatever the action: held, new in every step, or both."""
     with jax.enable_x64(double):

@@ -164,6 +164,8 @@ WORDS: dict[str, Any] = {
 
 MAY_BE_NONE = {
     ("straight_rod", "shear_modulus"),
+    ("straight_rod", "shear_correction"),
+    ("rod_along", "shear_correction"),
     ("straight_rod", "normal"),
     ("rod_along", "shear_modulus"),
     ("rod_along", "normal"),

@@ -33,7 +33,7 @@ def swing(dtype, remember, damping, plane):
 @pytest.mark.parametrize(
     ("damping", "plane"),
     [
-        (0.0, None),
+        pytest.param(0.0, None, marks=pytest.mark.slow),
         pytest.param(5.0, None, marks=pytest.mark.slow),
         (0.0, "xy"),
     ],

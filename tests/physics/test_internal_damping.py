@@ -50,6 +50,7 @@ def test_an_axial_mode_decays(share, record):
     )
 
 
+@pytest.mark.slow
 def test_a_clamped_rod_s_bending_decays(record):
     """The clamp's own joint too, or a tenth would be missing. Faster modes go first."""
     rod, state = arm(N)

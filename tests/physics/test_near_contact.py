@@ -117,6 +117,7 @@ def test_energy_is_that_of_all_bodies():
     assert energies[0] > 0
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_all_bodies():
     """Also with respect to the bodies' numbers, which are gathered for the points."""
     rod, state = thick_arm()

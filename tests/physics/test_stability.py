@@ -412,6 +412,7 @@ def test_a_rod_sheared_at_rest_is_bounded_too():
         assert 0.6 < ratio <= 1
 
 
+@pytest.mark.slow
 def test_measuring_works_inside_jit_and_vmap():
     rod, state = arm(5, dtype=jnp.float32)
     scene = jaxrod.make_scene(rod)

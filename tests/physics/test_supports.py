@@ -93,6 +93,7 @@ def test_a_cantilever_is_held_by_its_weight_and_its_moment():
     assert float(reaction.couple[1]) == pytest.approx(-arm - 2e-4, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stiff_rod_on_a_hinge_is_a_compound_pendulum():
     rod, state = along_x(4)
     gravity = 9.81
@@ -164,7 +165,7 @@ def pendulum(method, turn=True):
     ("method", "turn"),
     [
         pytest.param(jaxrod.consistent(), True, marks=pytest.mark.slow),
-        (jaxrod.planar("zx"), True),
+        pytest.param(jaxrod.planar("zx"), True, marks=pytest.mark.slow),
         pytest.param(jaxrod.implicit(1.0), True, marks=pytest.mark.slow),
         (jaxrod.consistent(), False),
     ],

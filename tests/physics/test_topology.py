@@ -172,6 +172,7 @@ def both(nodes, normals):
     return total + lengthened + 0.3 * jaxrod.twist(nodes, normals, ends="joined")
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences():
     """The link of a ribbon that is cut open is no whole number."""
     nodes, normals = ring(1)

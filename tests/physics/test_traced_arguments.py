@@ -24,6 +24,17 @@ FRAMES = np.asarray(jaxrod.rod_along(BENT, **MATERIAL)[1].directors).tolist()
 SIDES = ((1.0, 0.5, 0.2), (0.3, 1.0, 0.1), (0.2, 0.1, 1.0))
 BALL = jaxrod.sphere((0.0, 0.0, 0.0), 0.1)
 
+HEAD, OF_HEAD = jaxrod.rigid_body(jaxrod.sphere((0.0, 0.1, 1.3), 0.1), density=1e3)
+TOGETHER = {"rod": STATE, "head": OF_HEAD}
+JOINED = {"a": ("rod", "finish"), "b": ("head",), "state": TOGETHER}
+TOUCH = {
+    "stiffness": 1e3,
+    "damping": 2.0,
+    "friction": 0.3,
+    "friction_drag": 4.0,
+    "onset": 0.02,
+}
+
 FACTORIES = {
     "straight_rod": [
         {
@@ -100,7 +111,14 @@ FACTORIES = {
             "friction": 0.3,
             "friction_drag": 4.0,
             "onset": 0.02,
-        }
+        },
+        {
+            "bodies": BALL,
+            "stiffness": 1e3,
+            "friction": (0.3, 0.2, 0.4),
+            "friction_drag": 4.0,
+            "stick_ratio": 1.5,
+        },
     ],
     "implicit": [{"spectral_radius": 0.5, "tolerance": 1e-4}],
     "control_spline": [
@@ -190,6 +208,62 @@ FACTORIES = {
             "extent": 2.0,
         }
     ],
+    "stokes_drag": [
+        {"along": 1.0, "across": 2.0, "turning": 0.1, "flow": (0.1, 0.2, 0.3)}
+    ],
+    "quadratic_drag": [
+        {"density": 1e3, "across": 1.1, "along": 0.1, "flow": (0.1, 0.2, 0.3)}
+    ],
+    "slender_cylinder": [{"viscosity": 1.1, "length": 2.0, "radius": 0.1}],
+    "slender_body_drag": [{"viscosity": 1.1}],
+    "buoyancy": [{"density": 1e3, "acceleration": (0.1, 0.2, -9.0), "added_mass": 0.5}],
+    "with_added_mass": [{"rod": ROD, "density": 1e3, "coefficient": 0.9}],
+    "rigid_body": [
+        {
+            "mass": 2.0,
+            "inertia": (1.0, 1.1, 1.2),
+            "position": (1.0, 2.0, 3.0),
+            "orientation": (1.0, 0.2, 0.3, 0.1),
+            "velocity": (1.0, 2.0, 3.0),
+            "angular_velocity": (1.0, 2.0, 3.0),
+        },
+        {"shape": BALL, "density": 1e3},
+    ],
+    "spring": [
+        {
+            **JOINED,
+            "stiffness": 10.0,
+            "damping": 1.0,
+            "at": ((0.0, 0.01, 1.2), (0.0, 0.1, 1.25)),
+        }
+    ],
+    "ball_joint": [
+        {**JOINED, "stiffness": 10.0, "damping": 1.0, "at": (0.1, 0.2, 1.1)}
+    ],
+    "hinge_joint": [
+        {
+            **JOINED,
+            "axis": (0.1, 0.2, 0.9),
+            "stiffness": 10.0,
+            "axis_stiffness": 1.0,
+            "damping": 0.1,
+            "axis_damping": 0.2,
+            "motor": 0.3,
+            "at": (0.1, 0.2, 1.1),
+        }
+    ],
+    "rigid_joint": [
+        {
+            **JOINED,
+            "stiffness": 10.0,
+            "turning_stiffness": 1.0,
+            "damping": 0.1,
+            "turning_damping": 0.2,
+            "at": (0.1, 0.2, 1.1),
+        }
+    ],
+    "body_contact": [{"rod": "rod", "body": "head", **TOUCH}],
+    "rod_contact": [{"members": ("one", "two"), **TOUCH}],
     "limit_rate": [
         {"applied": (1.0, 2.0), "commanded": (1.5, -3.0), "largest_change": (1.0, 0.5)}
     ],
@@ -258,7 +332,10 @@ def built(name, case, argument, change):
     leaves, tree = jax.tree.flatten(case[argument])
     leaves = [change(k, leaf) for k, leaf in enumerate(leaves)]
     changed = {argument: jax.tree.unflatten(tree, leaves)}
-    made = jax.tree.leaves(getattr(jaxrod, name)(**case | changed))
+    given = case | changed
+    # What a function takes by position alone.
+    members = given.pop("members", ())
+    made = jax.tree.leaves(getattr(jaxrod, name)(*members, **given))
     return [leaf for leaf in made if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 

@@ -45,6 +45,7 @@ def test_two_halves_are_the_whole(record):
     )
 
 
+@pytest.mark.slow
 def test_equal_rods_in_one_leaf_are_separate_rods():
     """And two of them welded are what two members welded are."""
     starts = jnp.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])

@@ -78,6 +78,7 @@ def test_a_crossing_is_counted_once_wherever_it_is(record):
     assert abs(np.mean(energies) - 1) < 0.06
 
 
+@pytest.mark.slow
 def test_collision_keeps_momenta(record):
     """Two rods that spin collide off their middles, with damping and friction."""
     one, of_one = rod(8, 0.4)

@@ -25,6 +25,7 @@ def swinging():
         return problem, reference(problem, 24)
 
 
+@pytest.mark.slow
 def test_the_error_falls_with_the_square_of_the_number_of_elements(swinging):
     problem, exact = swinging
     errors = [

@@ -79,6 +79,7 @@ def test_the_result_keeps_the_precision_of_the_arm(found):
     assert found.knots.dtype == found.states.positions.dtype == dtype
 
 
+@pytest.mark.slow
 def test_another_target_and_other_settings_do_not_compile_again(found):
     before = cost_and_gradient._cache_size()
     optimise(

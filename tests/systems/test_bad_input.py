@@ -1,0 +1,125 @@
+"""Mistakes in systems are named: the member, the argument, the value, the unit."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import pytest
+
+import jaxrod
+from systems.members import rod
+
+
+@pytest.fixture(scope="module")
+def given():
+    """Members and a state: two rods that meet, one that does not, a ball."""
+    one, of_one = rod(4, 0.3)
+    two, of_two = rod(4, 0.3, (0.3, 0, 0), (0, 1, 0))
+    far, of_far = rod(4, 0.3, (0, 0, 5.0))
+    ball, of_ball = jaxrod.rigid_body(
+        jaxrod.sphere((0, 0, 0.1), 0.05), density=100.0, dtype=jnp.float64
+    )
+    members = {
+        "one": jaxrod.make_scene(one, jaxrod.clamp(of_one, "finish")),
+        "two": jaxrod.make_scene(two),
+        "far": jaxrod.make_scene(far),
+        "ball": ball,
+    }
+    return members, {"one": of_one, "two": of_two, "far": of_far, "ball": of_ball}
+
+
+@pytest.mark.parametrize(
+    ("couple", "words"),
+    [
+        (
+            lambda s: jaxrod.tie(("none", 0), ("two", 0), s),
+            "no member is called 'none'",
+        ),
+        (lambda s: jaxrod.tie(("one", 9), ("two", 0), s), "node of 'one'"),
+        (lambda s: jaxrod.tie(("one", "end"), ("two", 0), s), '"start" or "finish"'),
+        (lambda s: jaxrod.tie(("one", "start"), ("far", 0), s), "5 m apart"),
+        (lambda s: jaxrod.weld(("one", 4), ("two", 2), s), "m apart"),
+        (lambda s: jaxrod.tie([("one", 4), ("one", 0)], [("two", 0)], s), "2 and 1"),
+        (lambda s: jaxrod.attach(("ball",), ("ball",), s), "nodes of rods"),
+        (
+            lambda s: jaxrod.attach(("one", "finish"), ("ball",), s),
+            "held by a support and attached",
+        ),
+        (
+            lambda s: [
+                jaxrod.attach(("two", 1), ("ball",), s),
+                jaxrod.attach(("two", 1), ("ball",), s),
+            ],
+            "follow one body only",
+        ),
+        (
+            lambda s: [
+                jaxrod.attach(("two", 0), ("ball",), s),
+                jaxrod.tie(("one", 4), ("two", 0), s),
+            ],
+            "tied and attached",
+        ),
+        (
+            lambda s: jaxrod.ball_joint(("one", 4), ("ball",), s, stiffness=-1.0),
+            "stiffness.*N/m",
+        ),
+        (
+            lambda s: jaxrod.hinge_joint(
+                ("one", 4), ("ball",), s, axis=(0, 0, 0), stiffness=1, axis_stiffness=1
+            ),
+            "axis",
+        ),
+    ],
+)
+def test_couplings_that_do_not_fit(given, couple, words):
+    members, state = given
+    with pytest.raises(ValueError, match=words):
+        jaxrod.make_system(members, couple(state), state=state)
+
+
+def test_members_of_other_kinds_and_types(given):
+    members, _ = given
+    single, _ = jaxrod.straight_rod(
+        4, length=0.3, radius=0.02, density=1e3, youngs_modulus=1e6, dtype=jnp.float32
+    )
+    with pytest.raises(ValueError, match="must all be of one type"):
+        jaxrod.make_system({**members, "single": jaxrod.make_scene(single)})
+    with pytest.raises(ValueError, match="no steps in a system"):
+        jaxrod.make_system(
+            {"a": jaxrod.make_scene(members["two"].rod, method=jaxrod.implicit())}
+        )
+    with pytest.raises(TypeError, match="member 'a'"):
+        jaxrod.make_system({"a": members["two"].rod})
+    with pytest.raises(TypeError, match="couplings must be"):
+        jaxrod.make_system(members, "weld")
+    with pytest.raises(TypeError, match="dict"):
+        jaxrod.make_system([members["two"]])
+
+
+def test_states_that_do_not_fit(given):
+    members, state = given
+    system = jaxrod.make_system(members)
+    with pytest.raises(ValueError, match="must have the members"):
+        jaxrod.advance(system, {"one": state["one"]}, 1e-4, 1)
+    with pytest.raises(TypeError, match="state of 'ball' must be a BodyState"):
+        jaxrod.advance(system, {**state, "ball": state["one"]}, 1e-4, 1)
+    short = replace(state["one"], positions=state["one"].positions[:, :3])
+    with pytest.raises(ValueError, match="positions of 'one'"):
+        jaxrod.advance(system, {**state, "one": short}, 1e-4, 1)
+    with pytest.raises(ValueError, match="dt must be"):
+        jaxrod.advance(system, state, -1e-4, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "density .* or a mass"),
+        ({"mass": 1.0}, "inertia .* is needed"),
+        ({"density": 1.0}, "density needs a sphere"),
+        ({"mass": 0.0, "inertia": (1, 1, 1)}, "mass.*kg"),
+        ({"mass": 1.0, "inertia": (1, 1, 3)}, "no moment above the sum"),
+        ({"mass": 1.0, "inertia": (1, 1)}, "inertia"),
+    ],
+)
+def test_bodies_that_are_none(options, words):
+    with pytest.raises(ValueError, match=words):
+        jaxrod.rigid_body(**options)
