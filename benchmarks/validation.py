@@ -27,9 +27,11 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = (
     "tests/physics",
     "tests/extremes",
+    "tests/systems",
     "tests/pyelastica/test_side_by_side.py",
     "tests/pyelastica/test_contact_side_by_side.py",
     "tests/pyelastica/test_slender_body.py",
+    "tests/pyelastica/test_waves_side_by_side.py",
     "tests/envs/test_clean_problem.py",
     "tests/envs/test_clean_obstacles.py",
 )

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,7 @@ from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState, check_size
 from jaxrod.scene import (
     Composite,
+    Model,
     Scene,
     check_memory,
     check_moment,
@@ -130,8 +131,27 @@ class Health:
         )
 
 
+@overload
 def health(
-    scene: Scene | Composite,
+    scene: Scene,
+    state: RodState,
+    dt: ArrayLike,
+    *,
+    limits: HealthLimits | None = ...,
+    energy_before: ArrayLike | None = ...,
+    work_input: ArrayLike = ...,
+    n_steps: ArrayLike = ...,
+) -> Health: ...
+
+
+@overload
+def health(
+    scene: Composite, state: Any, dt: ArrayLike, *, limits: HealthLimits | None = ...
+) -> Any: ...
+
+
+def health(
+    scene: Model,
     state: Any,
     dt: ArrayLike,
     *,

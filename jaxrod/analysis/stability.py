@@ -33,7 +33,7 @@ $h\,\omega_{\max} < 2$.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +50,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.methods.drag_kick import without_drag
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Composite, Scene, check_scene, damping_rates, scene_of
+from jaxrod.scene import Composite, Model, Scene, check_scene, damping_rates, scene_of
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array
 
@@ -79,8 +79,18 @@ class StableStep:
         return f"{MODE_NAMES[int(self.mode)]} of element {int(self.element)}"
 
 
+@overload
 def stable_dt(
-    scene: Any, safety: ArrayLike = 0.8, *, state: RodState | None = None
+    scene: Scene, safety: ArrayLike = ..., *, state: RodState | None = ...
+) -> StableStep: ...
+
+
+@overload
+def stable_dt(scene: Composite, safety: ArrayLike = ...) -> Any: ...
+
+
+def stable_dt(
+    scene: Model, safety: ArrayLike = 0.8, *, state: RodState | None = None
 ) -> Any:
     """The largest step at which a scene is stable, times a safety factor.
 

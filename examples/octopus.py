@@ -1,0 +1,58 @@
+"""An octopus: eight soft arms on a rigid head, curled by muscles along them.
+
+All arms are one member, equal rods in one leaf, and part of the head exactly. Muscles on
+the lower side of each contract one after the other; nothing holds the animal, so its
+momentum stays zero. Run it with `python examples/octopus.py`.
+"""
+
+import jax
+import jax.numpy as jnp
+
+import jaxrod
+
+N_ARMS, N_ELEMENTS, LENGTH, HEAD = 8, 12, 0.2, 0.03  # [1], [1], [m], [m]
+
+
+def arm(angle):
+    """A tapered arm that leaves the head sideways, with its muscle; and its state."""
+    outwards = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(())])
+    rod, state = jaxrod.straight_rod(
+        N_ELEMENTS,
+        length=LENGTH,
+        radius=(0.012, 0.003),
+        density=1050.0,
+        youngs_modulus=2e4,
+        start=HEAD * outwards,
+        direction=outwards,
+        normal=(0.0, 0.0, 1.0),
+    )
+    # Full force where the arm is thick, on the lower side, within half a second.
+    force = 4e3 * jnp.pi * rod.radii**2
+    contraction = jaxrod.ramp(0.0, 0.6, 0.5)
+    offset = jnp.stack([-0.5 * jnp.mean(rod.radii), jnp.zeros(())])
+    muscle = jaxrod.muscle(rod, force[None], contraction, offsets=offset[None])
+    return jaxrod.make_scene(rod, muscle, jaxrod.internal_damping(2e-3)), state
+
+
+def octopus():
+    """The animal and its state at rest."""
+    angles = 2 * jnp.pi * jnp.arange(N_ARMS) / N_ARMS
+    arms, of_arms = jax.vmap(arm)(angles)
+    head, of_head = jaxrod.rigid_body(jaxrod.sphere((0, 0, 0), HEAD), density=1050.0)
+    state = {"arms": of_arms, "head": of_head}
+    roots = [("arms", k, "start") for k in range(N_ARMS)]
+    together = jaxrod.attach(roots, ("head",), state)
+    return jaxrod.make_system({"arms": arms, "head": head}, together), state
+
+
+def curl(seconds=1.0):
+    """The state after a while, and the system."""
+    system, state = octopus()
+    dt = float(jaxrod.stable_dt(system).dt)
+    return system, jaxrod.advance(system, state, dt, int(seconds / dt)), dt
+
+
+if __name__ == "__main__":
+    system, state, _ = curl()
+    print("tips below the head by [m]:", -state["arms"].positions[:, 2, -1])
+    print("momentum [kg m/s]:", jaxrod.momentum(system, state))
