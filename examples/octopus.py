@@ -1,8 +1,8 @@
 """An octopus: eight soft arms on a rigid head, curled by muscles along them.
 
-All arms are one member, equal rods in one leaf, and part of the head exactly. Muscles on
-the lower side of each contract one after the other; nothing holds the animal, so its
-momentum stays zero. Run it with `python examples/octopus.py`.
+All arms are one member, equal rods in one leaf, and part of the head exactly. Muscles
+on the lower side of each contract; nothing holds the animal, so its momentum stays
+zero. Run it with `python examples/octopus.py`.
 """
 
 import jax
