@@ -28,7 +28,7 @@ def arm(angle):
     )
     # Full force where the arm is thick, on the lower side, within half a second.
     force = 4e3 * jnp.pi * rod.radii**2
-    contraction = jaxrod.ramp(0.0, 0.6, 0.5)
+    contraction = jaxrod.ramp(0.0, 0.25, 0.5)
     offset = jnp.stack([-0.5 * jnp.mean(rod.radii), jnp.zeros(())])
     muscle = jaxrod.muscle(rod, force[None], contraction, offsets=offset[None])
     return jaxrod.make_scene(rod, muscle, jaxrod.internal_damping(2e-3)), state

@@ -168,6 +168,7 @@ def test_empty_batch_is_refused():
         VectorEnvironment(env).reset(jax.random.key(0), 0, env.default_params())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [

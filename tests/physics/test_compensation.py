@@ -30,6 +30,7 @@ def swing(dtype, remember, damping, plane):
     return np.asarray(states.tip, np.float64), YOUNG * AREA * (stretch - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damping", "plane"),
     [

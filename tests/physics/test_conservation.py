@@ -119,7 +119,9 @@ def test_pyelastica_s_law_gains_energy(record):
     )
 
 
-@pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
+@pytest.mark.parametrize(
+    "mode", ["consistent", pytest.param("pyelastica", marks=pytest.mark.slow)]
+)
 def test_gravity_alone_makes_a_rod_fall_as_a_stone_does(mode):
     rod, state = random_rod(6, n_elements=5)
     scene = jaxrod.make_scene(

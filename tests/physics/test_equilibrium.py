@@ -151,6 +151,7 @@ def mixture(found):
     )
 
 
+@pytest.mark.slow
 def test_equilibria_depend_on_every_number_as_differences_say(record):
     scene, state = scene_of_every_load()
     evaluate = jax.jit(

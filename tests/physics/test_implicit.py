@@ -165,6 +165,7 @@ def test_no_damping_keeps_the_energy_of_small_motion(record):
     )
 
 
+@pytest.mark.slow
 def test_momentum_and_angular_momentum_of_a_free_rod(record):
     dt = 2 * explicit_limit(free(1.0))
     state = moving(free(1.0))

@@ -103,6 +103,7 @@ def test_what_loads_do_drive_is_not_said_to_converge():
     assert not bool(spun.converged) and not bool(spun.stable) and bool(spun.loose)
 
 
+@pytest.mark.slow
 def test_a_rod_on_one_pin_hangs_down_and_may_spin():
     """Its weight drives it until it hangs; a rod that stands on its pin may fall."""
     hanging = found(*beam(direction=(0.3, 0.0, -1.0)), on=(1, 0))

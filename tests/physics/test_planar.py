@@ -172,6 +172,7 @@ def test_what_is_zero_out_of_the_plane_stays_zero(mode, dtype):
     np.testing.assert_array_less(np.abs(tilts), 4 * np.finfo(dtype).eps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "plane",
     ["xy", *(pytest.param(p, marks=pytest.mark.slow) for p in ("yz", "zx"))],

@@ -177,6 +177,7 @@ def test_joints_in_series_between_two_materials(record):
     assert abs(two_materials(20, "arithmetic")) > 5 * abs(errors[1])
 
 
+@pytest.mark.slow
 def test_a_strip_in_a_plane_is_that_in_space():
     """About its weak and about its strong axis; methods that need round rods refuse."""
     for normal in ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):

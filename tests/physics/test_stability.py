@@ -175,6 +175,7 @@ def squeezed(state, stretch):
     return replace(state, positions=stretch * state.positions)
 
 
+@pytest.mark.slow
 def test_the_guard_knows_that_compression_stiffens_pyelasticas_law():
     rod, state = arm(5)
     scene = jaxrod.make_scene(rod, method=jaxrod.pyelastica())

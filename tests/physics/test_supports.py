@@ -167,7 +167,7 @@ def pendulum(method, turn=True):
         pytest.param(jaxrod.consistent(), True, marks=pytest.mark.slow),
         pytest.param(jaxrod.planar("zx"), True, marks=pytest.mark.slow),
         pytest.param(jaxrod.implicit(1.0), True, marks=pytest.mark.slow),
-        (jaxrod.consistent(), False),
+        pytest.param(jaxrod.consistent(), False, marks=pytest.mark.slow),
     ],
     ids=["consistent", "planar", "implicit", "free to turn"],
 )
@@ -215,6 +215,7 @@ class Dashpot(jaxrod.Effect):
         return jaxrod.Loads(forces=forces)
 
 
+@pytest.mark.slow
 def test_loads_of_implicit_steps_see_how_fast_an_end_is_driven():
     """A rod that is towed as fast as it moves stays as it is."""
     rod, state = along_x(3, 1e5)

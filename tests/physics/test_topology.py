@@ -186,6 +186,7 @@ def test_gradients_are_those_of_differences():
     np.testing.assert_allclose(jnp.sum(slope * move), numeric, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_values_and_gradients_are_finite_everywhere():
     """In line, folded back onto itself, in one point, in a right angle, crossing."""
     line = np.linspace(0.0, 1.0, POINTS + 1)

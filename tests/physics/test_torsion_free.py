@@ -125,6 +125,7 @@ def test_it_is_of_second_order_in_time(record):
         )
 
 
+@pytest.mark.slow
 def test_loads_are_minus_the_gradient_of_the_energy(record):
     """For motions of nodes and turns of elements across their axes."""
     scene, state = free()
@@ -168,6 +169,7 @@ def _turned(direction, turns):
     return x / size, y / size, z / size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_rest", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_gradients_agree_with_finite_differences(at_rest, record):
     scene, state = swinging(n=4, sideways=0.0 if at_rest else 2.0)

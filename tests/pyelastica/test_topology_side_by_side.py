@@ -8,6 +8,9 @@ import jaxrod
 
 LONGER = 5.0
 
+# Numba compiles theirs where it is first called, and says how it could be faster.
+pytestmark = pytest.mark.filterwarnings("ignore:.*faster on contiguous arrays")
+
 
 @pytest.fixture(scope="module")
 def ribbon():
