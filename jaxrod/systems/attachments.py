@@ -37,6 +37,7 @@ from jaxrod.systems.places import (
 from jaxrod.systems.rest import position_of
 from jaxrod.systems.rigid_stepper import Carried
 from jaxrod.systems.rows import picked, replaced, summed
+from jaxrod.validation import is_traced
 
 
 @pytree
@@ -60,7 +61,7 @@ class Attachment(Coupling):
                 f"{self.points.member!r} and {self.bodies.member!r}"
             )
         held = parts[self.points.member].held
-        if held is None:
+        if held is None or is_traced(held):
             return
         index = self.points.nodes.values
         if any(bool(np.any(np.asarray(c)[index] > 0)) for c in held):
