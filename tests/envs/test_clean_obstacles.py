@@ -154,7 +154,10 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards, r
 
 
 @NAMES
-@pytest.mark.parametrize("limit", ["smallest_stretch", "largest_stretch"])
+@pytest.mark.parametrize(
+    "limit",
+    [pytest.param("smallest_stretch", marks=pytest.mark.slow), "largest_stretch"],
+)
 def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     env = make(name, variant="clean")
     params = env.default_params()

@@ -71,7 +71,9 @@ def test_positive_normal_action_pushes_to_minus_x_and_binormal_to_plus_z(variant
         assert abs(tip[2 - axis]) < 1e-6
 
 
-@pytest.mark.parametrize("variant", ["paper", "clean"])
+@pytest.mark.parametrize(
+    "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
+)
 def test_observation_is_nodes_tip_velocity_target_and_its_velocity(variant):
     env = make("tracking", variant=variant)
     states, obs, *_ = play(env, smooth_actions(20, 0.5))

@@ -40,6 +40,7 @@ def test_the_sag_of_ten_elements(name, record):
     )
 
 
+@pytest.mark.slow
 def test_the_first_frequency_of_ten_elements(record):
     few, many = (
         jaxrod.natural_frequencies(*clamped(n), n_modes=1)[0] for n in (FEW, MANY)

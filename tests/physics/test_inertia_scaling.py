@@ -16,6 +16,7 @@ def rope(n=50, radius=0.002):
     return jaxrod.make_scene(rod, jaxrod.clamp(state)), state
 
 
+@pytest.mark.slow
 def test_a_thin_rope_takes_five_times_larger_steps(record):
     scene, state = rope()
     scaling = jaxrod.scale_inertia(scene)

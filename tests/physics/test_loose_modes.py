@@ -63,6 +63,7 @@ def found(rod, state, weight=1.0, on=(1, 1), couple=(0.0, 0.0, 0.0)):
     return differentiated(numbers, rod, state, switches, load)[0][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["float64", pytest.param("float32", marks=pytest.mark.slow)]
 )

@@ -66,7 +66,13 @@ def in_space(scene):
 
 
 @pytest.mark.parametrize(
-    ("plane", "mode"), [*((p, "consistent") for p in AXES), ("zx", "pyelastica")]
+    ("plane", "mode"),
+    [
+        ("xy", "consistent"),
+        pytest.param("yz", "consistent", marks=pytest.mark.slow),
+        pytest.param("zx", "consistent", marks=pytest.mark.slow),
+        pytest.param("zx", "pyelastica", marks=pytest.mark.slow),
+    ],
 )
 def test_a_planar_scene_is_the_one_in_space(plane, mode, record):
     """To rounding, and what rounding comes to in 2000 steps is measured, not guessed:

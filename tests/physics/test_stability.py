@@ -228,6 +228,7 @@ def soft_swing(safety):
     return scene, state, jaxrod.stable_dt(scene, safety).dt
 
 
+@pytest.mark.slow
 def test_a_step_near_the_bound_is_warned_of_once_the_rod_is_compressed():
     """Before anything is wrong where `advance` gets to see it, else afterwards."""
     scene, state, dt = soft_swing(0.999)
@@ -428,7 +429,9 @@ def test_measuring_works_inside_jit_and_vmap():
     np.testing.assert_allclose(together, alone, rtol=1e-3)
 
 
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize(
+    "measured", [False, pytest.param(True, marks=pytest.mark.slow)]
+)
 def test_steps_of_small_stiff_rods_are_those_of_large_soft_ones_in_float32(measured):
     """Squares of their squared frequencies are beyond float32."""
 

@@ -26,6 +26,7 @@ def along_x(n=N, modulus=MODULUS):
     )
 
 
+@pytest.mark.slow
 def test_a_simply_supported_beam_sags_as_it_should():
     rod, state = along_x()
     load = 0.05
@@ -115,6 +116,7 @@ def test_a_stiff_rod_on_a_hinge_is_a_compound_pendulum():
     assert lowest[1] > 1.5 * exact
 
 
+@pytest.mark.slow
 def test_a_hinge_lets_a_rod_go_round_and_round():
     rod, state = along_x(3, 1e7)
     omega = np.zeros((3, 3))

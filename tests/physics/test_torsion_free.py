@@ -22,6 +22,7 @@ from physics.torsion_free import free, largest_gap, swinging, with_twist
 ENDS = ["start", pytest.param("finish", marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ENDS)
 def test_in_a_plane_it_is_the_scene_with_twist_and_the_planar_one(end, record):
     scene, state = swinging(end=end)

@@ -30,6 +30,7 @@ def test_trivial_task_is_learned_to_its_known_optimum():
     assert result.summary["final_score"] > env.optimal_return - 1
 
 
+@pytest.mark.slow
 def test_learning_in_float64_stays_in_float64():
     result = train(
         Trivial(), steps=1024, config=SMALL, progress=False, evaluation_episodes=2

@@ -10,6 +10,7 @@ from jaxrod.training import find_algorithm, train
 from jaxrod.training.short_episodes import restart_phase
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     "algorithm", [pytest.param("ppo", marks=pytest.mark.slow), "td3"]

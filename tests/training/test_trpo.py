@@ -185,6 +185,7 @@ def test_vectorised_seeds_equal_separate_runs():
         np.testing.assert_allclose(a[1], b, rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_changed_numbers_recompile_nothing_and_float64_stays_float64():
     numbers = {
         field.name: 0.5 * field.default
