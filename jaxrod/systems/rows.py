@@ -1,8 +1,9 @@
 """Entries of a row: picked out, replaced, added up, by indices that are structure.
 
 Without scatters: each entry of a row asks which values are for it. Sums are therefore
-the same in every run, on every device. A few indices are compared one by one, which
-fuses with its surroundings; many go by a table.
+the same in every run, on every device. A few indices are compared one by one, more are
+compared with all entries at once, which fuses with its surroundings and is the same
+kind of program when it is transposed; very many go by a table.
 """
 
 from __future__ import annotations
@@ -17,12 +18,20 @@ from jaxrod.systems.places import Indices
 
 FEW = 8
 """Indices that are compared one by one."""
+MOST_COMPARED = 2**22
+"""Pairs of an index and an entry that are compared at once.
+
+As many as that: in reverse mode XLA's CPU compiler (0.10.1, with the fusion that
+`configure_cpu` asks for) gives up on some programs that look up entries."""
 
 
 def picked(row: Array, index: Indices) -> Array:
     """Entries of a row."""
+    size = row.shape[0]
     if len(index) <= FEW:
         return jnp.stack([row[int(k)] for k in index.values])
+    if len(index) * size <= MOST_COMPARED:
+        return jnp.sum(jnp.where(_same(index, size), row[None, :], 0), axis=1)
     return row[index.values]
 
 
@@ -34,9 +43,9 @@ def replaced(row: Array, index: Indices, values: Array) -> Array:
         for k, place in enumerate(index.values):
             row = jnp.where(numbers == place, values[k], row)
         return row
-    table = _table(index, size)[0]
-    padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
-    return jnp.where(table < len(index), padded[table], row)
+    there = np.zeros(size, bool)
+    there[index.values] = True
+    return jnp.where(there, summed(values, index, size), row)
 
 
 def summed(values: Array, index: Indices, size: int) -> Array:
@@ -47,15 +56,18 @@ def summed(values: Array, index: Indices, size: int) -> Array:
         for k, place in enumerate(index.values):
             total = total + jnp.where(numbers == place, values[k], 0)
         return total
-    return gathered_sum(values, index, size)
-
-
-def gathered_sum(values: Array, index: Indices, size: int) -> Array:
-    """The same by a table, for many indices."""
+    if len(index) * size <= MOST_COMPARED:
+        return jnp.sum(jnp.where(_same(index, size), values[:, None], 0), axis=0)
     padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
     return functools.reduce(
         jnp.add, [padded[entries] for entries in _table(index, size)]
     )
+
+
+@functools.lru_cache(maxsize=256)
+def _same(index: Indices, size: int) -> np.ndarray:
+    """Whether each index is that of each entry, `(indices, size)`."""
+    return index.values[:, None] == np.arange(size)[None, :]
 
 
 @functools.lru_cache(maxsize=256)

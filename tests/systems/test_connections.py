@@ -262,3 +262,47 @@ def test_members_that_depend_on_time():
     alone = jaxrod.advance(scene, of_whole, dt, 400, first=7)
     assert abs(alone.tip[1]) > 1e-3
     np.testing.assert_allclose(together["right"].tip, alone.tip, rtol=0, atol=1e-12)
+
+
+def ladder():
+    """Two rails and twelve rungs between them, welded at 24 places."""
+    rails, of_rails = jax.vmap(lambda y: rod(24, 2.4, jnp.stack([0 * y, y, 0 * y])))(
+        jnp.array([0.0, 0.5])
+    )
+    rungs, of_rungs = jax.vmap(
+        lambda x: rod(4, 0.5, jnp.stack([x, 0 * x, 0 * x]), (0, 1, 0))
+    )(0.2 * jnp.arange(12))
+    state = {"rails": of_rails, "rungs": of_rungs}
+    ends = ("start", "finish")
+    system = jaxrod.make_system(
+        {
+            name: jax.vmap(lambda r: jaxrod.make_scene(r, jaxrod.gravity()))(rods)
+            for name, rods in (("rails", rails), ("rungs", rungs))
+        },
+        jaxrod.weld(
+            [("rails", r, 2 * k) for k in range(12) for r in (0, 1)],
+            [("rungs", k, ends[r]) for k in range(12) for r in (0, 1)],
+            state,
+        ),
+        state=state,
+    )
+    return system, state
+
+
+@pytest.mark.slow
+def test_gradients_through_many_ties():
+    """More places than are compared one by one: programs of another kind."""
+    system, state = ladder()
+    dt = float(jaxrod.stable_dt(system).dt)
+
+    def reach(push):
+        rails = replace(state["rails"], velocities=state["rails"].velocities + push)
+        after = jaxrod.advance(system, {**state, "rails": rails}, dt, 20)
+        return (
+            after["rungs"].positions[3, 1, 2] + after["rails"].positions[1, 0, 5] ** 2
+        )
+
+    slope = float(jax.jit(jax.grad(reach))(0.1))
+    function, h = jax.jit(reach), 1e-5
+    difference = float((function(0.1 + h) - function(0.1 - h)) / (2 * h))
+    assert slope == pytest.approx(difference, rel=1e-6)
