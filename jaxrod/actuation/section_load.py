@@ -85,6 +85,7 @@ class SectionLoad(Effect):
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
         """Stored energy [J]."""
+        # Not abstract: a subclass may have `stress` alone.
         raise NotImplementedError(
             f"{type(self).__name__} must have stored(rod, strains) or "
             "stress(rod, strains)"

@@ -100,6 +100,7 @@ class Effect:
             if _says_of_others(cls, name, ("loads",)):
                 setattr(cls, name, vars(Effect)[name])
         if _says_of_others(cls, "held", ("constrain", "constrain_rates")):
+            # A class of its own says what it holds, or nothing.
             cls.held = Effect.held  # type: ignore[method-assign]
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:

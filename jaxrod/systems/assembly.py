@@ -23,7 +23,7 @@ from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.statics.freedoms import free_rates
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.systems.attachments import Attachment
 from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.member_steppers import (
@@ -51,6 +51,8 @@ class Assembly:
     """The members, by name."""
     couplings: tuple[Coupling, ...] = ()
     """Couplings between them."""
+    shapes: tuple[tuple[int, ...], ...] = static(default=())
+    """Of each member's elements or bodies, as it was made."""
 
     @property
     def dtype(self) -> Any:
@@ -135,6 +137,18 @@ class Assembly:
 def is_group(member: Member) -> bool:
     """Whether a member is equal rods with a leading axis."""
     return isinstance(member, Scene) and member.rod.rest_lengths.ndim > 1
+
+
+def member_shapes(members: Mapping[str, Member]) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the members' elements, or of bodies, in the order of their names."""
+
+    def shape(member: Member) -> tuple[int, ...]:
+        if isinstance(member, RigidBodies):
+            return jnp.shape(member.masses)
+        return jnp.shape(member.rod.rest_lengths)
+
+    # JAX puts a dict in the order of its keys: names, not as they were given.
+    return tuple(shape(members[name]) for name in sorted(members))
 
 
 def _effects(system: Assembly) -> list[Any]:

@@ -30,6 +30,16 @@ Memories = dict[str, Any]
 
 
 @pytree
+class SystemNow:
+    """How far a system has come in time."""
+
+    step: Int[Array, ""]
+    """Whole steps since time zero."""
+    memories: Memories
+    """What the effects of its rods remember."""
+
+
+@pytree
 class EvolvingSystem:
     """Position Verlet of a system that depends on time or remembers.
 
@@ -47,23 +57,22 @@ class EvolvingSystem:
     first: Int[Array, ""]
     """Steps since time zero when it begins."""
 
-    def begin(self, state: Mapping[str, Any]) -> tuple[Motions, Now]:
+    def begin(self, state: Mapping[str, Any]) -> tuple[Motions, SystemNow]:
         """To the middle of the first step."""
         memories = {
             name: _memory(member, state[name])
             for name, member in self.system.members.items()
             if isinstance(member, Scene)
         }
-        # Of a system the memory has one more level: the names.
-        now = Now(self.first, memories)  # type: ignore[arg-type]
+        now = SystemNow(self.first, memories)
         return self._at(now, 0.5).begin(state), now
 
-    def cycle(self, carry: tuple[Motions, Now]) -> tuple[Motions, Now]:
+    def cycle(self, carry: tuple[Motions, SystemNow]) -> tuple[Motions, SystemNow]:
         """From the middle of a step to the middle of the next."""
         kicked, now = self._kick(carry)
         return self._at(now, 0.5).drift(kicked, self.stepper.dt), now
 
-    def end(self, carry: tuple[Motions, Now]) -> dict[str, Any]:
+    def end(self, carry: tuple[Motions, SystemNow]) -> dict[str, Any]:
         """From the middle of the last step to its end."""
         kicked, now = self._kick(carry)
         last = self._at(now, 0.0)
@@ -71,22 +80,20 @@ class EvolvingSystem:
         if self.system.depends_on_time:
             moved = last.supported(moved)
         state = last.leave(moved)
-        memories: Memories = now.memory  # type: ignore[assignment]
-        for name, memory in memories.items():
+        for name, memory in now.memories.items():
             if any(memory):
                 state[name] = replace(state[name], memory=memory)
         return state
 
-    def _kick(self, carry: tuple[Motions, Now]) -> tuple[Motions, Now]:
+    def _kick(self, carry: tuple[Motions, SystemNow]) -> tuple[Motions, SystemNow]:
         motions, now = carry
         present = self._at(now, 0.5)
         kicked = present.kick(motions)
-        memories: Memories = now.memory  # type: ignore[assignment]
         after = {
             name: self._remembered(present.members[name], kicked[name], memory)
-            for name, memory in memories.items()
+            for name, memory in now.memories.items()
         }
-        return kicked, Now(now.step + 1, after)  # type: ignore[arg-type]
+        return kicked, SystemNow(now.step + 1, after)
 
     def _remembered(self, member: MemberStepper, motion: Any, memory: Any) -> Any:
         """What a rod's effects remember one step later."""
@@ -102,11 +109,10 @@ class EvolvingSystem:
         assert isinstance(member, RodStepper)
         return one(member.verlet.scene, motion, memory)
 
-    def _at(self, now: Now, fraction: float) -> SystemStepper:
+    def _at(self, now: SystemNow, fraction: float) -> SystemStepper:
         """The stepper with the system as it is a part of a step later."""
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
-        memories: Memories = now.memory  # type: ignore[assignment]
         members: dict[str, MemberStepper] = {}
         for name, stepper in self.stepper.members.items():
             member = self.system.members[name]
@@ -118,7 +124,7 @@ class EvolvingSystem:
                 members[name] = replace(stepper, rigid=rigid)
             elif member.evolves:
                 assert isinstance(stepper, RodStepper | RodsStepper)
-                scene = _scene_at(member, now.step, memories[name], fraction, dt)
+                scene = _scene_at(member, now.step, now.memories[name], fraction, dt)
                 verlet = replace(stepper.verlet, scene=scene)
                 members[name] = replace(stepper, verlet=verlet)
             else:

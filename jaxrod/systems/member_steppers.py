@@ -84,6 +84,7 @@ class RodStepper:
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
         """Nodes of rods pass impulses on and take none."""
+        # Only attachments push, and their check lets no rod be the body.
         raise NotImplementedError("impulses act on rigid bodies")
 
 
@@ -131,6 +132,7 @@ class RodsStepper:
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
         """Nodes of rods pass impulses on and take none."""
+        # Only attachments push, and their check lets no rod be the body.
         raise NotImplementedError("impulses act on rigid bodies")
 
 
@@ -167,6 +169,7 @@ class BodiesStepper:
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
         """Bodies follow nothing."""
+        # Ties and attachments check that what follows is a node of a rod.
         raise NotImplementedError("nothing ties a rigid body to follow another member")
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:

@@ -217,6 +217,7 @@ def mapped_zero(vector: Vec3) -> Vec3:
 def _damping(bodies: RigidBodies) -> tuple[Array | None, Array | None]:
     total: tuple[Array, Array] | None = None
     for effect in bodies.effects:
+        # As above: of what effects on bodies ask, bodies have all.
         member: object = bodies
         rates = effect.damping_rates(member)  # type: ignore[arg-type]
         if rates is not None:

@@ -285,7 +285,7 @@ def rod_contact(
             along the rod than pi times its radius nothing is seen.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
         points_per_element: Contact points per element; by default so many that they
-            are a third of a radius apart, which makes the force of rods that cross
+            are a third of a radius apart, which makes the energy of rods that cross
             the same to 3 % wherever they do.
         partners: Rods that may touch one place at the same time, for `stable_dt`: 2
             for a few rods, 6 in a bundle.

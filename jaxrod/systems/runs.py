@@ -14,7 +14,7 @@ from jaxrod.effects.memory import memory_of
 from jaxrod.effects.time import Clock
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene, Stepper
-from jaxrod.systems.assembly import Assembly, SystemState
+from jaxrod.systems.assembly import Assembly, SystemState, member_shapes
 from jaxrod.systems.evolving import EvolvingSystem
 from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
 from jaxrod.systems.stability import stable_system_dt
@@ -36,6 +36,11 @@ def check_system_state(system: Assembly, state: Any) -> None:
     if set(state) != set(system.members):
         raise ValueError(
             f"state must have the members {sorted(system.members)}, got {sorted(state)}"
+        )
+    if system.shapes and member_shapes(system.members) != system.shapes:
+        raise ValueError(
+            "system must be one system, got a batch: use jax.vmap, as in "
+            "jax.vmap(jaxrod.advance, in_axes=(0, 0, None, None))(systems, ...)"
         )
     for name, member in system.members.items():
         _check_member(name, member, state[name], system.dtype)

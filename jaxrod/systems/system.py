@@ -15,7 +15,13 @@ from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.scene import Composite, Scene, Stepper
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import Assembly, Member, SystemState, held_parts
+from jaxrod.systems.assembly import (
+    Assembly,
+    Member,
+    SystemState,
+    held_parts,
+    member_shapes,
+)
 from jaxrod.systems.attachments import Attachment
 from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.energies import (
@@ -138,7 +144,9 @@ def make_system(
     fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
     couplings_in_type = jax.tree.map(_in_type(system.dtype), fitted)
     _check_followers(ordered)
-    return replace(system, couplings=couplings_in_type)
+    return replace(
+        system, couplings=couplings_in_type, shapes=member_shapes(system.members)
+    )
 
 
 def _flat(couplings: Any) -> Any:

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
@@ -51,19 +50,32 @@ class Tie(Coupling):
                     "jaxrod.attach"
                 )
 
+    def constrain(self, seen: AllSeen) -> dict[str, Motion]:
+        """Puts each group at one place: equal velocities alone leave rounding."""
+        return self._together(seen, "position")
+
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
         """Gives each group one velocity."""
-        velocities: list[vectors.Vec3] = []
-        for k in range(3):
-            velocities.append(self._shared(seen, k))
+        return self._together(seen, "velocity")
+
+    def _together(self, seen: AllSeen, field: str) -> dict[str, Motion]:
+        """Motions in which a field is the same at all nodes of a group."""
+        shared = [self._shared(seen, field, k) for k in range(3)]
         changed = {}
         for number, points in enumerate(self.points):
             motion = seen[points.member].motion
             x, y, z = (
-                replaced(component, points.nodes, velocities[k][number])
-                for k, component in enumerate(motion.velocity)
+                replaced(component, points.nodes, shared[k][number])
+                for k, component in enumerate(getattr(motion, field))
             )
-            changed[points.member] = replace(motion, velocity=(x, y, z))
+            kept: dict[str, Any] = {field: (x, y, z)}
+            if field == "position" and motion.remainder is not None:
+                u, v, w = (
+                    replaced(c, points.nodes, jnp.zeros(len(points.nodes), c.dtype))
+                    for c in motion.remainder
+                )
+                kept["remainder"] = (u, v, w)
+            changed[points.member] = replace(motion, **kept)
         return changed
 
     @property
@@ -81,13 +93,17 @@ class Tie(Coupling):
             if g == h and k != m
         )
 
-    def _shared(self, seen: AllSeen, axis: int) -> Any:
-        """The velocity along an axis of each tied node's group, member by member."""
+    def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
+        """A component of a field of each tied node's group, member by member.
+
+        The mean by mass; where a support holds some of them, the mean of those.
+        """
         masses, speeds, held = [], [], []
         for points in self.points:
             own = seen[points.member]
             masses.append(picked(own.parts.node_masses, points.nodes))
-            speeds.append(picked(own.motion.velocity[axis], points.nodes))
+            values = getattr(own.motion, field)[axis]
+            speeds.append(picked(values, points.nodes))
             if own.parts.held is None:
                 held.append(jnp.zeros_like(masses[-1]))
             else:

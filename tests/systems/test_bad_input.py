@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -123,3 +124,16 @@ def test_states_that_do_not_fit(given):
 def test_bodies_that_are_none(options, words):
     with pytest.raises(ValueError, match=words):
         jaxrod.rigid_body(**options)
+
+
+def test_a_batch_of_systems_is_no_system_of_groups(given):
+    """Nothing numeric in a tie says so: it would be enforced in the first one alone."""
+    members, state = given
+    system = jaxrod.make_system(
+        {"one": members["one"], "two": members["two"]},
+        jaxrod.tie(("one", "finish"), ("two", "start"), state),
+    )
+    pair = {name: state[name] for name in ("one", "two")}
+    systems, states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), (system, pair))
+    with pytest.raises(ValueError, match=r"use jax\.vmap"):
+        jaxrod.advance(systems, states, 1e-4, 1)

@@ -306,3 +306,38 @@ def test_gradients_through_many_ties():
     function, h = jax.jit(reach), 1e-5
     difference = float((function(0.1 + h) - function(0.1 - h)) / (2 * h))
     assert slope == pytest.approx(difference, rel=1e-6)
+
+
+def test_tied_nodes_stay_together_for_long_in_single_precision():
+    """Equal velocities leave the rounding of positions, which adds up."""
+    made = [
+        jaxrod.straight_rod(
+            4,
+            length=0.3,
+            radius=0.02,
+            density=1e3,
+            youngs_modulus=1e6,
+            start=start,
+            direction=direction,
+            dtype=jnp.float32,
+        )
+        for start, direction in (
+            ((7.0, 3.0, -2.0), (1, 0, 0)),
+            ((7.3, 3.0, -2.0), (0, 0.6, 0.8)),
+        )
+    ]
+    state = {"one": made[0][1], "two": jaxrod.compensated(made[1][1])}
+    falls = jaxrod.gravity((0.3, 0.1, -1.0))
+    system = jaxrod.make_system(
+        {
+            "one": jaxrod.make_scene(made[0][0], jaxrod.clamp(made[0][1]), falls),
+            "two": jaxrod.make_scene(made[1][0], falls),
+        },
+        jaxrod.tie(("one", "finish"), ("two", "start"), state),
+    )
+    dt = jaxrod.stable_dt(system).dt
+    after = jaxrod.advance(system, state, dt, 20_000)
+    assert np.all(np.isfinite(after["two"].positions))
+    np.testing.assert_array_equal(
+        after["one"].positions[:, -1], after["two"].positions[:, 0]
+    )
