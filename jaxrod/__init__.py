@@ -154,6 +154,7 @@ _NAMES = {
         "rigid_body",
         "stacked_bodies",
     ),
+    "systems.rigid_contact": ("RigidContact", "rigid_contact"),
     "systems.rod_contact": ("RodContact", "rod_contact"),
     "systems.springs": ("ball_joint", "spring"),
     "systems.system": ("System", "make_system"),

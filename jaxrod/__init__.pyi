@@ -178,6 +178,8 @@ from jaxrod.systems.rigid_bodies import BodyState as BodyState
 from jaxrod.systems.rigid_bodies import RigidBodies as RigidBodies
 from jaxrod.systems.rigid_bodies import rigid_body as rigid_body
 from jaxrod.systems.rigid_bodies import stacked_bodies as stacked_bodies
+from jaxrod.systems.rigid_contact import RigidContact as RigidContact
+from jaxrod.systems.rigid_contact import rigid_contact as rigid_contact
 from jaxrod.systems.rod_contact import RodContact as RodContact
 from jaxrod.systems.rod_contact import rod_contact as rod_contact
 from jaxrod.systems.springs import ball_joint as ball_joint
