@@ -147,7 +147,9 @@ _NAMES = {
     "structure": ("memory", "pytree", "static"),
     "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
+    "systems.glue": ("Glue", "glue"),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
+    "systems.pose_springs": ("PoseSpring", "pose_spring", "pose_spring_reactions"),
     "systems.rigid_bodies": (
         "BodyState",
         "RigidBodies",
@@ -155,6 +157,7 @@ _NAMES = {
         "stacked_bodies",
     ),
     "systems.rigid_contact": ("RigidContact", "rigid_contact"),
+    "systems.rings": ("ring",),
     "systems.rod_contact": ("RodContact", "rod_contact"),
     "systems.springs": ("ball_joint", "spring"),
     "systems.system": ("System", "make_system"),

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.time import Clock, Schedule
+from jaxrod.effects.time import Clock, Schedule, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     join_quaternion,
@@ -101,6 +101,26 @@ class Turning(Schedule):
         turn = rotation_exp(vectors.scale(angle, vectors.split(self.axis)))
         start = split_quaternion(self.start)
         return join_quaternion(multiply_quaternions(turn, start))
+
+
+@pytree
+class _Constant(Schedule):
+    """A schedule that stays what it is."""
+
+    value: Array
+
+    def __call__(self, clock: Any) -> Array:
+        return self.value
+
+    @property
+    def largest(self) -> Array:
+        return jnp.abs(self.value)
+
+
+def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
+    """A schedule, or a constant as one, checked as `as_timed` does."""
+    checked = as_timed(name, value, unit, shape)
+    return checked if isinstance(checked, Schedule) else _Constant(checked)
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:

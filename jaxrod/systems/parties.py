@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.contacts.bodies import Body, Plane
+from jaxrod.contacts.bodies import Body, Plane, SignedDistance
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -209,9 +209,12 @@ class Meeting:
         """The most balls by which a body of one touches a body of the other."""
         total = 0.0
         for first, _, share in Meeting.between(a, b, same=same):
-            looks = a if first else b
+            looks, surface = (a, b) if first else (b, a)
             assert looks.samples is not None
-            total += (2 if same else 1) * share * looks.samples.count
+            most: int | None = looks.samples.at_once
+            if most is None or isinstance(surface.shape, SignedDistance):
+                most = looks.samples.count
+            total += (2 if same else 1) * share * most
         return total
 
     @staticmethod

@@ -50,6 +50,8 @@ class Samples:
     """Angle of each point along its rim from the lowest [rad]."""
     is_round: bool = static(default=False)
     """Whether the balls together are the whole body: no corner, no edge."""
+    at_once: int | None = static(default=None)
+    """Balls that touch a convex body at a time at most; `None`: all."""
 
     @property
     def count(self) -> int:
@@ -144,6 +146,8 @@ def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
         rim_radii=jnp.concatenate([shape.radius * (1 + none), 0 * some]),
         axis=_direction(shape.end - shape.start),
         angles=(*angles, *angles, *([0.0] * balls)),
+        # Standing, or lying.
+        at_once=max(RIM_POINTS, 2 + balls),
     )
 
 
@@ -165,6 +169,8 @@ def _(shape: Box, balls: int, points_per_edge: int) -> Samples:
     return Samples(
         shape.centre[:, None] + vectors.join(to_world(frame, own)),
         jnp.zeros(len(places), shape.half_lengths.dtype),
+        # Those of a face.
+        at_once=4 * (points_per_edge - 1),
     )
 
 

@@ -78,8 +78,16 @@ class System(Assembly, Composite):
     ) -> SystemHealth:
         """Flags and what is behind them."""
         check_system_state(self, state)
-        _check_moment(self)
+        self.check_moment()
         return system_health(self, state, dt, limits=limits)
+
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+        if self.depends_on_time:
+            raise ValueError(
+                "this asks about one moment, but a number of an effect or a coupling "
+                "is a schedule: give system.at(time)"
+            )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
         """Of all members [J]."""
@@ -89,7 +97,7 @@ class System(Assembly, Composite):
     def potential_energy(self, state: Any) -> Float[Array, ""]:
         """Of all members and couplings [J]."""
         check_system_state(self, state)
-        _check_moment(self)
+        self.check_moment()
         return system_potential_energy(self, state)
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
@@ -188,15 +196,6 @@ def _with_own_types(member: Member) -> Member:
         return member
     cast = in_type(member.masses.dtype)
     return replace(member, effects=jax.tree.map(cast, member.effects))
-
-
-def _check_moment(system: System) -> None:
-    """Raises a `ValueError` if a system depends on time."""
-    if system.depends_on_time:
-        raise ValueError(
-            "this asks about one moment, but a number of an effect or a coupling is a "
-            "schedule: give system.at(time)"
-        )
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:

@@ -38,7 +38,7 @@ def alone(shape, fixed=None, slope=0.0, body_options=(), **law):
     """One body on the ground, which may slope downwards along x; and its state."""
     down = (G * np.sin(slope), 0.0, -G * np.cos(slope))
     one, state = body(shape, effects=(jaxrod.gravity(down),), **dict(body_options))
-    law = {"stiffness": 1e5, "damping": 100.0} | law
+    law = {"stiffness": 1e5, "damping": 100.0, "onset": 1e-4} | law
     ground = jaxrod.plane() if fixed is None else fixed
     system = jaxrod.make_system(
         {"body": one}, jaxrod.rigid_contact("body", fixed=ground, **law)
@@ -353,11 +353,11 @@ def test_the_stability_bound_is_safe_and_not_far_off(shape, record):
         body_options={"position": (0, 0, 0.1 if shape == "sphere" else 0.12)},
     )
     heavy = replace(
-        system.members["body"], effects=(jaxrod.gravity((0.0, 0.0, -200 * G)),)
+        system.members["body"], effects=(jaxrod.gravity((0.0, 0.0, -20 * G)),)
     )
     system = jaxrod.make_system({"body": heavy}, *system.couplings)
     contacts = 1 if shape == "sphere" else 4
-    depth = 200 * G * float(heavy.masses[0]) / 2e4 / contacts
+    depth = 20 * G * float(heavy.masses[0]) / 2e4 / contacts
     down = state["body"].positions.at[2].add(-1.001 * depth)
     spin = jnp.array([[0.01], [0.02], [0.0]])
     state = moved(state, positions=down, angular_velocities=spin)
@@ -366,10 +366,11 @@ def test_the_stability_bound_is_safe_and_not_far_off(shape, record):
     @jax.jit
     def is_stable(dt):
         quiet = jaxrod.advance(system, state, dt, 3000)
-        return jnp.abs(quiet["body"].positions[2, 0] - down[2, 0]) < 0.1 * depth
+        moves = jnp.sum(quiet["body"].velocities ** 2)
+        return moves + jnp.sum(0.01 * quiet["body"].angular_velocities ** 2) < 1e-3
 
     # A traced step is not warned about.
-    ratios = np.linspace(0.9, 3.0, 43)
+    ratios = np.linspace(0.95, 3.0, 42)
     fine = [bool(is_stable(bound * ratio)) for ratio in ratios]
     limit = ratios[fine.index(False)]
     record(
