@@ -2,10 +2,10 @@ r"""Glue: rods side by side, joined all along by a line of springs.
 
 Each pair of elements shares a point midway between their surfaces, fixed in both. What
 the point of the one is off that of the other is $g$; per length the line stores
-$\frac12 k |g|^2 + \frac12 k_t |\phi|^2$, with $\phi$ the turn of the one element against
-the other from what it was. Forces and those of the dashpots act at one point, half on
-each node of an element with the couple of the lever arm: momentum and angular momentum
-are exact.
+$\frac12 k |g|^2 + \frac12 k_t |\phi|^2$, with $\phi$ the turn of the one element
+against the other from what it was. Forces and those of the dashpots act at one point,
+half on each node of an element with the couple of the lever arm: momentum and angular
+momentum are exact.
 """
 
 from __future__ import annotations
@@ -39,8 +39,15 @@ from jaxrod.systems.elastic_joints import (
     spin_at,
 )
 from jaxrod.systems.loads import sum_of_loads
-from jaxrod.systems.parts import Parts, Seen
-from jaxrod.systems.places import Indices, Points, layouts_of, points_of, resolved
+from jaxrod.systems.parts import Parts, Seen, in_one_row
+from jaxrod.systems.places import (
+    Indices,
+    Layout,
+    Points,
+    layouts_of,
+    points_of,
+    resolved,
+)
 from jaxrod.systems.rows import picked, summed
 from jaxrod.systems.springs import optional_number
 from jaxrod.systems.stepper import added
@@ -79,7 +86,7 @@ class GluedSide:
         return vectors.add(self.middles(seen, seen.motion.velocity), swing)
 
     def loads(self, seen: Seen, force: Vec3, place: Vec3) -> tuple[Any, Any]:
-        """Loads of forces at some places: on elements and first nodes, on the others."""
+        """Loads of forces at some places: on the first nodes, and on the others."""
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         frame = directors(orientation_at(seen, self.points))
         couple = to_material(frame, vectors.cross(arm, force))
@@ -228,9 +235,13 @@ class Glue(Coupling):
         return total
 
 
+Rods = str | tuple[str, int]
+"""A rod by name, or one of equal rods."""
+
+
 def glue(
-    a: str | tuple[str, int],
-    b: str | tuple[str, int],
+    a: Rods | Sequence[Rods],
+    b: Rods | Sequence[Rods],
     state: Mapping[str, Any],
     *,
     stiffness: Numbers,
@@ -239,11 +250,12 @@ def glue(
     turning_damping: Numbers | None = None,
     elements: tuple[Sequence[int], Sequence[int]] | None = None,
 ) -> Glue:
-    """Two rods glued side by side where `state` has them, without force there.
+    """Rods glued side by side where `state` has them, without force there.
 
     Args:
-        a: Name of a rod, or `("rods", 2)` of one of equal rods.
-        b: The other.
+        a: Name of a rod, or `("rods", 2)` of one of equal rods; or several of one
+            member, each glued to one of `b`.
+        b: The other, or as many.
         state: State of the system at rest.
         stiffness: Force per length of glue and distance, in all directions [N/m^2].
         turning_stiffness: Couple per length and angle between the elements [N].
@@ -259,53 +271,34 @@ def glue(
     Raises:
         ValueError: If there are no such rods or elements, their numbers differ, or a
             number is out of range.
+        TypeError: If a rod is none.
     """
     layouts = layouts_of(state)
-    names = [_place(which) for which in (a, b)]
-    counts = []
-    for side, name in zip("ab", names, strict=True):
-        member, _, _ = resolved(side, (*name, "start"), layouts)
-        if not layouts[member].is_rod:
-            raise ValueError(f"{side}: glue joins rods, and {member!r} is rigid")
-        counts.append(layouts[member].n_elements)
-    chosen: Any = elements
-    if chosen is None:
-        if counts[0] != counts[1]:
-            raise ValueError(
-                f"{a!r} and {b!r} have {counts[0]} and {counts[1]} elements: say which "
-                "are glued together, elements=([...], [...])"
-            )
-        chosen = (range(counts[0]), range(counts[0]))
-    first, second = (
-        [check_count(f"elements of {name!r}", k, 0, count - 1) for k in listed]
-        for name, count, listed in zip((a, b), counts, chosen, strict=True)
-    )
-    if not first or len(first) != len(second):
+    names = [_rods("a", a), _rods("b", b)]
+    if len(names[0]) != len(names[1]):
         raise ValueError(
-            f"elements must be as many of both, got {len(first)} and {len(second)}"
+            f"a and b must be as many rods, got {len(names[0])} and {len(names[1])}"
         )
-    one, two = (
-        [(*name, k) for k in listed]
-        for name, listed in zip(names, (first, second), strict=True)
-    )
-    if set(one) & set(two):
-        raise ValueError(
-            f"an element is glued to itself: {sorted(set(one) & set(two))}"
-        )
-    # All pairs are of two members, so that there is one row of joints.
-    (joint,) = elastic_joints(one, two, state)
-    middles = [
-        _middles(state[name[0]], name, listed)
-        for name, listed in zip(names, (first, second), strict=True)
+    pairs: list[list[tuple[Any, ...]]] = [[], []]
+    for one, two in zip(*names, strict=True):
+        for side, found in enumerate(_glued(one, two, elements, layouts)):
+            pairs[side].extend(found)
+    same = sorted({p for p, q in zip(*pairs, strict=True) if p == q})
+    if same:
+        raise ValueError(f"an element is glued to itself: {same[0]}")
+    points = [
+        points_of(side, [resolved(side, place, layouts) for place in places])
+        for side, places in zip("ab", pairs, strict=True)
     ]
+    # All pairs are of two members, so that there is one row of joints.
+    (joint,) = elastic_joints(pairs[0], pairs[1], state)
+    middles = [_middles(state[own.member], own) for own in points]
     midway = 0.5 * (middles[0][0] + middles[1][0])
     sides = []
-    for side, places, (middle, frame) in zip("ab", (one, two), middles, strict=True):
-        points = points_of(side, [resolved(side, place, layouts) for place in places])
+    for own, (middle, frame) in zip(points, middles, strict=True):
         offsets = np.sum(frame * (midway - middle)[None], axis=1)
-        sides.append(
-            GluedSide(points, jnp.asarray(offsets), Indices(points.nodes.values + 1))
-        )
+        following = Indices(own.nodes.values + 1)
+        sides.append(GluedSide(own, jnp.asarray(offsets), following))
     return Glue(
         a=sides[0],
         b=sides[1],
@@ -321,19 +314,58 @@ def glue(
     )
 
 
-def _place(which: Any) -> tuple[Any, ...]:
-    return (which,) if isinstance(which, str) else tuple(which)
+def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
+    """Rods as a list of names, with their numbers."""
+    if isinstance(given, str):
+        return [(given,)]
+    if not isinstance(given, Sequence) or not given:
+        raise TypeError(
+            f'{name} must be a rod such as "arm" or ("arms", 2), got {given!r}'
+        )
+    if len(given) == 2 and isinstance(given[0], str) and not isinstance(given[1], str):
+        return [tuple(given)]
+    return [(one,) if isinstance(one, str) else tuple(one) for one in given]
 
 
-def _middles(
-    state: RodState, name: tuple[Any, ...], elements: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
+def _glued(
+    one: tuple[Any, ...],
+    two: tuple[Any, ...],
+    elements: Any,
+    layouts: Mapping[str, Layout],
+) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
+    """Elements of two rods that are glued together."""
+    counts = []
+    for side, name in zip("ab", (one, two), strict=True):
+        member, _, _ = resolved(side, (*name, "start"), layouts)
+        if not layouts[member].is_rod:
+            raise ValueError(f"{side}: glue joins rods, and {member!r} is rigid")
+        counts.append(layouts[member].n_elements)
+    chosen = elements
+    if chosen is None:
+        if counts[0] != counts[1]:
+            raise ValueError(
+                f"{one} and {two} have {counts[0]} and {counts[1]} elements: say which "
+                "are glued together, elements=([...], [...])"
+            )
+        chosen = (range(counts[0]), range(counts[0]))
+    first, second = (
+        [(*name, check_count(f"elements of {name}", k, 0, n - 1)) for k in listed]
+        for name, n, listed in zip((one, two), counts, chosen, strict=True)
+    )
+    if not first or len(first) != len(second):
+        raise ValueError(
+            f"elements must be as many of both, got {len(first)} and {len(second)}"
+        )
+    return first, second
+
+
+def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
     """Middles of elements `(3, k)` [m], and their frames `(3, 3, k)`."""
-    positions, orientations = map(np.asarray, (state.positions, state.orientations))
-    if positions.ndim == 3:
-        which = name[1] if len(name) > 1 else 0
-        positions, orientations = positions[which], orientations[which]
-    frames = np.asarray(directors_from_orientations(jnp.asarray(orientations)))
-    listed = np.asarray(elements)
-    middles = 0.5 * (positions[:, listed] + positions[:, listed + 1])
-    return middles, frames[:, :, listed]
+    row: Any = state.positions, state.orientations
+    if state.positions.ndim == 3:
+        row = in_one_row(row)
+    positions, orientations = map(np.asarray, row)
+    first, listed = points.nodes.values, points.elements.values
+    middles = 0.5 * (positions[:, first] + positions[:, first + 1])
+    frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))
+    return middles, np.asarray(frames)

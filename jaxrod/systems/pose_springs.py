@@ -168,7 +168,8 @@ class PoseSpring(Coupling):
         inertia = least_inertia(own, points)
         zero = jnp.zeros_like(ease)
         # A node is not turned, so that an offset alone turns the element.
-        lever = vectors.safe_norm(vectors.split(self.anchor.offsets)) > 0
+        arm = vectors.split(self.anchor.offsets)
+        lever = vectors.dot(arm, arm) > 0
 
         def on_nodes(rate: Array) -> Array:
             return summed(rate * ease * masses, points.nodes, own.n_nodes)
