@@ -336,9 +336,9 @@ def _glued(
     """Elements of two rods that are glued together."""
     counts = []
     for side, name in zip("ab", (one, two), strict=True):
+        if name[0] in layouts and not layouts[name[0]].is_rod:
+            raise ValueError(f"{side}: glue joins rods, and {name[0]!r} is rigid")
         member, _, _ = resolved(side, (*name, "start"), layouts)
-        if not layouts[member].is_rod:
-            raise ValueError(f"{side}: glue joins rods, and {member!r} is rigid")
         counts.append(layouts[member].n_elements)
     chosen = elements
     if chosen is None:
