@@ -81,5 +81,5 @@ def octopus(
     state = {"arms": states, "head": of_head}
     roots = [("arms", k, "start") for k in range(arms)]
     together = attach(roots, ("head",), state)
-    members = {"arms": scenes(rods, states, effects), "head": head}
+    members: dict[str, Any] = {"arms": scenes(rods, states, effects), "head": head}
     return make_system(members, together, state=state), state

@@ -31,6 +31,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
+from jaxrod.systems.continued import ends_alone
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.near_segments import Nearness, nearnesses
 from jaxrod.systems.parts import Parts
@@ -201,7 +202,10 @@ class RodContact(Coupling):
         points: ContactPoints,
         segments: Segments,
     ) -> Iterator[Nearness]:
-        last = self.strands[b].is_last
+        sizes = {
+            k: s.n_elements for k, s in zip(self.members, self.strands, strict=True)
+        }
+        last = ends_alone(self.members[b], self.strands[b].count, sizes, self.tied)
         radii = self.strands[b].radii, self.strands[a].point_radii
         return nearnesses(points, segments, weights, last, radii, self.onset)
 

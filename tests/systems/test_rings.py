@@ -282,6 +282,35 @@ def test_a_ring_has_the_link_that_was_put_in():
     assert float(joint.energy(seen)) == pytest.approx(stored / 24, rel=1e-9)
 
 
+def test_contact_counts_the_place_where_a_ring_is_closed_once():
+    """A rod across it presses as across any other node."""
+    n = 12
+    ring, of_ring, closure = made(n, thick=0.02)
+    found = []
+    for node in (0, 3, 6):
+        place = np.asarray(of_ring.positions[:, node])
+        other, of_other = jaxrod.straight_rod(
+            3,
+            length=0.3,
+            radius=0.02,
+            density=DENSITY,
+            youngs_modulus=YOUNG,
+            start=0.7 * place + np.array([0, 0, 0.037]),
+            direction=place,
+            dtype=jnp.float64,
+        )
+        state = {"ring": of_ring, "rod": of_other}
+        system = jaxrod.make_system(
+            {"ring": jaxrod.make_scene(ring), "rod": jaxrod.make_scene(other)},
+            closure,
+            jaxrod.rod_contact("ring", "rod", stiffness=1e4, points_per_element=9),
+            state=state,
+        )
+        found.append(float(jaxrod.potential_energy(system, state)))
+    assert found[1] > 1e-6
+    np.testing.assert_allclose(found, found[1], rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
