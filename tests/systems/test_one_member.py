@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems.members import rod, stirred
 
 import jaxrod
+from systems.members import rod, stirred
 
 
 @jaxrod.pytree
