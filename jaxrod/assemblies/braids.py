@@ -38,8 +38,8 @@ def braid(
     """Strands wound to the left and as many to the right around the axis z.
 
     Its members are "left" and "right", equal rods each, and "bottom" and "top", discs
-    of which their ends are part. Where strands cross at nodes of both they are pinned to
-    one another (`joined="pinned"`): then the braid is a trellis, whose strands turn
+    of which their ends are part. Where strands cross at nodes of both they are pinned
+    to one another (`joined="pinned"`): then the braid is a trellis, whose strands turn
     against each other and cannot slide. "free" leaves them apart radially by their
     thickness, for contact to be added (`jaxrod.rod_contact("left", "right", ...)`).
 
