@@ -48,7 +48,9 @@ def _touches(shape: Body, half: float) -> bool:
     side = np.linspace(-half, half, 41)
     u, v = (x.ravel() for x in np.meshgrid(side, side))
     w = np.full_like(u, half)
-    faces = [s * np.roll(np.stack([w, u, v]), k, axis=0) for k in range(3) for s in (1, -1)]
+    faces = [
+        s * np.roll(np.stack([w, u, v]), k, axis=0) for k in range(3) for s in (1, -1)
+    ]
     distance, _ = _surface(shape)(np.concatenate(faces, axis=1).T)
     return bool(np.any(np.asarray(distance) <= 0))
 
@@ -67,22 +69,39 @@ def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
     return Mesh(vertices, faces, name="obstacle", colour=FIXED)
 
 
-def leaning_plane(body: Plane, low: np.ndarray, high: np.ndarray) -> Mesh:
-    """A square of a plane that is not level, as large as the scene."""
+def leaning_plane(body: Plane, low: np.ndarray, high: np.ndarray) -> Mesh | None:
+    """What lies in a box of a plane that is not level; `None` if nothing does."""
     normal = np.asarray(body.normal, float)
     normal = normal / np.linalg.norm(normal)
-    middle = (low + high) / 2
-    centre = middle - ((middle - np.asarray(body.point)) @ normal) * normal
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
-    half = 0.6 * float(np.linalg.norm(high - low))
-    corners = [centre + half * (a * first + b * second) for a, b in _SQUARE]
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    return Mesh(np.array(corners), faces, name="plane", colour=FIXED)
+    middle = (low + high) / 2
+    centre = middle - ((middle - np.asarray(body.point)) @ normal) * normal
+    reach = 2 * float(np.linalg.norm(high - low))
+    square = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = [centre + reach * (a * first + b * second) for a, b in square]
+    for axis in range(3):
+        for sign, bound in ((1, high[axis]), (-1, -low[axis])):
+            corners = _cut(corners, axis, sign, bound)
+    if len(corners) < 3:
+        return None
+    faces = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
+    return Mesh(np.array(corners), np.array(faces), name="plane", colour=FIXED)
 
 
-_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+def _cut(
+    corners: list[np.ndarray], axis: int, sign: int, bound: float
+) -> list[np.ndarray]:
+    """The part of a flat polygon where `sign` times a coordinate is below a bound."""
+    kept = []
+    for here, after in zip(corners, corners[1:] + corners[:1], strict=True):
+        a, b = sign * here[axis] - bound, sign * after[axis] - bound
+        if a <= 0:
+            kept.append(here)
+        if a * b < 0:
+            kept.append(here + a / (a - b) * (after - here))
+    return kept
 
 
 def _centred(shape: Body) -> Triangles | None:

@@ -102,7 +102,9 @@ def other_legend(replay: Replay) -> list[Entry]:
         counts[key] = counts.get(key, 0) + 1
     for mesh, colour in zip(replay.meshes, mesh_colours(replay), strict=True):
         if mesh.name:
-            counts[(colour, mesh.name)] = counts.get((colour, mesh.name), 0) + mesh.count
+            counts[(colour, mesh.name)] = (
+                counts.get((colour, mesh.name), 0) + mesh.count
+            )
     entries += [
         (colour, f"{name} × {count}" if count > 1 else name, "")
         for (colour, name), count in counts.items()

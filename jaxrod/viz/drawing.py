@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import shutil
 import subprocess
@@ -17,7 +18,7 @@ from jaxrod.files import write_atomically
 from jaxrod.viz.captions import captioned
 from jaxrod.viz.colours import linear
 from jaxrod.viz.geometry import Shapes, Triangles
-from jaxrod.viz.light import rendered, view_of
+from jaxrod.viz.light import Ground, rendered, view_of
 from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.replay import Replay
 
@@ -52,7 +53,7 @@ def frame(
         ValueError: the size is not positive.
         IndexError: there is no such frame.
     """
-    painter = _Painter(replay, (width, height), azimuth, elevation)
+    painter = _Painter(replay, (width, height), azimuth, elevation, fine=1)
     return painter.paint([range(replay.num_frames)[index]])
 
 
@@ -178,7 +179,7 @@ def animation(
     from matplotlib.figure import Figure
 
     thin = replay.thinned(frames_per_second)
-    painter = _Painter(thin, (width, height), azimuth, elevation)
+    painter = _Painter(thin, (width, height), azimuth, elevation, fine=1)
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0, 0, 1, 1))
@@ -212,6 +213,7 @@ class _Painter:
         field: str | None = None,
         frames: Sequence[int] | None = None,
         captions: bool = True,
+        fine: int = 2,
     ) -> None:
         need_matplotlib()
         for name, pixels in zip(("width", "height"), size, strict=True):
@@ -220,26 +222,28 @@ class _Painter:
         if not zoom > 0:
             raise ValueError(f"zoom must be positive, got {zoom}")
         if field is not None and field not in replay.fields:
-            raise ValueError(f"field must be one of {list(replay.fields)}, got {field!r}")
+            raise ValueError(
+                f"field must be one of {list(replay.fields)}, got {field!r}"
+            )
         self.replay, self.size, self.field = replay, size, field
         self.captions = captions
         self.shapes = Shapes(replay, field)
         low, high = replay.bounds()
         up = "xyz".index(replay.up)
         if frames is None:
-            points = np.array(
-                [[c[k] for k, c in enumerate(corner)] for corner in _corners(low, high)]
-            )
+            points = np.array(list(itertools.product(*zip(low, high, strict=True))))
         else:
             every = [self.shapes.at(k).corners.reshape(-1, 3) for k in frames]
             points = np.concatenate(every)
-        self.floor = float(low[up]) if replay.floor is None else replay.floor
+        floor = float(low[up]) if replay.floor is None else replay.floor
         wide = size[0] / size[1]
         room = 0.86 if captions else 0.93
-        self.view = view_of(
-            points, up, azimuth, elevation, (0.93 * wide, room), zoom
-        )
-        self.step = _round_step(float(np.max(np.ptp(points, axis=0))) / 4)
+        view = view_of(points, up, azimuth, elevation, (0.93 * wide, room), zoom)
+        span = float(np.max(np.ptp(points, axis=0)))
+        self.step = _round_step(span / 4)
+        centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        self.ground = Ground(view, floor, self.step, size, centre, span)
+        self.fine = fine
 
     def paint(self, frames: Sequence[int]) -> UInt8[np.ndarray, "height width 3"]:
         """Paints frames into one picture, the last one in full."""
@@ -250,16 +254,11 @@ class _Painter:
             pale = part.colours * (1 - share) + _PALE * share
             parts.append(part._replace(colours=pale))
         whole = Triangles(*(np.concatenate(some) for some in zip(*parts, strict=True)))
-        light = rendered(whole, self.view, self.floor, self.step, self.size)
+        light = rendered(whole, self.ground, self.fine)
         pixels = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
         if not self.captions:
             return pixels
         return captioned(pixels, self.replay, frames[-1], self.field, self.step)
-
-
-def _corners(low: np.ndarray, high: np.ndarray) -> Iterator[tuple[float, ...]]:
-    for k in range(8):
-        yield tuple(float((low, high)[(k >> axis) & 1][axis]) for axis in range(3))
 
 
 def _round_step(x: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ class Shapes:
         self.range = replay.field_range(field) if field else (0.0, 1.0)
         self.rods = [linear(colour) for colour in rod_colours(replay)]
         self.meshes = [shaded(mesh) for mesh in replay.meshes]
-        self.ball = shaded(Mesh(*surfaces.ball(1.0)))
+        self.ball = _unit_ball()
         low, high = replay.bounds()
         self.size = float(np.linalg.norm(high - low))
         self.arrows = [arrows.drawn(self.size)[0] for arrows in replay.arrows]
@@ -63,9 +64,7 @@ class Shapes:
                 colour = np.broadcast_to(self.rods[first + rod], (rods.num_nodes, 3))
                 if self.field in rods.fields:
                     colour = self._levels(rods.fields[self.field][frame, rod], colour)
-                parts.append(
-                    self._tube(rods.positions[frame, rod], radii[rod], colour)
-                )
+                parts.append(self._tube(rods.positions[frame, rod], radii[rod], colour))
             first += rods.num_rods
         for mesh, (corners, normals), name in zip(
             replay.meshes, self.meshes, mesh_colours(replay), strict=True
@@ -112,6 +111,11 @@ class Shapes:
             colour = np.broadcast_to(linear(name), (4, 3))
             parts.append(_tube(nodes, radii, colour, 14, way / length))
         return parts
+
+
+@cache
+def _unit_ball() -> tuple[np.ndarray, np.ndarray]:
+    return shaded(Mesh(*surfaces.ball(1.0)))
 
 
 def _alike(corners: np.ndarray, normals: np.ndarray, colour: str) -> Triangles:

@@ -12,12 +12,12 @@ from jaxrod.viz.raster import nearest, shares_at
 
 _LENS = np.tan(np.radians(14.0))
 """Half the height of the picture over the distance."""
-_SHADOW = 1400
-"""Side of the map of what the lamp sees [pixels]."""
 _TAPS = 16
 """Looks at that map for the soft edge of a shadow."""
 _SKY, _GROUND = linear("#f8fafc"), linear("#dfe5ee")
 _GRID = linear("#8b98ab")
+_SHADE = np.array([0.95, 0.88, 0.74], np.float32)
+"""What a full shadow takes of red, green and blue, over one half."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,43 +91,42 @@ def view_of(
     return View(right, above, backward, eye, up)
 
 
-def rendered(
-    triangles: Triangles, view: View, floor: float, step: float, size: tuple[int, int]
-) -> np.ndarray:
+def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
     """Linear light of a picture, (height, width, 3).
-
-    Solids are drawn at twice the size and averaged, which smooths their edges; the
-    ground is smooth already.
 
     Args:
         triangles: what is there.
-        view: where the reader stands.
-        floor: height of the ground [m].
-        step: distance of the lines on the ground [m].
-        size: width and height [pixels].
+        ground: what is behind and below it, and where the reader stands.
+        fine: 2 draws solids at twice the size and averages, which smooths their edges
+            and darkens crevices; 1 does not, and takes a third of the time.
     """
-    width, height = size
-    lamp = _Lamp(triangles.corners, view)
-    behind = _behind(view, floor, step, lamp, size)
-    fine = (2 * width, 2 * height)
-    screen = _on_screen(view, triangles.corners, fine)
-    front, depth = nearest(screen, *fine)
-    solid = -1 / depth
+    (width, height), view = ground.size, ground.view
+    lamp = _Lamp(triangles.corners, view, int((0.6 if fine == 1 else 1.4) * width))
+    picture = ground.light(lamp)
+    if fine == 2:
+        picture = np.repeat(np.repeat(picture, 2, axis=0), 2, axis=1)
+    width, height = fine * width, fine * height
+    picture = picture.reshape(-1, 3)
+    screen = _on_screen(view, triangles.corners, (width, height))
+    front, depth = nearest(screen, width, height)
     drawn = np.flatnonzero(front >= 0)
-    y, x = np.divmod(drawn, fine[0])
+    y, x = np.divmod(drawn, width)
     spots = np.stack([x, y], axis=-1)
-    falling = _rays(spots, fine) @ view.frame[:, view.up]
-    away = _ground_distance(view, floor, falling)
-    above = solid[drawn] <= away
+    falling = _rays(spots, (width, height)) @ view.frame[:, view.up]
+    above = -1 / depth[drawn] <= _ground_distance(view, ground.floor, falling)
     drawn, spots = drawn[above], spots[above]
-    picture = np.repeat(np.repeat(behind, 2, axis=0), 2, axis=1).reshape(-1, 3)
     if drawn.size:
         light = _lit(triangles, screen, front[drawn], spots, view, lamp)
-        near = np.full(len(picture), np.nan, np.float32)
-        near[drawn] = depth[drawn]
-        dark = _crevices(near.reshape(fine[1], fine[0])).ravel()[drawn]
-        picture[drawn] = light * dark[:, None]
-    return picture.reshape(height, 2, width, 2, 3).mean(axis=(1, 3))
+        if fine == 2:
+            near = np.full(len(picture), np.nan, np.float32)
+            near[drawn] = depth[drawn]
+            dark = _crevices(near.reshape(height, width)[::2, ::2])
+            light *= dark[spots[:, 1] // 2, spots[:, 0] // 2, None]
+        picture[drawn] = light
+    picture = picture.reshape(height, width, 3)
+    if fine == 1:
+        return picture
+    return picture.reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3))
 
 
 def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -159,31 +158,66 @@ def _ground_distance(view: View, floor: float, rays: np.ndarray) -> np.ndarray:
     return np.where(away > 0, away, np.inf)
 
 
-def _behind(
-    view: View, floor: float, step: float, lamp: _Lamp, size: tuple[int, int]
-) -> np.ndarray:
-    """The sky and the ground, (height, width, 3)."""
-    width, height = size
-    share = (np.linspace(0, 1, height) ** 1.2).astype(np.float32)[:, None, None]
-    picture = np.broadcast_to(
-        _SKY * (1 - share) + _GROUND * share, (height, width, 3)
-    ).reshape(-1, 3)
-    y, x = np.divmod(np.arange(width * height), width)
-    rays = _rays(np.stack([x, y], axis=-1), size) @ view.frame.astype(np.float32)
-    away = _ground_distance(view, floor, rays[:, view.up])
-    seen = np.flatnonzero(np.isfinite(away))
-    if seen.size:
-        away = away[seen, None]
-        places = (view.eye + away * rays[seen]).astype(np.float32)
-        pixel = away[:, 0] * 2 * _LENS / height
-        picture[seen] = _ground(picture[seen], places, pixel, view, step, lamp)
-    return picture.reshape(height, width, 3)
+class Ground:
+    """The sky and the ground with its lines, the same in all frames but for shadows."""
+
+    def __init__(
+        self,
+        view: View,
+        floor: float,
+        step: float,
+        size: tuple[int, int],
+        centre: np.ndarray,
+        span: float,
+    ) -> None:
+        """Draws it without shadows.
+
+        Args:
+            view: where the reader stands.
+            floor: height of the ground [m].
+            step: distance of the lines on it [m].
+            size: width and height of the picture [pixels].
+            centre: where the lines are clearest [m], (3,).
+            span: how far around they are [m].
+        """
+        self.view, self.floor, self.size = view, floor, size
+        width, height = size
+        share = (np.linspace(0, 1, height) ** 1.2).astype(np.float32)[:, None, None]
+        sky = np.broadcast_to(_SKY * (1 - share) + _GROUND * share, (height, width, 3))
+        self.picture = sky.reshape(-1, 3).astype(np.float32)
+        y, x = np.divmod(np.arange(width * height), width)
+        rays = _rays(np.stack([x, y], axis=-1), size) @ view.frame.astype(np.float32)
+        away = _ground_distance(view, floor, rays[:, view.up])
+        self.seen = np.flatnonzero(np.isfinite(away))
+        away = away[self.seen, None]
+        self.places = (view.eye + away * rays[self.seen]).astype(np.float32)
+        axes = [k for k in range(3) if k != view.up]
+        flat, pixel = self.places[:, axes], away[:, 0] * 2 * _LENS / height
+        reach = np.linalg.norm(flat - centre[axes], axis=1) / (1.1 * span)
+        strength = np.zeros(len(flat))
+        for spacing, weight in ((step / 5, 0.20), (step, 0.42)):
+            off = np.abs(flat / spacing - np.rint(flat / spacing))
+            thick = np.maximum(1.1 * pixel / spacing, 0.004)[:, None]
+            line = np.clip(1 - off / thick, 0, 1).max(axis=1)
+            fine = np.clip(spacing / (6 * pixel) - 0.5, 0, 1)
+            strength = np.maximum(strength, weight * line * fine)
+        strength = (strength * np.clip(1.6 - reach, 0, 1))[:, None]
+        self.picture[self.seen] += strength * (_GRID - self.picture[self.seen])
+
+    def light(self, lamp: _Lamp) -> np.ndarray:
+        """With shadows, (height, width, 3)."""
+        picture = self.picture.copy()
+        dark = 0.50 * (1 - lamp.reaches(self.places, 0.012 * lamp.span))
+        some = np.flatnonzero(dark)
+        picture[self.seen[some]] *= 1 - dark[some, None] * _SHADE
+        return picture.reshape(self.size[1], self.size[0], 3)
 
 
 class _Lamp:
     """What the lamp sees, which is all that is not in shadow."""
 
-    def __init__(self, corners: np.ndarray, view: View) -> None:
+    def __init__(self, corners: np.ndarray, view: View, side: int) -> None:
+        """Draws a map of it, `side` pixels wide and high."""
         lamp = view.lamp
         first = np.cross(lamp, np.eye(3)[np.argmin(np.abs(lamp))])
         first /= np.linalg.norm(first)
@@ -192,66 +226,39 @@ class _Lamp:
         flat = own.reshape(-1, 3) if len(corners) else np.zeros((1, 3))
         self.low = flat.min(axis=0)
         span = float(np.max(np.ptp(flat, axis=0)[:2])) or 1.0
-        self.scale = 0.86 * _SHADOW / span
+        self.side = side
+        self.scale = 0.86 * side / span
         map_corners = np.concatenate(
-            [(own[..., :2] - self.low[:2]) * self.scale + 0.07 * _SHADOW, -own[..., 2:]], axis=-1
+            [(own[..., :2] - self.low[:2]) * self.scale + 0.07 * side, -own[..., 2:]],
+            axis=-1,
         )
-        _, self.depth = nearest(map_corners, _SHADOW, _SHADOW)
+        _, self.depth = nearest(map_corners, side, side)
         self.span = span
-        self.centre = (self.low[:2] + span / 2) @ self.frame[:2]
 
     def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
         """Share of the lamp's light that reaches places, its edge `blur` wide [m]."""
         own = places @ self.frame.T.astype(places.dtype)
-        spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * _SHADOW
+        spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side
         reach = blur * self.scale
         light = np.ones(len(places), np.float32)
-        mapped = np.flatnonzero(np.all((spots > reach) & (spots < _SHADOW - reach), 1))
+        mapped = np.flatnonzero(
+            np.all((spots > reach) & (spots < self.side - reach), 1)
+        )
         spots = spots[mapped].astype(np.float32)
         deep = (-own[mapped, 2] - 2.5 / self.scale).astype(np.float32)
         angles = 2.39996 * np.arange(_TAPS)
         away = reach * np.sqrt((np.arange(_TAPS) + 0.5) / _TAPS)
         lit = np.zeros(len(mapped), np.float32)
         for dx, dy in zip(away * np.cos(angles), away * np.sin(angles), strict=True):
-            x = np.minimum((spots[:, 0] + np.float32(dx)).astype(np.int32), _SHADOW - 1)
-            y = np.minimum((spots[:, 1] + np.float32(dy)).astype(np.int32), _SHADOW - 1)
-            lit += self.depth[y * _SHADOW + x] >= deep
+            x = np.minimum(
+                (spots[:, 0] + np.float32(dx)).astype(np.int32), self.side - 1
+            )
+            y = np.minimum(
+                (spots[:, 1] + np.float32(dy)).astype(np.int32), self.side - 1
+            )
+            lit += self.depth[y * self.side + x] >= deep
         light[mapped] = lit / _TAPS
         return light
-
-
-def _ground(
-    behind: np.ndarray,
-    places: np.ndarray,
-    pixel: np.ndarray,
-    view: View,
-    step: float,
-    lamp: _Lamp,
-) -> np.ndarray:
-    """The ground: lines, shadows, fading into the distance.
-
-    Args:
-        behind: light without it, (N, 3).
-        places: on the ground [m], (N, 3).
-        pixel: size of a pixel there [m], (N,).
-        view: where the reader stands.
-        step: distance of the lines [m].
-        lamp: what casts shadows.
-    """
-    axes = [k for k in range(3) if k != view.up]
-    offset = places[:, axes] - lamp.centre[axes]
-    haze = np.clip(1.6 - np.linalg.norm(offset, axis=1) / (1.1 * lamp.span), 0, 1)
-    strength = np.zeros(len(places), np.float32)
-    for spacing, weight in ((step / 5, 0.20), (step, 0.42)):
-        off = np.abs(places[:, axes] / spacing - np.rint(places[:, axes] / spacing))
-        thick = np.maximum(1.1 * pixel / spacing, 0.004)[:, None]
-        line = np.clip(1 - off / thick, 0, 1).max(axis=1)
-        fine = np.clip(spacing / (6 * pixel) - 0.5, 0, 1)
-        strength = np.maximum(strength, weight * line * fine)
-    strength = (strength * haze)[:, None]
-    base = behind * (1 - strength) + _GRID * strength
-    shade = 0.50 * (1 - lamp.reaches(places, 0.012 * lamp.span))
-    return base * (1 - shade[:, None] * np.array([0.95, 0.88, 0.74]))
 
 
 def _lit(
@@ -292,7 +299,7 @@ def _crevices(near: np.ndarray) -> np.ndarray:
     Args:
         near: a depth that is smaller in front, NaN where nothing is.
     """
-    reach = max(2, near.shape[0] // 80)
+    reach = max(2, near.shape[0] // 70)
     there = np.isfinite(near)
     depth = np.where(there, near, 0)
     share = _blurred(_blurred(there.astype(float), reach), reach)

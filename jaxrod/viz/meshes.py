@@ -104,12 +104,13 @@ def _per_body(
             f"({len(times)}, k, {width}), got {np.shape(values)}"
         )
     if given.ndim == 3 and given.shape[0] != len(times):
-        raise ValueError(
-            f"{name} must have {len(times)} frames, got {given.shape[0]}"
-        )
+        raise ValueError(f"{name} must have {len(times)} frames, got {given.shape[0]}")
     require_finite(name, given, unit)
-    return np.broadcast_to(given, (len(times), *(given.shape[1:] or (1,))[:-1], width)) \
-        if given.ndim == 3 else np.broadcast_to(given, (len(times), 1, width))
+    return (
+        np.broadcast_to(given, (len(times), *(given.shape[1:] or (1,))[:-1], width))
+        if given.ndim == 3
+        else np.broadcast_to(given, (len(times), 1, width))
+    )
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:

@@ -121,7 +121,12 @@ def recorded(
 
 
 def _of_bodies(
-    name: str, bodies: RigidBodies, states: Any, times: np.ndarray, colour: str, up: Axis
+    name: str,
+    bodies: RigidBodies,
+    states: Any,
+    times: np.ndarray,
+    colour: str,
+    up: Axis,
 ) -> Replay:
     meshes: list[Mesh] = []
     if bodies.shape is not None:
@@ -204,7 +209,8 @@ def _with_ground(replay: Replay, system: System) -> Replay:
                 if replay.floor is None:
                     replay = replace(replay, floor=float(body.point[axis]))
                 continue
-            meshes.append(leaning_plane(body, low, high))
+            leaning = leaning_plane(body, low, high)
+            meshes += [] if leaning is None else [leaning]
         else:
             meshes.append(solid_mesh(body, low, high))
     checked = [checked_mesh(k, mesh, replay.times) for k, mesh in enumerate(meshes)]
@@ -272,5 +278,3 @@ def _on_rod(scene: Scene, state: Any) -> Any:
             if forces is not None:
                 total = total + jnp.stack(forces)
     return total
-
-

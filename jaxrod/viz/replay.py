@@ -300,7 +300,9 @@ class Replay:
     @property
     def fields(self) -> tuple[str, ...]:
         """Labels of what the rods can be coloured by."""
-        return tuple(dict.fromkeys(label for rods in self.rods for label in rods.fields))
+        return tuple(
+            dict.fromkeys(label for rods in self.rods for label in rods.fields)
+        )
 
     def field_range(self, label: str) -> tuple[float, float]:
         """Lowest and highest number of a field that has a colour of its own.

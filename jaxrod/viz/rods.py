@@ -100,7 +100,9 @@ def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.nd
 
 def at_nodes(of_elements: np.ndarray) -> np.ndarray:
     """Means of neighbouring elements along the last axis, n to n+1."""
-    padded = np.concatenate([of_elements[..., :1], of_elements, of_elements[..., -1:]], -1)
+    padded = np.concatenate(
+        [of_elements[..., :1], of_elements, of_elements[..., -1:]], -1
+    )
     return (padded[..., 1:] + padded[..., :-1]) / 2
 
 

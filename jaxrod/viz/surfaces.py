@@ -52,7 +52,9 @@ def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
     """
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AROUND)], axis=-1)
-    rings = across[:, None, None] * circle + along[:, None, None] * np.array([0, 0, 1.0])
+    rings = across[:, None, None] * circle + along[:, None, None] * np.array(
+        [0, 0, 1.0]
+    )
     first = np.arange(_AROUND)
     nexts = (first + 1) % _AROUND
     faces = []
