@@ -38,9 +38,8 @@ def captioned(
     entries = ([] if field else rod_legend(replay)) + other_legend(replay)
     if field:
         low, high = replay.field_range(field)
-        entries = [
-            ("", f"{field}  {low:.3g} – {high:.3g}".replace("-", "−"), "field")
-        ] + entries
+        words = f"{field}  " + f"{low:.3g} – {high:.3g}".replace("-", "−")
+        entries = [("", words, "field"), *entries]
     place, line = float(edge), height - edge - 1.1 * unit
     for fill, words, kind in entries:
         wide = (5 if kind else 0.85) * unit

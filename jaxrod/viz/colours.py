@@ -117,7 +117,7 @@ def other_legend(replay: Replay) -> list[Entry]:
 
 
 def linear(colour: str) -> np.ndarray:
-    """ "#rrggbb" as linear light, 0 to 1."""
+    """Linear light of "#rrggbb", 0 to 1."""
     return (np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255) ** 2.2
 
 
