@@ -5,8 +5,7 @@ after the other. Across a weak field F = m B stands at the tip of an upright one
 gives way by F L^3 / 3EI. Run it with `python examples/cilia.py`.
 """
 
-import pathlib
-
+import gallery
 import jax
 import jax.numpy as jnp
 
@@ -78,8 +77,4 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.5f}, {reference:.5f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/cilia.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/cilia.html")
+    gallery.show(__file__, run, NUMBER, LOOK)

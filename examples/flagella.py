@@ -6,8 +6,7 @@ theory gives the speed over that of the wave for an endless one, 1 / (1 + (q - 1
 Run it with `python examples/flagella.py`.
 """
 
-import pathlib
-
+import gallery
 import jax
 import jax.numpy as jnp
 
@@ -80,8 +79,4 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.4f}, {reference:.4f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/flagella.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/flagella.html")
+    gallery.show(__file__, run, NUMBER, LOOK)

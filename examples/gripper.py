@@ -1,12 +1,11 @@
-"""Three soft fingers grasp a ball and lift it by friction.
+"""Three soft fingers close around a ball and lift it.
 
 Chambers on the outer side of each finger bend it inwards. The fingers are one member,
 the ball is another; its weight comes upon them as they close. Run it with
 `python examples/gripper.py`.
 """
 
-import pathlib
-
+import gallery
 import jax
 import jax.numpy as jnp
 
@@ -14,7 +13,7 @@ import jaxrod
 
 N, LENGTH, RADIUS, BALL, LIFT = 14, 0.12, 0.008, 0.032, 0.08  # [1], [m], [m], [m], [m]
 CLOSED, LIFTED, END = 0.8, 1.8, 2.3  # [s]
-PRESSURE = 6e4  # [Pa]
+PRESSURE = 1e5  # [Pa]
 NUMBER = "metres the ball was lifted, and the fingers"
 LOOK = {"frame": -1, "azimuth": 30, "elevation": 12, "field": "bending [1/m]"}
 
@@ -41,7 +40,7 @@ def finger(angle):
         offsets=jnp.asarray([0.6 * RADIUS, 0.0]),
     )
     effects = jaxrod.driven(state, displacement=lift), chamber, jaxrod.gravity()
-    return jaxrod.make_scene(rod, *effects, jaxrod.internal_damping(5e-3)), state
+    return jaxrod.make_scene(rod, *effects, jaxrod.exponential_damping(15.0)), state
 
 
 def build():
@@ -59,7 +58,7 @@ def build():
         stiffness=2e4,
         damping=20.0,
         friction=0.9,
-        friction_drag=400.0,
+        friction_drag=40.0,
     )
     system = jaxrod.make_system({"fingers": fingers, "ball": ball}, grip)
     state = {"fingers": of_fingers, "ball": of_ball}
@@ -85,8 +84,4 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.4f}, {reference:.4f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/gripper.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/gripper.html")
+    gallery.show(__file__, run, NUMBER, LOOK)

@@ -5,8 +5,7 @@ touches itself, and Lk = Tw + Wr stays the number of turns (Calugareanu, White,
 Fuller). Run it with `python examples/plectoneme.py`.
 """
 
-import pathlib
-
+import gallery
 import jax
 import jax.numpy as jnp
 
@@ -85,8 +84,4 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.4f}, {reference:.4f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/plectoneme.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/plectoneme.html")
+    gallery.show(__file__, run, NUMBER, LOOK)

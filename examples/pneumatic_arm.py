@@ -4,14 +4,13 @@ A chamber of area A at the offset x from the middle, under the pressure p, bends
 everywhere by p A x / EI. Run it with `python examples/pneumatic_arm.py`.
 """
 
-import pathlib
-
+import gallery
 import jax.numpy as jnp
 
 import jaxrod
 
 N, LENGTH, RADIUS, YOUNG = 30, 0.3, 0.012, 1e6  # [1], [m], [m], [Pa]
-PRESSURE, AREA, OFFSET = 1.2e5, 5e-5, 0.007  # [Pa], [m^2], [m]
+PRESSURE, AREA, OFFSET = 4e5, 5e-5, 0.007  # [Pa], [m^2], [m]
 NUMBER = "turn of the tip in rad, and p A x L / EI"
 LOOK = {"frame": (0, 12, 20, 28, 40), "azimuth": -90, "elevation": 14}
 
@@ -66,8 +65,4 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.4f}, {reference:.4f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/pneumatic_arm.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/pneumatic_arm.html")
+    gallery.show(__file__, run, NUMBER, LOOK)

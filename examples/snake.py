@@ -5,8 +5,7 @@ and sideways (Gazzola et al., R. Soc. Open Sci. 5, 2018). With the published gai
 moves 0.1590 lengths in the fourth period there. Run it with `python examples/snake.py`.
 """
 
-import pathlib
-
+import gallery
 import jax
 import jax.numpy as jnp
 
@@ -16,7 +15,7 @@ N, LENGTH, PERIOD, G, FROUDE = 30, 0.35, 2.0, 9.80665, 0.1  # [1], [m], [s], [m/
 RADIUS = 0.011 * LENGTH
 COUPLES = 1e-3 * jnp.asarray([3.4, 3.3, 4.2, 2.6, 3.6, 3.5])  # [N m]
 NUMBER = "lengths moved in the fourth period, and PyElastica's"
-LOOK = {"frame": (0, 40, 80, 120, 160), "azimuth": -65, "elevation": 40}
+LOOK = {"frame": (40, 80, 120, 160), "azimuth": -65, "elevation": 40}
 
 
 def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
@@ -79,11 +78,7 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.4f}, {reference:.4f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/snake.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/snake.html")
+    gallery.show(__file__, run, NUMBER, LOOK)
     gait = jnp.asarray([2 * jnp.pi, 0.0])
     for _ in range(4):
         slope = jax.jacfwd(way)(gait)

@@ -5,16 +5,15 @@ T a / EI, which the four share out by direction. Run it with
 `python examples/tendon_arm.py`.
 """
 
-import pathlib
-
+import gallery
 import jax.numpy as jnp
 
 import jaxrod
 
 N, LENGTH, RADIUS, YOUNG = 20, 0.25, 0.008, 1e6  # [1], [m], [m], [Pa]
-OFFSET, PULL, HELD, LOOP = 0.007, 1.1, 1.5, 4.0  # [m], [N], [s], [s]
+OFFSET, PULL, HELD, LOOP = 0.007, 2.5, 1.5, 4.0  # [m], [N], [s], [s]
 NUMBER = "turn of the tip under one tendon in rad, and T a L / EI"
-LOOK = {"frame": (60, 80, 100, 120, 140), "azimuth": -55, "elevation": 20}
+LOOK = {"frame": (60, 75, 90, 105), "azimuth": -55, "elevation": 20}
 
 
 def tensions():
@@ -60,6 +59,9 @@ def run(share=1.0):
     states = jaxrod.rollout(scene, state, dt, n, every)
     times = jaxrod.rollout_times(dt, n, every)
     replay = jaxrod.viz.Replay.from_states(scene, states, times, title="Tendon arm")
+    path = jnp.broadcast_to(states.tip.T, (len(times), 3, len(times)))
+    trace = jaxrod.viz.Replay.from_rollout(path, 1e-3, times, name="way of the tip")
+    replay = replay.together(trace)
     held = min(int(HELD / dt / every), len(times) - 1)
     orientation = states.orientations[held, :, -1]
     turn = 2 * jnp.arctan2(jnp.linalg.norm(orientation[1:]), jnp.abs(orientation[0]))
@@ -69,8 +71,4 @@ def run(share=1.0):
 
 
 if __name__ == "__main__":
-    replay, measured, reference = run()
-    print(f"{NUMBER}: {measured:.4f}, {reference:.4f}")
-    pathlib.Path("runs").mkdir(exist_ok=True)
-    replay.picture(path="runs/tendon_arm.png", **LOOK)
-    jaxrod.viz.save_html(replay, "runs/tendon_arm.html")
+    gallery.show(__file__, run, NUMBER, LOOK)
