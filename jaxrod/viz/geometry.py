@@ -62,7 +62,7 @@ class Shapes:
             radii = at_nodes(rods.radii)
             for rod in range(rods.num_rods):
                 colour = np.broadcast_to(self.rods[first + rod], (rods.num_nodes, 3))
-                if self.field in rods.fields:
+                if self.field is not None and self.field in rods.fields:
                     colour = self._levels(rods.fields[self.field][frame, rod], colour)
                 parts.append(self._tube(rods.positions[frame, rod], radii[rod], colour))
             first += rods.num_rods
@@ -93,11 +93,15 @@ class Shapes:
         levels = (np.where(known, values, low) - low) / (high - low)
         return np.where(known[:, None], ramp(levels), colour)
 
-    def _tube(self, nodes: np.ndarray, radii: np.ndarray, colour: np.ndarray):
+    def _tube(
+        self, nodes: np.ndarray, radii: np.ndarray, colour: np.ndarray
+    ) -> Triangles:
         fine = refined(np.concatenate([nodes, radii[:, None], colour], 1), self.along)
         return _tube(fine[:, :3], fine[:, 3], fine[:, 4:], self.sides)
 
-    def _arrows(self, origins: np.ndarray, vectors: np.ndarray, name: str) -> list:
+    def _arrows(
+        self, origins: np.ndarray, vectors: np.ndarray, name: str
+    ) -> list[Triangles]:
         parts = []
         for start, way in zip(origins, vectors, strict=True):
             length = float(np.linalg.norm(way))
@@ -166,10 +170,10 @@ def _tube(
     # Carry one normal along the line without turning it about the tangent.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     across = np.empty_like(nodes)
-    for i, tangent in enumerate(tangents):
+    for node, tangent in enumerate(tangents):
         normal = normal - (normal @ tangent) * tangent
         normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
-        across[i] = normal
+        across[node] = normal
     other = np.cross(tangents, across)
     angle = 2 * np.pi * np.arange(sides)[:, None] / sides
     outward = np.cos(angle) * across[:, None] + np.sin(angle) * other[:, None]
