@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import jaxrod
 
 N, LENGTH, RADIUS, YOUNG = 8, 6e-3, 2.5e-4, 2e5  # [1], [m], [m], [Pa]
-COLUMNS, ROWS, GAP, PERIOD = 9, 4, 3.5e-3, 0.5  # [1], [1], [m], [s]
+COLUMNS, ROWS, GAP, PERIOD = 9, 4, 4e-3, 0.5  # [1], [1], [m], [s]
 MOMENT, FIELD = 6e-3, 0.02  # per length [A m], [T]
 NUMBER = "deflection of one in a weak field over its length, and F L^2 / 3EI"
 LOOK = {"frame": -10, "azimuth": -62, "elevation": 24, "field": "speed [m/s]"}
@@ -39,7 +39,7 @@ def cilium(place, angle, field):
 def build():
     """The carpet, its state and the time step."""
     across, along = jnp.meshgrid(jnp.arange(COLUMNS), jnp.arange(ROWS))
-    places = GAP * jnp.stack([across, along, 0 * across], -1).reshape(-1, 3)
+    places = GAP * jnp.stack([1.7 * across, along, 0 * across], -1).reshape(-1, 3)
     angles = 2 * jnp.pi * across.ravel() / COLUMNS
     times = jnp.linspace(0.0, 4 * PERIOD, 129)
     turn = 2 * jnp.pi * times / PERIOD

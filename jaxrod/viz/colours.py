@@ -73,7 +73,7 @@ def rod_legend(replay: Replay) -> list[Entry]:
     if len(replay.rods) > 1:
         entries, first = [], 0
         for rods in replay.rods:
-            words = rods.name or "rods"
+            words = rods.name or "rod"
             words = f"{words} × {rods.num_rods}" if rods.num_rods > 1 else words
             entries.append((colours[first], words, ""))
             first += rods.num_rods
