@@ -6,6 +6,7 @@ measured, reference`, a NUMBER in words and how to LOOK at it. Run all with
 """
 
 import importlib
+import inspect
 import pathlib
 import re
 import sys
@@ -69,7 +70,7 @@ def entry(name):
     picture.parent.mkdir(exist_ok=True)
     replay.picture(path=picture, width=720, height=480, **scene.LOOK)
     steps = rate(model, state, dt)
-    title, *_ = scene.__doc__.split("\n")
+    title, *_ = inspect.getdoc(scene).split("\n")
     return "\n".join(
         [
             f"## {title.rstrip('.')}\n",

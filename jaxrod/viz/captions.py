@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxrod.viz.colours import RAMP, other_legend, rod_legend
-from jaxrod.viz.replay import Replay
+
+if TYPE_CHECKING:
+    from jaxrod.viz.replay import Replay
 
 _INK, _QUIET = "#1c2430", "#5a6676"
 

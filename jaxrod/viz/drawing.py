@@ -20,10 +20,11 @@ from jaxrod.viz.colours import linear
 from jaxrod.viz.geometry import Shapes, Triangles
 from jaxrod.viz.light import Ground, rendered, view_of
 from jaxrod.viz.matplotlib_needed import need_matplotlib
-from jaxrod.viz.replay import Replay
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
+
+    from jaxrod.viz.replay import Replay
 
 _PALE = linear("#eef2f7")
 

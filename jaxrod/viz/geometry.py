@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from jaxrod.viz.colours import (
     rod_colours,
 )
 from jaxrod.viz.meshes import Mesh, rotation, shaded
-from jaxrod.viz.replay import Replay
 from jaxrod.viz.rods import at_nodes
+
+if TYPE_CHECKING:
+    from jaxrod.viz.replay import Replay
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000

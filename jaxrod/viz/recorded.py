@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,50 +21,34 @@ from jaxrod.systems.rod_contact import RodContact
 from jaxrod.systems.system import System
 from jaxrod.viz.arrows import Arrows, checked_arrows
 from jaxrod.viz.bodies import leaning_plane, mesh_of, solid_mesh
+from jaxrod.viz.extent import extent
 from jaxrod.viz.meshes import Mesh, checked_mesh
-from jaxrod.viz.replay import Axis, Replay
+from jaxrod.viz.rods import Rods, checked_rods
 
 _ONLY = "rod"
 """Name of the rod of a scene."""
 
 
+class Recorded(NamedTuple):
+    """What there is to see of a scene or a system."""
+
+    rods: tuple[Rods, ...]
+    meshes: tuple[Mesh, ...]
+    arrows: tuple[Arrows, ...]
+    floor: float | None
+    """Height of a level plane which a rod may touch [m]."""
+
+
 def recorded(
     model: Scene | System,
     states: Any,
-    times: Any,
-    *,
-    fields: Mapping[str, Any] | None = None,
-    forces: bool = False,
-    colours: Mapping[str, str] | None = None,
-    readouts: Mapping[str, Any] | None = None,
-    spheres: Any = (),
-    cylinders: Any = (),
-    title: str = "",
-    up: Axis = "z",
-    floor: float | None = None,
-) -> Replay:
-    """A replay of a scene or a system.
-
-    Args:
-        model: the scene or the system.
-        states: its states with a leading axis of T.
-        times: time of each frame [s], shape (T,).
-        fields: label with a unit -> what to colour rods by: a function of a scene (as
-            it is at the time of the frame) and a state of its rod that gives a number
-            for each of n elements, n+1 nodes or n-1 joints, or one for all; or such
-            numbers, with leading axes for frames and equal rods; or a dict of either
-            by member, for some members. `jaxrod.viz.speed`, `stretch` and `twist_rate`
-            are such functions.
-        forces: whether to show the contact forces on rods as arrows, those at each
-            node added up.
-        colours: member -> "#rrggbb".
-        readouts: name -> one number per frame, shape (T,).
-        spheres: spheres to show, such as targets.
-        cylinders: cylinders to show.
-        title: heading of the player.
-        up: the world axis drawn upwards.
-        floor: height of the ground along it [m]; by default that of a level plane
-            which a rod may touch.
+    times: np.ndarray,
+    fields: Mapping[str, Any],
+    forces: bool,
+    colours: Mapping[str, str],
+    up: str,
+) -> Recorded:
+    """Members of a scene or a system as they are drawn; see `Replay.from_states`.
 
     Raises:
         ValueError: an argument has the wrong shape or an impossible value.
@@ -84,63 +67,39 @@ def recorded(
         raise TypeError(
             f"model must be a scene or a system, got {type(model).__name__}"
         )
-    clock = np.asarray(times, float)
-    values = _field_values(system, by_member, clock, fields or {})
-    parts = []
-    for name in by_member:
-        member, own = system.members[name], by_member[name]
-        colour = (colours or {}).get(name, "")
-        if isinstance(member, RigidBodies):
-            parts.append(_of_bodies(name, member, own, clock, colour, up))
-        else:
-            parts.append(
-                Replay.from_rollout(
-                    own.positions,
+    values = _field_values(system, by_member, times, fields)
+    rods: list[Rods] = []
+    meshes: list[Mesh] = []
+    for name, own in by_member.items():
+        member, colour = system.members[name], colours.get(name, "")
+        if not isinstance(member, RigidBodies):
+            rods.append(
+                checked_rods(
+                    np.moveaxis(np.asarray(own.positions), -2, -1),
                     np.asarray(member.rod.radii),
-                    clock,
-                    fields=values.get(name, {}),
+                    times,
                     name="" if isinstance(model, Scene) else name,
                     colour=colour,
-                    up=up,
+                    fields=values[name],
                 )
             )
-    around = Replay.of(
-        clock,
-        spheres=spheres,
-        cylinders=cylinders,
-        readouts=readouts,
-        title=title,
-        up=up,
-        floor=floor,
+        elif member.shape is not None:
+            mesh = _of_bodies(name, member, own, colour)
+            meshes.append(checked_mesh(len(meshes), mesh, times))
+    fixed, floor = _ground(system, *extent(rods, meshes), up)
+    meshes += [checked_mesh(k, mesh, times) for k, mesh in enumerate(fixed)]
+    arrows = _contact_forces(system, by_member, times) if forces else ()
+    return Recorded(tuple(rods), tuple(meshes), arrows, floor)
+
+
+def _of_bodies(name: str, bodies: RigidBodies, states: Any, colour: str) -> Mesh:
+    return Mesh(
+        *mesh_of(bodies),
+        np.moveaxis(np.asarray(states.positions), -2, -1),
+        np.moveaxis(np.asarray(states.orientations), -2, -1),
+        name,
+        colour,
     )
-    whole = around.together(*parts)
-    whole = _with_ground(whole, system)
-    if forces:
-        whole = replace(whole, arrows=_contact_forces(system, by_member, whole.times))
-    return whole
-
-
-def _of_bodies(
-    name: str,
-    bodies: RigidBodies,
-    states: Any,
-    times: np.ndarray,
-    colour: str,
-    up: Axis,
-) -> Replay:
-    meshes: list[Mesh] = []
-    if bodies.shape is not None:
-        vertices, faces = mesh_of(bodies)
-        mesh = Mesh(
-            vertices,
-            faces,
-            np.moveaxis(np.asarray(states.positions), -2, -1),
-            np.moveaxis(np.asarray(states.orientations), -2, -1),
-            name,
-            colour,
-        )
-        meshes.append(mesh)
-    return Replay.of(times, meshes=meshes, up=up)
 
 
 def _field_values(
@@ -185,36 +144,33 @@ def _measured(
     return measured[..., None] if measured.ndim == 1 + group else measured
 
 
-def _with_ground(replay: Replay, system: System) -> Replay:
-    """With the fixed bodies that rods may touch; a level plane is the floor."""
+def _ground(
+    system: System, low: np.ndarray, high: np.ndarray, up: str
+) -> tuple[list[Mesh], float | None]:
+    """The fixed bodies that rods may touch; of a level plane its height [m]."""
     fixed: dict[Any, Body] = {}
     for member in system.members.values():
         if isinstance(member, Scene):
+            group = member.rod.rest_lengths.ndim > 1
             for effect in member.effects:
                 if isinstance(effect, Contact):
-                    group = member.rod.rest_lengths.ndim > 1
                     for body in _single(effect.body, effect.n_bodies, group):
                         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(body)]
                         key = (type(body), *(leaf.tobytes() for leaf in leaves))
                         fixed.setdefault(key, body)
-    if not fixed:
-        return replay
-    low, high = replay.bounds()
     meshes: list[Mesh] = []
+    floor, axis = None, "xyz".find(up)
     for body in fixed.values():
-        if isinstance(body, Plane):
-            normal = np.asarray(body.normal, float)
-            axis = "xyz".index(replay.up)
-            if normal[axis] > 0.9999 * np.linalg.norm(normal):
-                if replay.floor is None:
-                    replay = replace(replay, floor=float(body.point[axis]))
-                continue
+        if not isinstance(body, Plane):
+            meshes.append(solid_mesh(body, low, high))
+            continue
+        normal = np.asarray(body.normal, float)
+        if normal[axis] > 0.9999 * np.linalg.norm(normal):
+            floor = float(body.point[axis])
+        else:
             leaning = leaning_plane(body, low, high)
             meshes += [] if leaning is None else [leaning]
-        else:
-            meshes.append(solid_mesh(body, low, high))
-    checked = [checked_mesh(k, mesh, replay.times) for k, mesh in enumerate(meshes)]
-    return replace(replay, meshes=(*replay.meshes, *checked))
+    return meshes, floor
 
 
 def _single(body: Body, count: int | None, group: bool) -> list[Body]:

@@ -11,10 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrod.viz.arrays import numbers, require_finite
+from jaxrod.viz.arrays import checked_times, numbers, require_finite
 from jaxrod.viz.arrows import Arrows, checked_arrows
+from jaxrod.viz.extent import extent
 from jaxrod.viz.meshes import Mesh, checked_mesh
-from jaxrod.viz.rods import Rods, checked_colour, checked_field, checked_radii
+from jaxrod.viz.rods import Rods, checked_rods
 from jaxrod.viz.shapes import Cylinder, Sphere, checked_cylinder, checked_sphere
 
 Axis = Literal["x", "y", "z"]
@@ -123,35 +124,15 @@ class Replay:
             ValueError: an argument has the wrong shape or an impossible value.
         """
         nodes = numbers("positions", positions, "m")
-        if nodes.ndim == 3:
-            nodes = nodes[:, None]
-        if nodes.ndim != 4 or nodes.shape[-1] != 3 or nodes.shape[2] < 2:
-            raise ValueError(
-                "positions must have shape (T, n+1, 3) or (T, R, n+1, 3) [m] with "
-                f"at least 2 nodes, got {np.shape(positions)}"
-            )
-        num_frames, num_rods, num_nodes, _ = nodes.shape
-        if num_frames == 0 or num_rods == 0:
-            raise ValueError(
-                f"positions must hold at least one frame and one rod, got {nodes.shape}"
-            )
-        clock = _times(times, num_frames)
-        require_finite("positions", nodes, "m", clock)
-        if rod_names and len(rod_names) != num_rods:
-            raise ValueError(
-                f"rod_names must be empty or hold {num_rods} names, "
-                f"got {len(rod_names)}"
-            )
-        rods = Rods(
-            positions=nodes,
-            radii=checked_radii(radii, num_rods, num_nodes - 1),
-            name=str(name),
-            names=tuple(str(name) for name in rod_names),
-            colour=checked_colour(colour),
-            fields={
-                str(label): checked_field(str(label), values, nodes.shape[:3])
-                for label, values in (fields or {}).items()
-            },
+        clock = checked_times(times, nodes.shape[:1])
+        rods = checked_rods(
+            positions,
+            radii,
+            clock,
+            names=rod_names,
+            name=name,
+            colour=colour,
+            fields=fields,
         )
         return cls.of(
             clock,
@@ -198,7 +179,7 @@ class Replay:
         Raises:
             ValueError: an argument has the wrong shape or an impossible value.
         """
-        clock = _times(times, np.size(times))
+        clock = checked_times(times, (np.size(times),))
         if up not in ("x", "y", "z"):
             raise ValueError(f'up must be "x", "y" or "z", got {up!r}')
         if floor is not None:
@@ -221,7 +202,22 @@ class Replay:
         )
 
     @classmethod
-    def from_states(cls, model: Any, states: Any, times: Any, **more: Any) -> Replay:
+    def from_states(
+        cls,
+        model: Any,
+        states: Any,
+        times: Any,
+        *,
+        fields: Mapping[str, Any] | None = None,
+        forces: bool = False,
+        colours: Mapping[str, str] | None = None,
+        spheres: Sequence[Sphere] = (),
+        cylinders: Sequence[Cylinder] = (),
+        readouts: Mapping[str, Any] | None = None,
+        title: str = "",
+        up: Axis = "z",
+        floor: float | None = None,
+    ) -> Replay:
         """Makes a replay of a scene or a system from the states of a rollout.
 
         Rods, rigid bodies and the fixed bodies that rods may touch are shown, each
@@ -232,8 +228,22 @@ class Replay:
             states: its states with a leading axis of T, as `jaxrod.rollout` returns
                 them; of a system, a dict by member.
             times: time of each frame [s], shape (T,).
-            **more: `fields`, `forces`, `colours`, `readouts`, `spheres`, `title`, `up`
-                and `floor`, as `jaxrod.viz.recorded` explains them.
+            fields: label with a unit -> what to colour rods by: a function of a scene
+                (as it is at the time of the frame) and a state of its rod that gives a
+                number for each of n elements, n+1 nodes or n-1 joints, or one for all;
+                or such numbers, with leading axes for frames and equal rods; or a dict
+                of either by member, for some members. `jaxrod.viz.speed`, `stretch`,
+                `bending` and `twist_rate` are such functions.
+            forces: whether to show the contact forces on rods as arrows, those at each
+                node added up.
+            colours: member -> "#rrggbb".
+            spheres: spheres to show, such as targets.
+            cylinders: cylinders to show.
+            readouts: name -> one number per frame, shape (T,).
+            title: heading of the player.
+            up: the world axis drawn upwards.
+            floor: height of the ground along it [m]; by default that of a level plane
+                which a rod may touch.
 
         Raises:
             ValueError: an argument has the wrong shape or an impossible value.
@@ -241,7 +251,20 @@ class Replay:
         """
         from jaxrod.viz.recorded import recorded
 
-        return recorded(model, states, times, **more)
+        clock = checked_times(times, (np.size(times),))
+        seen = recorded(model, states, clock, fields or {}, forces, colours or {}, up)
+        return cls.of(
+            clock,
+            seen.rods,
+            meshes=seen.meshes,
+            arrows=seen.arrows,
+            spheres=spheres,
+            cylinders=cylinders,
+            readouts=readouts,
+            title=title,
+            up=up,
+            floor=seen.floor if floor is None else floor,
+        )
 
     def together(self, *others: Replay) -> Replay:
         """This replay and others with the same times, in one.
@@ -355,24 +378,7 @@ class Replay:
 
     def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """Corners of the box that holds everything in every frame [m]."""
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for rods in self.rods:
-            margin = float(rods.radii.max())
-            low = np.minimum(low, rods.positions.min(axis=(0, 1, 2)) - margin)
-            high = np.maximum(high, rods.positions.max(axis=(0, 1, 2)) + margin)
-        for mesh in self.meshes:
-            for frame in {0, *range(0, self.num_frames, 8), self.num_frames - 1}:
-                for body in range(mesh.count):
-                    corners = mesh.placed(frame, body)
-                    low = np.minimum(low, corners.min(axis=0))
-                    high = np.maximum(high, corners.max(axis=0))
-        for sphere in self.spheres:
-            low = np.minimum(low, sphere.positions.min(axis=0) - sphere.radius)
-            high = np.maximum(high, sphere.positions.max(axis=0) + sphere.radius)
-        for cylinder in self.cylinders:
-            for end in (cylinder.start, cylinder.end):
-                low = np.minimum(low, end - cylinder.radius)
-                high = np.maximum(high, end + cylinder.radius)
+        low, high = extent(self.rods, self.meshes, self.spheres, self.cylinders)
         if self.floor is not None:
             axis = "xyz".index(self.up)
             low[axis] = min(low[axis], self.floor)
@@ -419,24 +425,6 @@ class Replay:
             f'<iframe srcdoc="{page}" title="3-D replay" allowfullscreen '
             'style="width:100%;height:520px;border:0;border-radius:8px"></iframe>'
         )
-
-
-def _times(times: Any, num_frames: int) -> np.ndarray:
-    clock = numbers("times", times, "s")
-    if clock.shape != (num_frames,):
-        raise ValueError(
-            f"times must have shape ({num_frames},) [s], one per frame, "
-            f"got {clock.shape}"
-        )
-    require_finite("times", clock, "s")
-    backward = np.flatnonzero(np.diff(clock) <= 0)
-    if backward.size:
-        k = int(backward[0])
-        raise ValueError(
-            f"times must increase, got {clock[k]:g} s then {clock[k + 1]:g} s "
-            f"at index {k + 1}"
-        )
-    return clock
 
 
 def _readout(name: str, values: Any, num_frames: int) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,52 @@ class Rods:
             positions=self.positions[keep],
             fields={label: values[keep] for label, values in self.fields.items()},
         )
+
+
+def checked_rods(
+    positions: Any,
+    radii: Any,
+    times: np.ndarray,
+    *,
+    names: Sequence[str] = (),
+    name: str = "",
+    colour: str = "",
+    fields: Mapping[str, Any] | None = None,
+) -> Rods:
+    """Rods from arrays that come from outside, or an error in words."""
+    nodes = numbers("positions", positions, "m")
+    if nodes.ndim == 3:
+        nodes = nodes[:, None]
+    if nodes.ndim != 4 or nodes.shape[-1] != 3 or nodes.shape[2] < 2:
+        raise ValueError(
+            "positions must have shape (T, n+1, 3) or (T, R, n+1, 3) [m] with "
+            f"at least 2 nodes, got {np.shape(positions)}"
+        )
+    num_frames, num_rods, num_nodes, _ = nodes.shape
+    if num_frames == 0 or num_rods == 0:
+        raise ValueError(
+            f"positions must hold at least one frame and one rod, got {nodes.shape}"
+        )
+    if num_frames != len(times):
+        raise ValueError(
+            f"positions must have {len(times)} frames, one per time, got {num_frames}"
+        )
+    require_finite("positions", nodes, "m", times)
+    if names and len(names) != num_rods:
+        raise ValueError(
+            f"rod_names must be empty or hold {num_rods} names, got {len(names)}"
+        )
+    return Rods(
+        positions=nodes,
+        radii=checked_radii(radii, num_rods, num_nodes - 1),
+        name=str(name),
+        names=tuple(str(name) for name in names),
+        colour=checked_colour(colour),
+        fields={
+            str(label): checked_field(str(label), values, nodes.shape[:3])
+            for label, values in (fields or {}).items()
+        },
+    )
 
 
 def checked_radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
