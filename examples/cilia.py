@@ -65,13 +65,12 @@ def run(share=1.0):
     every = max(1, int(4 * PERIOD / dt / 120))
     n = int(120 * share) * every
     states = jaxrod.rollout(system, state, dt, n, every)
-    replay = jaxrod.viz.Replay.from_states(
-        system,
-        states,
+    times, fields = (
         jaxrod.rollout_times(dt, n, every),
-        fields={"speed [m/s]": jaxrod.viz.speed},
-        title="Cilia",
+        {"speed [m/s]": jaxrod.viz.speed},
     )
+    show = jaxrod.viz.Replay.from_states
+    replay = show(system, states, times, fields=fields, title="Cilia")
     measured, reference = weak()
     return replay, float(measured), float(reference)
 

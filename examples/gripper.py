@@ -46,20 +46,13 @@ def finger(angle):
 def build():
     """Fingers and ball, their states and the time step."""
     fingers, of_fingers = jax.vmap(finger)(2 * jnp.pi * jnp.arange(3) / 3)
-    weight = jaxrod.gravity(
-        jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -9.81), 0.3, start=0.5)
-    )
+    down = jnp.asarray([0.0, 0.0, -9.81])
+    weight = jaxrod.gravity(jaxrod.ramp(0 * down, down, 0.3, start=0.5))
     ball, of_ball = jaxrod.rigid_body(
         jaxrod.sphere((0.0, 0.0, 0.0), BALL), density=300.0, effects=(weight,)
     )
-    grip = jaxrod.body_contact(
-        "fingers",
-        "ball",
-        stiffness=2e4,
-        damping=20.0,
-        friction=0.9,
-        friction_drag=40.0,
-    )
+    law = {"stiffness": 2e4, "damping": 20.0, "friction": 0.9, "friction_drag": 40.0}
+    grip = jaxrod.body_contact("fingers", "ball", **law)
     system = jaxrod.make_system({"fingers": fingers, "ball": ball}, grip)
     state = {"fingers": of_fingers, "ball": of_ball}
     return system, state, 0.9 * float(jaxrod.stable_dt(system).dt)

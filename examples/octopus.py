@@ -67,14 +67,8 @@ def run(share=1.0):
     every = max(1, int(1.0 / dt / 60))
     n = int(60 * share) * every
     states = jaxrod.rollout(system, state, dt, n, every)
-    replay = jaxrod.viz.Replay.from_states(
-        system,
-        states,
-        jaxrod.rollout_times(dt, n, every),
-        fields={"stretch [1]": jaxrod.viz.stretch},
-        title="Octopus",
-    )
-    # Momentum over mass, times how long it lasted.
+    times = jaxrod.rollout_times(dt, n, every)
+    replay = jaxrod.viz.Replay.from_states(system, states, times, title="Octopus")
     mass = jnp.sum(system.members["head"].masses)
     mass += jnp.sum(system.members["arms"].rod.linear_density) * LENGTH / N_ELEMENTS
     last = jax.tree.map(lambda leaf: leaf[-1], states)

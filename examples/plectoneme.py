@@ -1,7 +1,6 @@
-"""A twisted rope that winds around itself: link is twist and writhe, and is kept.
+"""A twisted rope that winds around itself: twist becomes writhe, their sum stays.
 
-One end is turned, then brought nearer to the other. Twist becomes writhe, the rope
-touches itself, and Lk = Tw + Wr stays the number of turns (Calugareanu, White,
+One end is turned, then brought nearer to the other; Lk = Tw + Wr (Calugareanu, White,
 Fuller). Run it with `python examples/plectoneme.py`.
 """
 
@@ -14,7 +13,7 @@ import jaxrod
 N, LENGTH, RADIUS, TURNS = 48, 1.0, 0.011, 5.0  # [1], [m], [m], [1]
 TWISTING, SHORTENING, REST = 3.0, 4.0, 1.0  # [s]
 NUMBER = "twist and writhe together, and the turns of the end"
-LOOK = {"frame": -1, "azimuth": -75, "elevation": 18, "field": "twist rate [rad/m]"}
+LOOK = {"frame": -1, "azimuth": -75, "elevation": 18, "field": "bending [1/m]"}
 
 
 def build():
@@ -28,15 +27,10 @@ def build():
         direction=(1.0, 0.0, 0.0),
         normal=(0.0, 0.0, 1.0),
     )
-    moved = jaxrod.driven(
-        state,
-        "finish",
-        displacement=jaxrod.ramp(
-            (0.0, 0.0, 0.0), (-0.4, 0.0, 0.0), SHORTENING, start=TWISTING
-        ),
-        axis=(1.0, 0.0, 0.0),
-        angle=jaxrod.ramp(0.0, 2 * jnp.pi * TURNS, TWISTING),
-    )
+    ahead = jnp.asarray([1.0, 0.0, 0.0])
+    nearer = jaxrod.ramp(0 * ahead, -0.45 * ahead, SHORTENING, start=TWISTING)
+    turn = jaxrod.ramp(0.0, 2 * jnp.pi * TURNS, TWISTING)
+    moved = jaxrod.driven(state, "finish", displacement=nearer, axis=ahead, angle=turn)
     scene = jaxrod.make_scene(
         rod,
         jaxrod.clamp(state),
@@ -52,8 +46,8 @@ def build():
 def link(positions, directors, turned):
     """Twist and writhe [1] of the rope with a piece of the walls that hold its ends."""
     step = jnp.asarray([LENGTH / N, 0.0, 0.0])
-    first, last = positions[:, 0] - step, positions[:, -1] + step
-    curve = jnp.concatenate([first[:, None], positions, last[:, None]], axis=1)
+    ends = positions[:, :1] - step[:, None], positions[:, -1:] + step[:, None]
+    curve = jnp.concatenate([ends[0], positions, ends[1]], axis=1)
     wall = jnp.asarray([0.0, 0.0, 1.0])
     far = jnp.stack([0 * turned, -jnp.sin(turned), jnp.cos(turned)])
     normals = jnp.concatenate([wall[:, None], directors[0], far[:, None]], axis=1)
@@ -69,14 +63,13 @@ def run(share=1.0):
     states = jaxrod.rollout(system, state, dt, 160 * every, every)
     times = jaxrod.rollout_times(dt, 160 * every, every)
     turned = 2 * jnp.pi * TURNS * jnp.clip(times / TWISTING, 0, 1)
-    rope = states["rope"]
-    frames = jax.vmap(lambda state: state.directors)(rope)
-    twist, writhe = jax.vmap(link)(rope.positions, frames, turned)
+    frames = jax.vmap(lambda state: state.directors)(states["rope"])
+    twist, writhe = jax.vmap(link)(states["rope"].positions, frames, turned)
     replay = jaxrod.viz.Replay.from_states(
         system,
         states,
         times,
-        fields={"twist rate [rad/m]": jaxrod.viz.twist_rate},
+        fields={"bending [1/m]": jaxrod.viz.bending},
         readouts={"twist": twist, "writhe": writhe},
         title="Plectoneme",
     )

@@ -1,8 +1,7 @@
 """A snake on the ground whose gait is improved by the gradient of its way.
 
-PyElastica's continuum snake: a wave of couples, and friction that is larger backwards
-and sideways (Gazzola et al., R. Soc. Open Sci. 5, 2018). With the published gait it
-moves 0.1590 lengths in the fourth period there. Run it with `python examples/snake.py`.
+PyElastica's snake: a wave of couples, friction larger backwards and sideways (Gazzola
+et al., R. Soc. Open Sci. 5, 2018). Run it with `python examples/snake.py`.
 """
 
 import gallery
@@ -19,10 +18,7 @@ LOOK = {"frame": (40, 80, 120, 160), "azimuth": -65, "elevation": 40}
 
 
 def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
-    """The snake, its state and the time step, with waves on its length and their tilt.
-
-    The tilt shifts couples from one end of the snake to the other.
-    """
+    """The snake with a wave number and a tilt of its couples; its state; the step."""
     rod, state = jaxrod.straight_rod(
         N,
         length=LENGTH,
@@ -51,8 +47,7 @@ def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
         ramp_up_time=PERIOD,
     )
     damping = jaxrod.exponential_damping(2e-3, 8e-3 / RADIUS**2)
-    gravity = jaxrod.gravity((0.0, 0.0, -G))
-    scene = jaxrod.make_scene(rod, gravity, wave, ground, damping)
+    scene = jaxrod.make_scene(rod, jaxrod.gravity(), wave, ground, damping)
     return scene, state, PERIOD / 16000
 
 
@@ -70,9 +65,8 @@ def run(share=1.0):
     scene, state, dt = build()
     n = int(4 * 40 * share) * 400
     states = jaxrod.rollout(scene, state, dt, n, 400)
-    replay = jaxrod.viz.Replay.from_states(
-        scene, states, jaxrod.rollout_times(dt, n, 400), title="Snake"
-    )
+    times = jaxrod.rollout_times(dt, n, 400)
+    replay = jaxrod.viz.Replay.from_states(scene, states, times, title="Snake")
     moved = jnp.mean(states.positions[-1] - states.positions[-41], axis=1)
     return replay, float(jnp.linalg.norm(moved)) / LENGTH, 0.1590
 
