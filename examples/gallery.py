@@ -68,7 +68,7 @@ def entry(name):
     replay, measured, reference = scene.run()
     picture = DOCS / "gallery" / f"{name}.png"
     picture.parent.mkdir(exist_ok=True)
-    replay.picture(path=picture, width=720, height=480, **scene.LOOK)
+    replay.picture(path=picture, width=720, height=480, small=True, **scene.LOOK)
     steps = rate(model, state, dt)
     title, *_ = inspect.getdoc(scene).split("\n")
     return "\n".join(

@@ -70,6 +70,7 @@ def picture(
     zoom: float = 1.0,
     field: str | None = None,
     captions: bool = True,
+    small: bool = False,
 ) -> None:
     """Writes a still of one frame, or of several in one, as a PNG file.
 
@@ -87,6 +88,8 @@ def picture(
         zoom: above one, nearer than what holds everything.
         field: label of the field that colours the rods; `None`: their own colours.
         captions: whether to write title, time and legend on it.
+        small: whether to keep 256 colours only, which makes the file less than half
+            as large.
 
     Raises:
         ValueError: a number is not positive, or there is no such field.
@@ -96,7 +99,7 @@ def picture(
     frames = [range(replay.num_frames)[int(k)] for k in frames]
     size = (width, height)
     painter = _Painter(replay, size, azimuth, elevation, zoom, field, frames, captions)
-    _save_png(painter.paint(frames), path)
+    _save_png(painter.paint(frames), path, small)
 
 
 def film(
@@ -268,11 +271,12 @@ def _round_step(x: float) -> float:
     return float(next(m * power for m in (1, 2, 5, 10) if m * power >= 0.999 * x))
 
 
-def _save_png(pixels: np.ndarray, path: Any) -> None:
+def _save_png(pixels: np.ndarray, path: Any, small: bool) -> None:
     from PIL import Image
 
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, format="png", optimize=True)
+    file, image = io.BytesIO(), Image.fromarray(pixels)
+    image = image.quantize(256, dither=Image.Dither.NONE) if small else image
+    image.save(file, format="png", optimize=True)
     write_atomically(path, file.getvalue())
 
 

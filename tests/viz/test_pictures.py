@@ -108,6 +108,14 @@ def test_of_several_frames_the_last_is_in_full(tmp_path):
     assert ((strength > 25) & (strength < 80)).sum() > 100  # the first, paler
 
 
+def test_a_small_file_looks_nearly_the_same(tmp_path):
+    seen = still(arm(), 0, tmp_path / "arm.png")
+    small = still(arm(), 0, tmp_path / "small.png", small=True)
+    assert np.abs(small - seen).mean() < 2
+    sizes = [(tmp_path / name).stat().st_size for name in ("arm.png", "small.png")]
+    assert sizes[1] < 0.7 * sizes[0]
+
+
 def test_bodies_and_arrows_are_part_of_a_frame():
     block = Mesh(*surfaces.box(np.array([0.1, 0.2, 0.3])), positions=(0.0, 0.0, 2.0))
     force = np.zeros((3, 2, 3)) + np.array([[0, 0, 5.0], [0, 0, 0]])
