@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
+from jaxrod.composite import Composite, Stepper
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.scene import Composite, Scene, Stepper
+from jaxrod.scene import Scene
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import (
     Assembly,
