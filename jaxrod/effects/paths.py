@@ -18,7 +18,6 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     join_quaternion,
     multiply_quaternions,
-    rotation_exp,
     split_quaternion,
 )
 from jaxrod.structure import pytree
@@ -98,9 +97,11 @@ class Turning(Schedule):
         return Turned(self._turned(angle), jnp.zeros_like(self.axis))
 
     def _turned(self, angle: Array) -> Array:
-        turn = rotation_exp(vectors.scale(angle, vectors.split(self.axis)))
+        # Not `rotation_exp`, which is for one whole turn at most: walls wind rods up.
+        half = 0.5 * angle
+        x, y, z = vectors.scale(jnp.sin(half), vectors.split(self.axis))
         start = split_quaternion(self.start)
-        return join_quaternion(multiply_quaternions(turn, start))
+        return join_quaternion(multiply_quaternions((jnp.cos(half), x, y, z), start))
 
 
 @pytree
