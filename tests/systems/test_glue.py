@@ -87,6 +87,7 @@ def test_two_glued_rods_bend_as_a_composite_beam(stiffness, record):
     )
 
 
+@pytest.mark.slow
 def test_glue_keeps_momenta(record):
     system, rest = two(
         8, stiffness=1e5, damping=50.0, turning_stiffness=20.0, turning_damping=0.01

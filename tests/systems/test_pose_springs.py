@@ -21,6 +21,7 @@ def held(**law):
     return jaxrod.make_system({"body": body}, spring), rest
 
 
+@pytest.mark.slow
 def test_a_body_swings_about_a_place_and_an_orientation(record):
     system, rest = held(turning_stiffness=0.5)
     start = replace(
@@ -45,6 +46,7 @@ def test_a_body_swings_about_a_place_and_an_orientation(record):
     )
 
 
+@pytest.mark.slow
 def test_a_spring_that_is_moved_follows_the_driven_oscillator(record):
     """Displacement a sin(w t): the spring's end, and the dashpot's."""
     size, period, drag = 0.1, 1.5, 3.0

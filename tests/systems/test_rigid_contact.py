@@ -92,6 +92,7 @@ def changes(system, before, after):
     ]
 
 
+@pytest.mark.slow
 def test_a_ball_at_rest_sinks_in_by_its_weight(record):
     system, state = alone(jaxrod.sphere((0, 0, 0.1), 0.1), stiffness=2e4)
     dt = jaxrod.stable_dt(system).dt
@@ -153,6 +154,7 @@ def test_equal_balls_exchange_their_velocities(record):
     assert after["a"].velocities[0, 0] == pytest.approx(-1, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_ball_that_strikes_at_an_angle_is_slowed_by_friction(record):
     """It slips all along: along the wall it loses mu times what it gets across."""
     friction = 0.1
@@ -382,6 +384,7 @@ def test_the_stability_bound_is_safe_and_not_far_off(shape, record):
     )
 
 
+@pytest.mark.slow
 def test_bodies_of_any_shape_touch_with_given_points():
     def round_one(point, radius):
         return jnp.sqrt(jnp.sum(point * point) + 1e-12) - radius

@@ -229,6 +229,7 @@ def test_pressure_buckles_a_ring(record):
     )
 
 
+@pytest.mark.slow
 def test_no_place_on_a_ring_is_special(record):
     """The same motion, begun a quarter further round."""
     n, quarter = 16, 4
@@ -266,6 +267,7 @@ def test_no_place_on_a_ring_is_special(record):
     np.testing.assert_array_equal(first.positions[:, 0], first.positions[:, -1])
 
 
+@pytest.mark.slow
 def test_a_ring_has_the_link_that_was_put_in():
     rod, state, closure = made(24, turns=3.0, straight_at_rest=True)
     nodes = np.asarray(state.positions)
@@ -282,6 +284,7 @@ def test_a_ring_has_the_link_that_was_put_in():
     assert float(joint.energy(seen)) == pytest.approx(stored / 24, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_contact_counts_the_place_where_a_ring_is_closed_once():
     """A rod across it presses as across any other node."""
     n = 12
