@@ -20,7 +20,6 @@ SCENES = (
     "octopus",
     "snake",
     "plectoneme",
-    "gripper",
     "flagella",
     "cilia",
     "tendon_arm",
@@ -61,6 +60,11 @@ def rate(model, state, dt):
     return steps / spent
 
 
+def in_short(number):
+    """Two digits, or all before the point."""
+    return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
+
+
 def entry(name):
     """Runs a scene, draws its picture and returns its part of the page."""
     scene = importlib.import_module(name)
@@ -78,7 +82,7 @@ def entry(name):
             f"`python examples/{name}.py`: {scene.NUMBER}:",
             f"**{measured:.4g}**, {reference:.4g}.",
             f"Steps of {1e3 * dt:.3g} ms, {steps:,.0f} of them per second of processor",
-            f"time: {steps * dt:.2g} s of motion.\n\n",
+            f"time: {in_short(steps * dt)} s of motion.\n\n",
         ]
     )
 

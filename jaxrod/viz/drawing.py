@@ -275,9 +275,20 @@ def _save_png(pixels: np.ndarray, path: Any, small: bool) -> None:
     from PIL import Image
 
     file, image = io.BytesIO(), Image.fromarray(pixels)
-    image = image.quantize(256, dither=Image.Dither.NONE) if small else image
+    if small:
+        palette = Image.fromarray(_colourful(pixels)).quantize(256, kmeans=3)
+        image = image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
     image.save(file, format="png", optimize=True)
     write_atomically(path, file.getvalue())
+
+
+def _colourful(pixels: np.ndarray) -> np.ndarray:
+    """Pixels to choose a palette from: fewer greys, of which most pictures are full."""
+    flat = pixels.reshape(-1, 3)
+    grey = np.ptp(flat.astype(int), axis=1) <= 24
+    chosen = np.concatenate([flat[~grey], flat[grey][::6]])
+    side = int(len(chosen) ** 0.5)
+    return chosen[: side * side].reshape(side, side, 3)
 
 
 def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:

@@ -16,10 +16,9 @@ WHOLE = {
     "octopus": 1e-6,
     "snake": 0.02,
     "plectoneme": 1e-3,
-    "gripper": 0.05,
-    "flagella": 0.12,
+    "flagella": 0.03,
     "cilia": 0.01,
-    "tendon_arm": 0.02,
+    "tendon_arm": 0.04,
     "pneumatic_arm": 5e-3,
 }
 
@@ -41,11 +40,10 @@ def test_a_scene_runs_shortly_and_shows_itself(name):
     assert math.isfinite(measured) and math.isfinite(reference)
     for rods in replay.rods:
         moved = np.ptp(rods.positions, axis=0).max()
-        assert moved > 0.02 * np.ptp(rods.positions[0], axis=(0, 1)).max()
-    look = {**scene.LOOK}
-    frames = np.atleast_1d(look.pop("frame"))
-    frames = [int(k) for k in np.minimum(frames, replay.num_frames - 1)]
-    assert look.get("field") in {None, *replay.fields}
+        # All but the drawn way of a tip.
+        still = rods.name == "way of the tip"
+        assert still or moved > 0.02 * np.ptp(rods.positions[0], axis=(0, 1)).max()
+    assert scene.LOOK.get("field") in {None, *replay.fields}
     assert len(html(replay)) > 50_000
 
 
