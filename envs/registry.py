@@ -14,6 +14,7 @@ from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
     "reaching": "jaxrod.envs.tasks.reaching:reaching",
+    "snake": "jaxrod.envs.tasks.snake:snake",
     "structured": "jaxrod.envs.tasks.structured_obstacles:structured_obstacles",
     "tracking": "jaxrod.envs.tasks.tracking:tracking",
     "trivial": "jaxrod.envs.trivial:Trivial",
