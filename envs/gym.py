@@ -28,6 +28,7 @@ VARIANTS = {
     "structured": ("paper", "clean"),
     "unstructured": ("paper", "clean"),
     "snake": ("clean",),
+    "octopus": ("clean",),
 }
 """The tasks, and what variants each has."""
 

@@ -61,8 +61,9 @@ STEPS_PER_ELEMENT = 6
 bound."""
 SPEED = 0.1
 """Unit of observed velocities [m/s]."""
-STROKE = (1.0, 0.8, 0.8)
-"""Period [s], and sizes sideways and upwards [1], of the scripted stroke."""
+STROKE = (4.0, 1.0, 0.5)
+"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of 24
+that were tried, of 1 to 4 s."""
 
 
 @pytree
