@@ -147,7 +147,9 @@ _NAMES = {
     "structure": ("memory", "pytree", "static"),
     "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
+    "systems.crossing_contact": ("CrossingContact", "crossing_contact"),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
+    "systems.neighbour_lists": ("NeighbourLists", "NeighbourRecord", "neighbour_lists"),
     "systems.rigid_bodies": (
         "BodyState",
         "RigidBodies",

@@ -20,10 +20,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
+import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
 from jaxrod.effects.base import StabilityBound
@@ -31,9 +32,21 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
+from jaxrod.systems.along_rods import (
+    from_node,
+    rod_and_place,
+    share_of_gap,
+    tied_share,
+)
+from jaxrod.systems.coupling import AllParts, AllSeen, TiedPair
+from jaxrod.systems.element_pairs import Pairs, lifted
+from jaxrod.systems.line_pairs import ElementPoints, element_points
 from jaxrod.systems.near_segments import Nearness, nearnesses
+from jaxrod.systems.neighbour_lists import NeighbourLists
+from jaxrod.systems.neighbour_search import Stretches
 from jaxrod.systems.parts import Parts
+from jaxrod.systems.points_needed import points_needed
+from jaxrod.systems.segment_distance import between, products
 from jaxrod.systems.strands import (
     ContactPoints,
     Segments,
@@ -44,60 +57,30 @@ from jaxrod.systems.strands import (
     segments_at,
     strands,
 )
-from jaxrod.validation import Numbers, as_array, check_count, is_traced
+from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
+from jaxrod.systems.touching_rods import TouchingRods, contact_numbers, same_rod
+from jaxrod.validation import Numbers, check_count
+
+SPACING = 1 / 3
+"""Largest distance of neighbouring contact points over the radius [1]."""
 
 
 @pytree
-class RodContact(Coupling):
+class RodContact(TouchingRods):
     """Contact between all rods of some members; see `rod_contact`."""
 
-    stiffness: Float[Array, ""]
-    """Force per length of contact and penetration [N/m^2]."""
-    onset: Float[Array, ""]
-    """Width of the smooth onset over the mean of the radii [1]."""
-    damping: Float[Array, ""] | None = None
-    """Force per length and speed along the normal [kg/(m s)]."""
-    friction: Float[Array, ""] | None = None
-    """Coefficient of Coulomb friction [1]."""
-    friction_drag: Float[Array, ""] | None = None
-    """Largest friction per length and speed of slip [kg/(m s)]."""
-    strands: tuple[Strands, ...] = ()
-    """Points and segments of each member, once prepared."""
-    members: tuple[str, ...] = static(default=())
-    """Names of the members."""
-    itself: bool = static(default=False)
-    """Whether rods touch themselves."""
     points_per_element: tuple[int, ...] = static(default=())
     """Contact points per element of each member, once fitted; or one number for all."""
-    tied: tuple[TiedPair, ...] = static(default=())
-    """Pairs of nodes that are tied together, near which nothing touches."""
-    partners: int = static(default=2)
-    """Rods that may touch one place at a time, for the stability bound."""
-
-    def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or is no rod."""
-        for name in self.members:
-            if name not in parts:
-                raise ValueError(
-                    f"no member is called {name!r}; there are "
-                    + ", ".join(map(repr, parts))
-                )
-            if not parts[name].is_rod:
-                raise ValueError(f"rod_contact is between rods, and {name!r} is rigid")
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
         """With the number of points, and what is tied and so does not touch."""
-        self.check(parts)
-        rods = sum(parts[name].count for name in self.members)
-        if rods < 2 and not self.itself:
-            raise ValueError(
-                "one rod has nothing to touch but itself: give itself=True, or more "
-                "members"
-            )
+        fitted: Any = self.with_ties(parts, tied)
         given = self.points_per_element * len(self.members)
-        per = given or tuple(_needed(name, parts) for name in self.members)
-        near = tuple(pair for pair in tied if {pair[0], pair[2]} <= set(self.members))
-        return replace(self, points_per_element=per, tied=near)
+        per = given or tuple(
+            points_needed("rod_contact", name, parts[name], SPACING)
+            for name in self.members
+        )
+        return replace(fitted, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
         """With radii and lengths of points and segments."""
@@ -107,8 +90,96 @@ class RodContact(Coupling):
         )
         return replace(self, strands=made)
 
+    # On lists of neighbours: pairs of elements.
+
+    def views(self) -> list[tuple[int, int]]:
+        """Members whose points and segments meet."""
+        count = len(self.members)
+        return [
+            (a, b)
+            for a in range(count)
+            for b in range(count)
+            if a != b or self.itself or self.strands[a].count > 1
+        ]
+
+    def bounding_radii(self, a: int) -> Array:
+        """Largest of an element's own radius and those of its points [m]."""
+        at_points = element_points(self.strands[a]).radii[:, 0]
+        return jnp.maximum(jnp.max(at_points, axis=0), self.strands[a].radii)
+
+    def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
+        """What is not of one rod, or not near along it."""
+        if a != b:
+            return None
+        one, two = own.elements, other.elements
+        may = ~same_rod(one, two)
+        if self.itself:
+            assert one.starts is not None and two.starts is not None
+            apart = jnp.maximum(two.starts - one.starts, one.ends - two.ends)
+            may = may | (apart > math.pi * two.radii)
+        return may
+
+    def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
+        """Of the points with the nearest places on segments, and with their next nodes.
+
+        The second count negative, and only where another segment follows.
+        """
+        own, other = lifted(pairs.own), lifted(pairs.other)
+        points = element_points(self.strands[a])
+        way = vectors.subtract(own.first, other.first)
+        have = products(way, own.edge, other.edge)
+        weights = self._weights(a, b, pairs, points)
+        nearest = have.on_other(points.fractions)
+        on_own = jnp.broadcast_to(points.fractions, nearest.shape)
+        radii = points.radii + 0 * nearest, other.radii + 0 * nearest
+        for fraction, weight in (
+            (nearest, weights),
+            (jnp.ones_like(nearest), -other.follows * weights),
+        ):
+            apart = between(way, own.edge, other.edge, (on_own, fraction))
+            yield touch_at(apart, (on_own, fraction), weight, radii, self.onset)
+
+    def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
+        """Loads of all points of each pair."""
+        own, other = lifted(pairs.own), lifted(pairs.other)
+        first, second = (
+            loads_of(touch, own, other, self.law) for touch in self.touches(a, b, pairs)
+        )
+        return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), first.added(second))
+
+    def _weights(self, a: int, b: int, pairs: Pairs, points: ElementPoints) -> Array:
+        """Rest length for which points count, half with either of two rods [m]."""
+        own, other = lifted(pairs.own), lifted(pairs.other)
+        assert pairs.there is not None
+        half = jnp.where(pairs.there[None], 0.5 * points.lengths, 0)
+        if a == b and self.itself:
+            assert other.starts is not None and other.rest_lengths is not None
+            gap = jnp.maximum(other.starts - points.places, points.places - other.ends)
+            share = share_of_gap(gap, other.radii, other.rest_lengths)
+            half = half * jnp.where(same_rod(own, other), share, 1)
+        for one, i, two, j in self.tied:
+            if (one, two) != (self.members[a], self.members[b]):
+                continue
+            assert other.starts is not None and other.rest_lengths is not None
+            rod, place = rod_and_place(self.strands[a], i)
+            fellow, mark = rod_and_place(self.strands[b], j)
+            half = half * tied_share(
+                (
+                    jnp.abs(points.places - place),
+                    from_node(other.starts, other.ends, mark),
+                ),
+                (own.rods == rod) & (other.rods == fellow),
+                (points.radii, other.radii),
+                other.rest_lengths,
+            )
+        return half
+
+    # Without lists: rows of all points and all segments.
+
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all members."""
+        if self.found is not None:
+            return super().loads(seen)
         rubs = self.friction is not None
         total: dict[int, StrandLoads] = {}
         for a, b, weights in self._pairs():
@@ -126,7 +197,9 @@ class RodContact(Coupling):
         }
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of all contacts [J]."""
+        """Energy of all contacts [J]; not a number where lists have missed some."""
+        if self.found is not None:
+            return super().energy(seen)
         total = jnp.zeros((), self.stiffness.dtype)
         for near in self._all(seen):
             density = energy_density(near.depth, near.width, self.stiffness)
@@ -135,6 +208,8 @@ class RodContact(Coupling):
 
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration over half the sum of the radii."""
+        if self.found is not None:
+            return super().violation(seen)
         worst = jnp.zeros((), self.stiffness.dtype)
         for near in self._all(seen):
             depth = jnp.where(near.weight > 0, near.depth, 0)
@@ -185,13 +260,11 @@ class RodContact(Coupling):
         same = segments.segment_rods[:, None] == points.point_rods[None, :]
         if not self.itself:
             return jnp.where(same, 0, half)
-        # Near along the rod nothing touches: bent to a curvature of one over the
-        # radius it just would, half a turn away.
         place, start = points.places[None, :], segments.starts[:, None]
         length = segments.rest_lengths[:, None]
         apart = jnp.maximum(start - place, place - start - length)
-        share = (apart - math.pi * segments.radii[:, None]) / length
-        return jnp.where(same, half * jnp.clip(share, 0, 1), half)
+        share = share_of_gap(apart, segments.radii[:, None], length)
+        return jnp.where(same, half * share, half)
 
     def _near(
         self,
@@ -234,31 +307,20 @@ class RodContact(Coupling):
 
 def _away(points: Strands, node: int, segments: Strands, other: int) -> Array:
     """Zero for points and segments near nodes that are tied, along their rods."""
-    rod = node // (points.n_elements + 1)
-    fellow = other // (segments.n_elements + 1)
-    along = jnp.abs(points.places - points.node_places[node])
+    rod, place = rod_and_place(points, node)
+    fellow, mark = rod_and_place(segments, other)
+    along = jnp.abs(points.places - place)
     ends = segments.starts + segments.rest_lengths
-    mark = segments.node_places[other]
-    beside = jnp.maximum(jnp.maximum(segments.starts - mark, mark - ends), 0)
-    apart = along[None, :] + beside[:, None]
-    reach = 0.5 * math.pi * (segments.radii[:, None] + points.point_radii[None, :])
-    share = jnp.clip((apart - reach) / segments.rest_lengths[:, None], 0, 1)
+    beside = from_node(segments.starts, ends, mark)
     concerned = (segments.segment_rods == fellow)[:, None] & (points.point_rods == rod)[
         None, :
     ]
-    return jnp.where(concerned, share, 1)
-
-
-def _needed(name: str, parts: AllParts) -> int:
-    """Points per element such that neighbours are a third of a radius apart at most."""
-    own = parts[name]
-    if is_traced(own.rest_lengths, own.radii):
-        raise ValueError(
-            f"rod_contact: of {name!r} the lengths or radii are traced: give "
-            "points_per_element"
-        )
-    ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)
-    return max(1, math.ceil(3 * float(np.max(ratio)) - 1e-6))
+    return tied_share(
+        (along[None, :], beside[:, None]),
+        concerned,
+        (segments.radii[:, None], points.point_radii[None, :]),
+        segments.rest_lengths[:, None],
+    )
 
 
 def rod_contact(
@@ -271,6 +333,7 @@ def rod_contact(
     onset: Numbers = 0.01,
     points_per_element: int | None = None,
     partners: int = 2,
+    lists: NeighbourLists | None = None,
 ) -> RodContact:
     """Contact between all rods of the named members.
 
@@ -289,6 +352,8 @@ def rod_contact(
             the same to 3 % wherever they do.
         partners: Rods that may touch one place at the same time, for `stable_dt`: 2
             for a few rods, 6 in a bundle.
+        lists: Lists of neighbours, from `neighbour_lists`; by default all points and
+            all segments are looked at in every step.
 
     Returns:
         A coupling for `make_system`.
@@ -297,33 +362,19 @@ def rod_contact(
         ValueError: If a number is out of range, or friction has no drag.
         TypeError: If a name is none.
     """
-    for name in members:
-        if not isinstance(name, str):
-            raise TypeError(f"members are named by strings, got {name!r}")
-    if not members or len(set(members)) < len(members):
-        raise ValueError(f"members must be named once each, got {list(members)}")
-    drag = damping if friction_drag is None else friction_drag
-    if friction is not None and drag is None:
-        raise ValueError(
-            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
-            "and speed at the onset of slip (by default the damping), got none"
-        )
-
-    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
-        return None if value is None else as_array(name, value, unit, positive=True)
-
     if points_per_element is not None:
         check_count("points_per_element", points_per_element, 1, 1000)
+    given = contact_numbers(
+        members,
+        stiffness,
+        (damping, friction, friction_drag),
+        onset,
+        partners,
+        lists,
+        units=("N/m^2", "kg/(m s)"),
+    )
     return RodContact(
-        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
-        onset=as_array("onset", onset, "", positive=True),
-        damping=number("damping", damping, "kg/(m s)"),
-        friction=number("friction", friction, ""),
-        friction_drag=(
-            None if friction is None else number("friction_drag", drag, "kg/(m s)")
-        ),
-        members=members,
+        **given,
         itself=bool(itself),
         points_per_element=() if points_per_element is None else (points_per_element,),
-        partners=check_count("partners", partners, 1, 1000),
     )

@@ -102,6 +102,12 @@ class Strands:
         nodes = jnp.concatenate([first, rods[:, -1:]], axis=1)
         return (nodes + jnp.concatenate([none, following], axis=1)).reshape(-1)
 
+    def from_segments(self, firsts: Array, nexts: Array) -> Array:
+        """Forces at both nodes of segments, on the nodes."""
+        first = jnp.pad(self._rods(firsts), ((0, 0), (0, 1)))
+        following = jnp.pad(self._rods(nexts), ((0, 0), (1, 0)))
+        return (first + following).reshape(-1)
+
     def to_segments(self, points: Array) -> Array:
         """Couples at points, on their segments."""
         rods = self._rods(points)
@@ -219,6 +225,11 @@ class StrandLoads:
     turning_segments: Vec3 | None = None
     """Couples on segments [N m]."""
 
+    @classmethod
+    def on_segments(cls, firsts: Vec3, nexts: Vec3, turns: Vec3 | None) -> StrandLoads:
+        """Of segments alone: on their nodes, and couples on them."""
+        return cls(on_firsts=firsts, on_nexts=nexts, turning_segments=turns)
+
     def added(self, more: StrandLoads) -> StrandLoads:
         """Sum of both, of which parts may be missing."""
         return StrandLoads(
@@ -238,8 +249,9 @@ def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
 
 def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
     """The loads on nodes and elements."""
-    assert loads.on_points is not None
     assert loads.on_firsts is not None and loads.on_nexts is not None
+    if loads.on_points is None:
+        return _of_segments(strand, seen, loads)
     x, y, z = (
         strand.to_nodes(at, first, following)
         for at, first, following in zip(
@@ -253,3 +265,16 @@ def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
     )
     frame = directors(seen.motion.orientation)
     return Loads((x, y, z), to_material(frame, couples))
+
+
+def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
+    """The loads on nodes and elements, where there are none on points."""
+    assert loads.on_firsts is not None and loads.on_nexts is not None
+    x, y, z = (
+        strand.from_segments(first, following)
+        for first, following in zip(loads.on_firsts, loads.on_nexts, strict=True)
+    )
+    if loads.turning_segments is None:
+        return Loads((x, y, z))
+    frame = directors(seen.motion.orientation)
+    return Loads((x, y, z), to_material(frame, loads.turning_segments))
