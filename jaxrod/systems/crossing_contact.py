@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod.contacts.contact_law import normal_force
+from jaxrod.contacts.contact_law import energy_density, normal_force
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
@@ -42,8 +42,9 @@ from jaxrod.systems.parts import Parts
 from jaxrod.systems.segment_distance import (
     between,
     crossedness,
+    middles,
+    nearest_places,
     products,
-    smooth_places,
 )
 from jaxrod.systems.strands import strands
 from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
@@ -148,66 +149,73 @@ class CrossingContact(TouchingRods):
         return jnp.where(before, share, 0)
 
     def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
-        """Of both segments, of a node and a segment twice, and of both nodes."""
+        """Of both segments, of a node and a segment twice, and of both nodes.
+
+        Of segments at their nearest places, and at their middles as far as they are
+        parallel.
+        """
         own, other = pairs.own, pairs.other
-        way = vectors.subtract(own.first, other.first)
+        lines = vectors.subtract(own.first, other.first), own.edge, other.edge
         weight = self._weights(a, b, pairs)
-        have = products(way, own.edge, other.edge)
-        s, t = smooth_places(way, own.edge, other.edge)
+        have, share = products(*lines), crossedness(*lines)
+        s, t, _ = nearest_places(*lines)
         one = jnp.ones_like(s)
+        radii = own.radii + 0 * s, other.radii + 0 * s
         for places, counts in (
-            ((s, t), weight),
+            ((s, t), share * weight),
+            (middles(*lines), (1 - share) * weight),
             ((one, have.on_other(1.0)), -own.follows * weight),
             ((have.on_own(1.0), one), -other.follows * weight),
             ((one, one), own.follows * other.follows * weight),
         ):
-            apart = between(way, own.edge, other.edge, places)
-            radii = own.radii + 0 * s, other.radii + 0 * s
-            yield touch_at(apart, places, counts, radii, self.onset)
+            yield touch_at(between(*lines, places), places, counts, radii, self.onset)
 
     def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
-        """Loads of all four touches."""
+        """Loads of all touches."""
         own, other = pairs.own, pairs.other
-        first, *others = self.touches(a, b, pairs)
-        total = self._bent(first, own, other, loads_of(first, own, other, self.law))
-        for touch in others:
+        nearest, middle, *nodes = self.touches(a, b, pairs)
+        total = loads_of(nearest, own, other, self.law)
+        for touch in (middle, *nodes):
             total = total.added(loads_of(touch, own, other, self.law))
-        return total
-
-    def _bent(
-        self, touch: Touch, own: Elements, other: Elements, loads: PairLoads
-    ) -> PairLoads:
-        """With what the places' own motion adds where segments are nearly parallel.
-
-        At the nearest places the distance is stationary and their motion counts for
-        nothing; between those and the middle of where they lie side by side it is not.
-        """
-        way = vectors.subtract(own.first, other.first)
-        push = normal_force(
-            touch.depth, jnp.zeros_like(touch.depth), touch.width, self.stiffness
-        )
-        share = crossedness(way, own.edge, other.edge)
-        push = jnp.where(share < 1, touch.weight * push, 0)
-        slopes = (
-            push * vectors.dot(touch.normal, own.edge),
-            -push * vectors.dot(touch.normal, other.edge),
-        )
-
-        def places(way: Vec3, own_edge: Vec3, other_edge: Vec3) -> tuple[Array, Array]:
-            return smooth_places(way, own_edge, other_edge)
-
-        shape = jnp.shape(touch.depth)
-        spread: Any = jax.tree.map(
-            lambda leaf: jnp.broadcast_to(leaf, shape), (way, own.edge, other.edge)
-        )
-        _, pulled = jax.vjp(places, *spread)
-        on_way, on_own, on_other = pulled(slopes)
+        way, own_edge, other_edge = self._shifting(nearest, middle, pairs)
         return replace(
-            loads,
-            way=vectors.add(loads.way, on_way),
-            own_edge=vectors.add(loads.own_edge, on_own),
-            other_edge=vectors.add(loads.other_edge, on_other),
+            total,
+            way=vectors.add(total.way, way),
+            own_edge=vectors.add(total.own_edge, own_edge),
+            other_edge=vectors.add(total.other_edge, other_edge),
         )
+
+    def _shifting(
+        self, nearest: Touch, middle: Touch, pairs: Pairs
+    ) -> tuple[Vec3, Vec3, Vec3]:
+        """What the energy of segments that are nearly parallel changes by besides.
+
+        At the nearest places the distance is stationary: their motion counts for
+        nothing. That of the middles does, and that of the share of each.
+        """
+        own, other = pairs.own, pairs.other
+        lines = vectors.subtract(own.first, other.first), own.edge, other.edge
+        weight = nearest.weight + middle.weight
+        first, second = (
+            energy_density(touch.depth, touch.width, self.stiffness)
+            for touch in (nearest, middle)
+        )
+        push = middle.weight * normal_force(
+            middle.depth, jnp.zeros_like(middle.depth), middle.width, self.stiffness
+        )
+        shape = jnp.shape(weight)
+        spread: Any = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), lines)
+
+        def changing(*lines: Vec3) -> tuple[Array, tuple[Array, Array]]:
+            return crossedness(*lines), middles(*lines)
+
+        _, pulled = jax.vjp(changing, *spread)
+        along = (
+            push * vectors.dot(middle.normal, own.edge),
+            -push * vectors.dot(middle.normal, other.edge),
+        )
+        on: tuple[Vec3, Vec3, Vec3] = pulled((weight * (second - first), along))
+        return on
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if its partners crossed every element at one node.

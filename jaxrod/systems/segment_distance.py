@@ -1,4 +1,4 @@
-r"""Nearest places of two segments, and places that change smoothly past parallel.
+r"""Nearest places of two segments, and middles where they are parallel.
 
 Of segments $x_1 + s e_1$ and $x_2 + t e_2$ the squared distance is a quadratic form
 with the determinant $D = |e_1|^2 |e_2|^2 \sin^2\theta$. Its least value in the unit
@@ -7,9 +7,10 @@ first, the four ends against the other segment the second, and the nearest of th
 is right whatever rounding does to one of them (compare Eberly, Robust computation of
 distance between line segments, 2015).
 
-Where segments are parallel the nearest place is not unique and a force there would jump
-from end to end. Below $\sin^2\theta = 10^{-2}$ it passes over, linearly in $D$, to the
-middle of the stretch along which they lie side by side, which it is below $10^{-4}$.
+Where segments are parallel the nearest place is not unique, and a force there would
+jump from end to end. Below $\sin^2\theta = 10^{-2}$ contact at the nearest places gives
+way, linearly in $\sin^2\theta$, to contact at the middles of where the segments lie
+side by side, which is all there is below $10^{-4}$.
 """
 
 from __future__ import annotations
@@ -116,16 +117,16 @@ def crossedness(way: Vec3, own: Vec3, other: Vec3) -> Array:
     return jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0, 1)
 
 
-def smooth_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array]:
-    """Nearest places, or the middle of where parallel segments lie side by side [1]."""
-    s, t, _ = nearest_places(way, own, other)
+def middles(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array]:
+    """Middles of where segments that are parallel lie side by side [1].
+
+    Of each what the other covers; where it covers nothing, the end next to it.
+    """
     have = products(way, own, other)
-    start, finish = have.on_own(0.0), have.on_own(1.0)
-    # Of what the other segment covers; where it covers nothing both are one end.
-    middle = 0.5 * (start + finish)
-    share = crossedness(way, own, other)
-    beside = have.on_other(middle)
-    return share * s + (1 - share) * middle, share * t + (1 - share) * beside
+    return (
+        0.5 * (have.on_own(0.0) + have.on_own(1.0)),
+        0.5 * (have.on_other(0.0) + have.on_other(1.0)),
+    )
 
 
 def _square(vector: Vec3) -> Array:
