@@ -40,8 +40,10 @@ from jaxrod.systems.neighbour_lists import NeighbourLists
 from jaxrod.systems.neighbour_search import Stretches
 from jaxrod.systems.parts import Parts
 from jaxrod.systems.segment_distance import (
+    Products,
     between,
     crossedness,
+    from_products,
     middles,
     nearest_places,
     products,
@@ -87,11 +89,7 @@ class CrossingContact(TouchingRods):
         if share is not None:
             may = share > 0
         if a == b:
-            # Odd sums one way round, even sums the other: lists are equally long.
-            total = own.numbers + other.numbers
-            even = total == 2 * jnp.floor(0.5 * total)
-            once = (own.numbers < other.numbers) == even
-            once = once & (own.numbers != other.numbers)
+            once = own.numbers < other.numbers
             may = once if may is None else may & once
         return may
 
@@ -136,10 +134,10 @@ class CrossingContact(TouchingRods):
         """What pairs count [1]."""
         own, other = pairs.own, pairs.other
         share = self._share(a, b, own, other)
-        if pairs.there is not None:
+        if pairs.listed is not None:
             # Lists hold every two elements once.
-            there = pairs.there.astype(own.radii.dtype)
-            return there if share is None else jnp.where(pairs.there, share, 0)
+            there = pairs.listed.there.astype(own.radii.dtype)
+            return there if share is None else jnp.where(pairs.listed.there, share, 0)
         ones = jnp.ones_like(own.radii + other.radii)
         share = ones if share is None else share
         if a != b:
@@ -157,13 +155,14 @@ class CrossingContact(TouchingRods):
         own, other = pairs.own, pairs.other
         lines = vectors.subtract(own.first, other.first), own.edge, other.edge
         weight = self._weights(a, b, pairs)
-        have, share = products(*lines), crossedness(*lines)
+        have = products(*lines)
+        share = crossedness(have)
         s, t, _ = nearest_places(*lines)
         one = jnp.ones_like(s)
         radii = own.radii + 0 * s, other.radii + 0 * s
         for places, counts in (
             ((s, t), share * weight),
-            (middles(*lines), (1 - share) * weight),
+            (middles(have), (1 - share) * weight),
             ((one, have.on_other(1.0)), -own.follows * weight),
             ((have.on_own(1.0), one), -other.follows * weight),
             ((one, one), own.follows * other.follows * weight),
@@ -203,19 +202,18 @@ class CrossingContact(TouchingRods):
         push = middle.weight * normal_force(
             middle.depth, jnp.zeros_like(middle.depth), middle.width, self.stiffness
         )
-        shape = jnp.shape(weight)
-        spread: Any = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), lines)
+        have = products(*lines)
 
-        def changing(*lines: Vec3) -> tuple[Array, tuple[Array, Array]]:
-            return crossedness(*lines), middles(*lines)
+        def changing(have: Products) -> tuple[Array, tuple[Array, Array]]:
+            return crossedness(have), middles(have)
 
-        _, pulled = jax.vjp(changing, *spread)
+        _, pulled = jax.vjp(changing, have)
         along = (
             push * vectors.dot(middle.normal, own.edge),
             -push * vectors.dot(middle.normal, other.edge),
         )
-        on: tuple[Vec3, Vec3, Vec3] = pulled((weight * (second - first), along))
-        return on
+        (slopes,) = pulled((weight * (second - first), along))
+        return from_products(slopes, *lines)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if its partners crossed every element at one node.

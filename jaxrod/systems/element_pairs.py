@@ -1,18 +1,15 @@
-"""Elements of rods beside other elements: looked up, and loads given back.
+"""Elements of rods and others that they may touch: looked up, and loads given back.
 
-One side of a pair lies along the fastest axis, the other along the axis before it:
-`(others, own)`, all others or those of a list.
-
-What is looked up lies in one table, a row for each element, and what is given back is
-added to one: XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for)
-aborts the process where each number is looked up by itself and the program is
-transposed; a table of rows it compiles, forward and in reverse, in loops and under
-`vmap`.
+All pairs of two members are `(others, own)`, those of a list lie in one row. What is
+looked up lies in one table, a row for each element, and what is given back is added to
+one: XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for) aborts
+the process where each number is looked up by itself and the program is transposed; a
+table of rows it compiles, forward and in reverse, in loops and under `vmap`.
 """
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +48,10 @@ class Elements:
     """Rest arc length where each begins [m]."""
     rest_lengths: Array | None = None
     """Rest lengths [m]."""
+    first_radii: Array | None = None
+    """Radius at the first node of each; `None` where points do not matter [m]."""
+    first_lengths: Array | None = None
+    """Rest length that the contact point there stands for [m]."""
 
     @property
     def ends(self) -> Array:
@@ -60,7 +61,13 @@ class Elements:
 
 
 def elements_at(
-    strand: Strands, seen: Seen, *, moves: bool, spins: bool, placed: bool
+    strand: Strands,
+    seen: Seen,
+    *,
+    moves: bool = False,
+    spins: bool = False,
+    placed: bool = False,
+    dotted: bool = False,
 ) -> Elements:
     """The elements of a member.
 
@@ -70,6 +77,7 @@ def elements_at(
         moves: Whether velocities are needed.
         spins: Whether angular velocities are.
         placed: Whether places along the rod are.
+        dotted: Whether contact points are, and so places.
     """
     first = mapped(strand.firsts, seen.motion.position)
     following = mapped(strand.nexts, seen.motion.position)
@@ -78,7 +86,7 @@ def elements_at(
         velocity = mapped(strand.firsts, seen.motion.velocity)
         later = mapped(strand.nexts, seen.motion.velocity)
         change = vectors.subtract(later, velocity)
-    dtype = strand.radii.dtype
+    dtype, placed = strand.radii.dtype, placed or dotted
     return Elements(
         first=first,
         edge=vectors.subtract(following, first),
@@ -90,6 +98,8 @@ def elements_at(
         rods=jnp.asarray(strand.segment_rods, dtype) if placed else None,
         starts=strand.starts if placed else None,
         rest_lengths=strand.rest_lengths if placed else None,
+        first_radii=strand.first_radii if dotted else None,
+        first_lengths=strand.first_lengths if dotted else None,
     )
 
 
@@ -108,14 +118,14 @@ def lifted(tree: Tree) -> Tree:
     return jax.tree.map(lambda leaf: leaf[None], tree)
 
 
-def looked_up(tree: Tree, index: Int[Array, "others own"]) -> Tree:
+def looked_up(tree: Tree, index: Int[Array, "..."]) -> Tree:
     """Fields of elements, for those that an index names."""
     leaves, structure = jax.tree.flatten(tree)
     rows = jnp.stack(leaves, axis=1)[index]
     return jax.tree.unflatten(structure, [rows[..., k] for k in range(len(leaves))])
 
 
-def given_back(tree: Tree, index: Int[Array, "others own"], size: int) -> Tree:
+def given_back(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
     """What was worked out for those that an index names, added up on the elements."""
     leaves, structure = jax.tree.flatten(tree)
     rows = jnp.stack(leaves, axis=-1)
@@ -124,24 +134,43 @@ def given_back(tree: Tree, index: Int[Array, "others own"], size: int) -> Tree:
 
 
 @pytree
+class IndexList:
+    """Pairs of elements, of one member and of another."""
+
+    own: Int[Array, " pairs"]
+    """Numbers of the ones, in order."""
+    other: Int[Array, " pairs"]
+    """Numbers of the others."""
+    there: Bool[Array, " pairs"]
+    """Which entries are taken."""
+
+
+@pytree
 class Pairs:
     """Elements of one member and others that they may touch."""
 
     own: Elements
-    """Of the one, `(1, own)`."""
+    """Of the one, `(1, own)`, or from a list, `(pairs,)`."""
     other: Elements
-    """Of the other, `(others, 1)`, or from a list, `(others, own)`."""
-    index: Int[Array, "others own"] | None = None
-    """Which others those of a list are; `None`: all."""
-    there: Bool[Array, "others own"] | None = None
-    """Which entries of the list are taken."""
+    """Of the other, `(others, 1)`, or from a list, `(pairs,)`."""
+    listed: IndexList | None = None
+    """The list; `None`: all pairs."""
 
-    def over_others(self, tree: Any) -> Any:
-        """Sums on the one side."""
-        return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), tree)
+    @classmethod
+    def of(cls, own: Elements, other: Elements, listed: IndexList | None) -> Pairs:
+        """All pairs of two rows of elements, or those on a list."""
+        if listed is None:
+            return cls(beside(own), upright(other))
+        return cls(looked_up(own, listed.own), looked_up(other, listed.other), listed)
 
-    def over_own(self, tree: Any, size: int) -> Any:
-        """Sums on the other side, which has so many elements."""
-        if self.index is None:
+    def on_own(self, tree: Tree, size: int) -> Tree:
+        """Sums for the one, which has so many elements."""
+        if self.listed is None:
+            return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), tree)
+        return given_back(tree, self.listed.own, size)
+
+    def on_other(self, tree: Tree, size: int) -> Tree:
+        """Sums for the other, which has so many elements."""
+        if self.listed is None:
             return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=1), tree)
-        return given_back(tree, self.index, size)
+        return given_back(tree, self.listed.other, size)

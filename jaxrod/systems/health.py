@@ -105,7 +105,7 @@ def system_health(
             record = replace(
                 record,
                 missed=jnp.maximum(record.missed, coupling.found.missed),
-                used=jnp.maximum(record.used, coupling.found.used),
+                used=jnp.maximum(record.used, jnp.max(coupling.found.used)),
             )
     # Written so that NaN counts as wrong.
     return SystemHealth(

@@ -112,7 +112,7 @@ class ListingSystem:
                 continue
             found: Any = coupling
             missed = jnp.maximum(missed, found.found.missed)
-            used = jnp.maximum(used, found.found.used)
+            used = jnp.maximum(used, jnp.max(found.found.used))
             moved = jnp.maximum(moved, coupling.moved(seen))
         return NeighbourRecord(missed, moved, used)
 

@@ -1,9 +1,10 @@
 """Lists of what is near: how large they are, and how often they are made anew.
 
-A list names, for every element of one member, the elements of another that come so near
-that they may touch before the list is made anew: their surfaces are nearer than a
-*skin*. It holds while no node has moved by more than half of that. Numbers of entries
-are structure; what finds no entry is counted, never forgotten.
+A list names pairs of elements, of one member and of another, that are so near that they
+may touch before the list is made anew: their surfaces are nearer than a *skin*. It
+holds while no node has moved by more than half of that. Numbers of entries are
+structure; what finds no entry is counted, never forgotten. A list is one row of pairs,
+not so many for each element: contact is uneven, and most of those would be idle.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ import math
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
+from jaxrod.systems.element_pairs import IndexList
 from jaxrod.validation import Numbers, as_array, check_count
 
 SPARE = 1.5
 """Entries that are made over entries that are counted in a state."""
-MOST_SLOTS = 10_000
-"""More entries for each element are taken for a mistake."""
+MOST_IN_CELLS = 10_000
+"""Room for more elements in three cells is taken for a mistake."""
 
 
 @pytree
@@ -32,21 +34,19 @@ class NeighbourLists:
     """Gap between surfaces up to which elements are listed, over the radius [1]."""
     refresh_every: int = static(default=32)
     """Steps between lists."""
-    slots: int | None = static(default=None)
-    """Entries for each element; `None`: counted in the state of `make_system`."""
+    pairs: int | tuple[int, ...] | None = static(default=None)
+    """Entries of every list, or of each; `None`: counted in the state of
+    `make_system`."""
+    candidates: int | tuple[int, ...] | None = static(default=None)
+    """Pairs that are near enough to be looked at closely, likewise."""
     cell_slots: int | None = static(default=None)
     """Elements in three neighbouring cells of the grid by which neighbours are looked
     for; 0: no grid, all pairs are looked at; `None`: counted too."""
 
-
-@pytree
-class IndexList:
-    """Neighbours of the elements of one member among those of another."""
-
-    index: Int[Array, "slots own"]
-    """Their numbers."""
-    there: Bool[Array, "slots own"]
-    """Which entries are taken."""
+    @property
+    def is_sized(self) -> bool:
+        """Whether all numbers of entries are known."""
+        return None not in (self.pairs, self.candidates, self.cell_slots)
 
 
 @pytree
@@ -58,11 +58,11 @@ class Found:
     places: tuple[Vec3, ...]
     """Nodes of the members then [m]."""
     missed: Float[Array, ""]
-    """Most neighbours of an element, or of a row of cells, that found no entry [1]."""
-    used: Float[Array, ""]
-    """Most entries that an element needs [1]."""
-    mean_used: Float[Array, ""]
-    """Entries that elements need on average [1]."""
+    """Most entries that lacked in a list, of pairs, candidates or cells [1]."""
+    used: Float[Array, " lists"]
+    """Entries that each list needs [1]."""
+    candidates: Float[Array, " lists"]
+    """Candidates of each [1]."""
     in_cells: Float[Array, ""]
     """Most elements in three neighbouring cells [1]."""
 
@@ -76,11 +76,11 @@ class NeighbourRecord:
     """
 
     missed: Float[Array, ""]
-    """Most neighbours of an element that found no entry [1]."""
+    """Most entries that lacked in a list [1]."""
     moved: Float[Array, ""]
     """Farthest that a node moved from where lists were made, over half the skin [1]."""
     used: Float[Array, ""]
-    """Most entries that an element needed [1]."""
+    """Most entries that a list needed [1]."""
 
     @property
     def overflow(self) -> Bool[Array, ""]:
@@ -105,14 +105,15 @@ def no_record(dtype: Any) -> NeighbourRecord:
 
 def with_spare(count: float) -> int:
     """Entries for a number that was counted, and some for what is to come."""
-    return math.ceil(SPARE * count) + 4
+    return math.ceil(SPARE * count) + 16
 
 
 def neighbour_lists(
     *,
     refresh_every: int = 32,
     skin: Numbers = 0.5,
-    slots: int | None = None,
+    pairs: int | None = None,
+    candidates: int | None = None,
     cell_slots: int | None = None,
 ) -> NeighbourLists:
     """Lists of neighbours for contact among many rods.
@@ -127,8 +128,10 @@ def neighbour_lists(
             the fastest node, less some.
         skin: Gap between surfaces up to which elements are listed, over the largest
             radius [1]. A larger one makes lists longer and good for more steps.
-        slots: Entries for each element; by default half as many again as the state
-            given to `make_system` needs.
+        pairs: Pairs of elements of two members (or of one) that may touch; by default
+            half as many again as there are in the state given to `make_system`.
+        candidates: Pairs whose distance is worked out for that, some times as many;
+            by default counted too.
         cell_slots: Elements that three neighbouring cells may hold of the grid by
             which neighbours are looked for, 0 to look at all pairs instead; by default
             counted too, and all pairs up to some hundred elements.
@@ -139,13 +142,15 @@ def neighbour_lists(
     Raises:
         ValueError: If a number is out of range.
     """
-    if slots is not None:
-        check_count("slots", slots, 1, MOST_SLOTS)
+    for name, value in (("pairs", pairs), ("candidates", candidates)):
+        if value is not None:
+            check_count(name, value, 1)
     if cell_slots is not None:
-        check_count("cell_slots", cell_slots, 0, MOST_SLOTS)
+        check_count("cell_slots", cell_slots, 0, MOST_IN_CELLS)
     return NeighbourLists(
         skin=as_array("skin", skin, "", positive=True),
         refresh_every=check_count("refresh_every", refresh_every, 1),
-        slots=slots,
+        pairs=pairs,
+        candidates=candidates,
         cell_slots=cell_slots,
     )

@@ -1,10 +1,15 @@
-"""Which elements are near to each other: all pairs looked at, or a grid of cells.
+"""Which elements are near to each other: in a grid of cells, or among all.
 
 The grid has cells of an edge no pair within reach is longer apart by, about the mean of
 all middles; farther than 512 cells from there all is in the outermost ones, so that
 neighbours are still in neighbouring cells and only their number grows. Elements are
 sorted by cell, and three cells in a row are one stretch of that order: nine stretches
-hold all that may be near. Their exact distances are looked at.
+hold all that may be near.
+
+Of those, pairs are candidates whose middles are near enough for their lengths, and of
+the candidates the exact distance is worked out. Both times what is left is put in one
+row: the k-th is where the running count gets to k, found by halving. No scatter, no
+sort but that by cells.
 """
 
 from __future__ import annotations
@@ -13,13 +18,13 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jax import lax
+from jaxtyping import Array, Float, Int
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.structure import pytree
-from jaxrod.systems.element_pairs import Elements, beside, looked_up, upright
-from jaxrod.systems.neighbour_lists import IndexList
+from jaxrod.structure import pytree, static
+from jaxrod.systems.element_pairs import Elements, IndexList, looked_up
 from jaxrod.systems.segment_distance import nearest_places
 
 CELLS = 1024
@@ -46,23 +51,37 @@ class Stretches:
 
 
 Allowed = Callable[[Stretches, Stretches], Array | None]
-"""Which pairs of stretches, which broadcast, may touch at all; `None`: any."""
+"""Which pairs of stretches may touch at all; `None`: any."""
 
 
 @pytree
-class Candidates:
-    """Elements that may be near, and whether they are."""
+class Rows:
+    """Others to look at for each element, one after the other."""
 
-    index: Int[Array, "candidates own"]
-    """Their numbers."""
-    near: Bool[Array, "candidates own"]
-    """Whether they are within reach."""
-    in_cells: Float[Array, ""]
-    """Most elements in three neighbouring cells; zero without cells [1]."""
+    begin: Int[Array, "stretches own"]
+    """Where stretches of the others begin, in their order."""
+    held: Int[Array, "stretches own"]
+    """How many others are in them."""
+    order: Int[Array, " other"]
+    """The others, in order."""
+    slots: int = static()
+    """How many of a stretch are looked at."""
+
+    @property
+    def count(self) -> int:
+        """Numbers of rows."""
+        return self.begin.shape[0] * self.slots
+
+    def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
+        """Places in the order of the others of a row, and whether there are such."""
+        stretch, slot = row // self.slots, row % self.slots
+        place = self.begin[stretch, own] + slot
+        most = self.order.shape[0] - 1
+        return jnp.minimum(place, most), slot < self.held[stretch, own]
 
 
 def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array:
-    """Whether stretches, which broadcast, may touch and are within reach."""
+    """Whether pairs of stretches may touch and are within reach."""
     way = vectors.subtract(own.elements.first, other.elements.first)
     square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
     reach = own.reach + other.reach
@@ -70,80 +89,126 @@ def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array
     return near if may is None else near & may
 
 
-def among_all(own: Stretches, other: Stretches, allowed: Allowed) -> Candidates:
-    """All elements of the other member, for each of the one."""
-    near = near_each_other(beside(own), upright(other), allowed)
-    numbers = jnp.arange(near.shape[0], dtype=jnp.int32)
-    index = jnp.broadcast_to(numbers[:, None], near.shape)
-    return Candidates(index, near, jnp.zeros((), own.reach.dtype))
+def all_rows(own: Stretches, other: Stretches) -> Rows:
+    """All others, for each element."""
+    count, size = other.reach.shape[0], own.reach.shape[0]
+    return Rows(
+        begin=jnp.zeros((1, size), jnp.int32),
+        held=jnp.full((1, size), count, jnp.int32),
+        order=jnp.arange(count, dtype=jnp.int32),
+        slots=count,
+    )
 
 
-def in_cells(
-    own: Stretches, other: Stretches, allowed: Allowed, slots: int
-) -> Candidates:
-    """Elements in the cells around, for each element of the one member.
+def rows_of_cells(own: Stretches, other: Stretches, slots: int) -> tuple[Rows, Array]:
+    """Others in the cells around each element, and the most in three of them.
 
     Args:
         own: Of the one member.
         other: Of the other.
-        allowed: Which pairs may touch.
         slots: Elements that three neighbouring cells may hold.
     """
     edge = _cell_edge(own, other)
     centre = tuple(jnp.mean(component) for component in other.middle)
     keys = _key(*_cells(other, centre, edge))
     order = jnp.argsort(keys).astype(jnp.int32)
-    ordered, inside = keys[order], looked_up(other, order)
-    x, y, z = _cells(own, centre, edge)
-    found, near, most = [], [], jnp.zeros((), jnp.int32)
-    for dx, dy in np.ndindex(3, 3):
-        u, v = x + (dx - 1), y + (dy - 1)
-        exists = (u >= 0) & (u < CELLS) & (v >= 0) & (v < CELLS)
-        low = _key(u, v, jnp.maximum(z - 1, 0))
-        high = _key(u, v, jnp.minimum(z + 1, CELLS - 1))
-        begin = jnp.searchsorted(ordered, low, side="left").astype(jnp.int32)
-        end = jnp.searchsorted(ordered, high, side="right").astype(jnp.int32)
-        held = jnp.where(exists, end - begin, 0)
-        most = jnp.maximum(most, jnp.max(held))
-        slot = jnp.arange(slots, dtype=jnp.int32)[:, None]
-        place = jnp.minimum(begin[None, :] + slot, len(order) - 1)
-        close = near_each_other(beside(own), looked_up(inside, place), allowed)
-        found.append(order[place])
-        near.append(close & (slot < held[None, :]))
-    return Candidates(
-        jnp.concatenate(found), jnp.concatenate(near), most.astype(own.reach.dtype)
-    )
+    ordered = keys[order]
+    x, y, z = (cell[None, :] for cell in _cells(own, centre, edge))
+    aside = np.array(list(np.ndindex(3, 3)), np.int32) - 1
+    u, v = x + aside[:, :1], y + aside[:, 1:]
+    exists = (u >= 0) & (u < CELLS) & (v >= 0) & (v < CELLS)
+    low = _key(u, v, jnp.maximum(z - 1, 0))
+    high = _key(u, v, jnp.minimum(z + 1, CELLS - 1))
+    begin = jnp.searchsorted(ordered, low, side="left").astype(jnp.int32)
+    end = jnp.searchsorted(ordered, high, side="right").astype(jnp.int32)
+    held = jnp.where(exists, end - begin, 0)
+    return Rows(begin, held, order, slots), jnp.max(held)
 
 
-def listed(candidates: Candidates, slots: int) -> tuple[IndexList, Array]:
-    """The candidates that are near, in a list, and how many there are of each.
+def candidates(
+    own: Stretches, other: Stretches, rows: Rows, size: int
+) -> tuple[IndexList, Array]:
+    """Pairs whose middles are near, and how many there are.
 
-    The place of the k-th of them is where their running count gets to k, found by
-    halving: no scatter, and no sort.
+    Args:
+        own: Of the one member.
+        other: Of the other.
+        rows: Which others to look at.
+        size: Entries of the list.
     """
-    count = jnp.cumsum(candidates.near.astype(jnp.int32), axis=0)
-    size = count.shape[0]
-    wanted = jnp.arange(1, slots + 1, dtype=jnp.int32)[:, None]
-    place = jnp.zeros((slots, count.shape[1]), jnp.int32)
-    step = 1 << (size.bit_length() - 1)
+    x, y, z = own.middle
+    reach = _half_length(own) + own.reach
+    there = looked_up((other.middle, _half_length(other) + other.reach), rows.order)
+
+    def counted(before: Array, row: Array) -> tuple[Array, Array]:
+        place, exists = rows.places(row, slice(None))
+        (u, v, w), farther = looked_up(there, place)
+        square = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
+        near = exists & (square <= (reach + farther) ** 2)
+        after = before + near.astype(before.dtype)
+        return after, after
+
+    none = jnp.zeros(x.shape, jnp.int32)
+    total, running = lax.scan(counted, none, jnp.arange(rows.count, dtype=jnp.int32))
+    until = jnp.cumsum(total)
+    number = jnp.arange(size, dtype=jnp.int32)
+    column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
+    column = jnp.minimum(column, x.shape[0] - 1)
+    rank = number - (until - total)[column]
+    row = _reached(lambda k: running[k, column], rank, rows.count)
+    place, _ = rows.places(row, column)
+    return IndexList(column, rows.order[place], number < until[-1]), until[-1]
+
+
+def near_ones(
+    own: Stretches, other: Stretches, some: IndexList, allowed: Allowed, size: int
+) -> tuple[IndexList, Array]:
+    """Those of a list that are within reach, and how many there are.
+
+    Args:
+        own: Of the one member.
+        other: Of the other.
+        some: A list of candidates.
+        allowed: Which pairs may touch.
+        size: Entries of the list that is made.
+    """
+    near = near_each_other(
+        looked_up(own, some.own), looked_up(other, some.other), allowed
+    )
+    running = jnp.cumsum((near & some.there).astype(jnp.int32))
+    number = jnp.arange(size, dtype=jnp.int32)
+    place = jnp.searchsorted(running, number, side="right").astype(jnp.int32)
+    place = jnp.minimum(place, running.shape[0] - 1)
+    taken = number < running[-1]
+    found = IndexList(
+        jnp.where(taken, some.own[place], 0),
+        jnp.where(taken, some.other[place], 0),
+        taken,
+    )
+    return found, running[-1]
+
+
+def _reached(running: Callable[[Array], Array], rank: Array, size: int) -> Array:
+    """First place at which a running count is above a rank, by halving."""
+    place, step = jnp.zeros_like(rank), 1 << (size.bit_length() - 1)
     while step:
         tried = jnp.minimum(place + step, size)
-        before = jnp.take_along_axis(count, tried - 1, axis=0)
-        place = jnp.where((before < wanted) & (place + step <= size), tried, place)
+        below = running(tried - 1) <= rank
+        place = jnp.where(below & (place + step <= size), tried, place)
         step //= 2
-    there = wanted <= count[-1:]
-    place = jnp.minimum(place, size - 1)
-    index = jnp.take_along_axis(candidates.index, place, axis=0)
-    return IndexList(jnp.where(there, index, 0), there), count[-1]
+    return jnp.minimum(place, size - 1)
+
+
+def _half_length(stretches: Stretches) -> Array:
+    edge = stretches.elements.edge
+    return 0.5 * jnp.sqrt(vectors.dot(edge, edge))
 
 
 def _cell_edge(own: Stretches, other: Stretches) -> Array:
     """Longest way between middles of a pair within reach, and a little [m]."""
 
     def half(stretches: Stretches) -> Array:
-        edge = stretches.elements.edge
-        longest = jnp.sqrt(jnp.max(vectors.dot(edge, edge)))
-        return 0.5 * longest + jnp.max(stretches.reach)
+        return jnp.max(_half_length(stretches)) + jnp.max(stretches.reach)
 
     return (1 + _ROUNDING) * (half(own) + half(other))
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ from jaxrod.systems.along_rods import (
 )
 from jaxrod.systems.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.systems.element_pairs import Pairs, lifted
-from jaxrod.systems.line_pairs import ElementPoints, element_points
+from jaxrod.systems.line_pairs import ElementPoints, points_on
 from jaxrod.systems.near_segments import Nearness, nearnesses
 from jaxrod.systems.neighbour_lists import NeighbourLists
 from jaxrod.systems.neighbour_search import Stretches
@@ -90,6 +90,8 @@ class RodContact(TouchingRods):
         )
         return replace(self, strands=made)
 
+    dotted: ClassVar[bool] = True
+
     # On lists of neighbours: pairs of elements.
 
     def views(self) -> list[tuple[int, int]]:
@@ -104,8 +106,7 @@ class RodContact(TouchingRods):
 
     def bounding_radii(self, a: int) -> Array:
         """Largest of an element's own radius and those of its points [m]."""
-        at_points = element_points(self.strands[a]).radii[:, 0]
-        return jnp.maximum(jnp.max(at_points, axis=0), self.strands[a].radii)
+        return jnp.maximum(self.strands[a].first_radii, self.strands[a].radii)
 
     def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
         """What is not of one rod, or not near along it."""
@@ -125,7 +126,7 @@ class RodContact(TouchingRods):
         The second count negative, and only where another segment follows.
         """
         own, other = lifted(pairs.own), lifted(pairs.other)
-        points = element_points(self.strands[a])
+        points = points_on(lifted(pairs.own), self.strands[a].per_element)
         way = vectors.subtract(own.first, other.first)
         have = products(way, own.edge, other.edge)
         weights = self._weights(a, b, pairs, points)
@@ -150,8 +151,8 @@ class RodContact(TouchingRods):
     def _weights(self, a: int, b: int, pairs: Pairs, points: ElementPoints) -> Array:
         """Rest length for which points count, half with either of two rods [m]."""
         own, other = lifted(pairs.own), lifted(pairs.other)
-        assert pairs.there is not None
-        half = jnp.where(pairs.there[None], 0.5 * points.lengths, 0)
+        assert pairs.listed is not None
+        half = jnp.where(pairs.listed.there[None], 0.5 * points.lengths, 0)
         if a == b and self.itself:
             assert other.starts is not None and other.rest_lengths is not None
             gap = jnp.maximum(other.starts - points.places, points.places - other.ends)

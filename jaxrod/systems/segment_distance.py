@@ -54,6 +54,29 @@ class Products:
         return jnp.clip((self.mixed * fraction + self.other_way) / self.other, 0, 1)
 
 
+def from_products(
+    slopes: Products, way: Vec3, own: Vec3, other: Vec3
+) -> tuple[Vec3, Vec3, Vec3]:
+    """What slopes with regard to the products are with regard to the vectors.
+
+    Args:
+        slopes: Derivatives of something by each of the products.
+        way: From the beginning of the other segment to that of the one [m].
+        own: Edge of the one segment [m].
+        other: Edge of the other [m].
+    """
+
+    def sums(*terms: tuple[Array, Vec3]) -> Vec3:
+        x, y, z = (sum(factor * v[k] for factor, v in terms) for k in range(3))
+        return x, y, z  # type: ignore[return-value]
+
+    return (
+        sums((slopes.own_way, own), (slopes.other_way, other)),
+        sums((2 * slopes.own, own), (slopes.mixed, other), (slopes.own_way, way)),
+        sums((2 * slopes.other, other), (slopes.mixed, own), (slopes.other_way, way)),
+    )
+
+
 def products(way: Vec3, own: Vec3, other: Vec3) -> Products:
     """The scalar products.
 
@@ -110,19 +133,17 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
     return s, t, square
 
 
-def crossedness(way: Vec3, own: Vec3, other: Vec3) -> Array:
+def crossedness(have: Products) -> Array:
     """Zero for parallel segments, one for crossed ones [1]."""
-    have = products(way, own, other)
     sine = 1 - have.mixed * have.mixed / (have.own * have.other)
     return jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0, 1)
 
 
-def middles(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array]:
+def middles(have: Products) -> tuple[Array, Array]:
     """Middles of where segments that are parallel lie side by side [1].
 
     Of each what the other covers; where it covers nothing, the end next to it.
     """
-    have = products(way, own, other)
     return (
         0.5 * (have.on_own(0.0) + have.on_own(1.0)),
         0.5 * (have.on_other(0.0) + have.on_other(1.0)),

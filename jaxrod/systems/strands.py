@@ -57,6 +57,16 @@ class Strands:
         return np.repeat(np.arange(self.count), self.n_elements * self.per_element + 1)
 
     @property
+    def first_radii(self) -> Array:
+        """Radius at the first node of each segment [m]."""
+        return self._rods(self.point_radii)[:, : -1 : self.per_element].reshape(-1)
+
+    @property
+    def first_lengths(self) -> Array:
+        """Rest length that the point at the first node of each segment has [m]."""
+        return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
+
+    @property
     def node_places(self) -> Array:
         """Rest arc length of each node along its rod [m]."""
         return self._rods(self.places)[:, :: self.per_element].reshape(-1)

@@ -194,8 +194,8 @@ def _sized(
         sizes = [c for c in couplings if c.refresh_every is not None and not c.is_sized]
         if sizes:
             raise ValueError(
-                "lists of neighbours need slots and cell_slots in neighbour_lists, or "
-                "make_system a state in which to count them"
+                "lists of neighbours need pairs, candidates and cell_slots from "
+                "neighbour_lists, or make_system a state in which to count them"
             )
         return couplings
     # As the lists would be, without them: nothing is looked for yet.

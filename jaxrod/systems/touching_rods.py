@@ -6,9 +6,9 @@ on lists of neighbours (`jaxrod.systems.neighbour_lists`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +21,19 @@ from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.element_pairs import (
     Elements,
+    IndexList,
     Pairs,
-    beside,
     elements_at,
-    looked_up,
-    upright,
 )
 from jaxrod.systems.names import check_named
-from jaxrod.systems.neighbour_lists import Found, IndexList, NeighbourLists, with_spare
-from jaxrod.systems.neighbour_search import Stretches, among_all, in_cells, listed
+from jaxrod.systems.neighbour_lists import Found, NeighbourLists, with_spare
+from jaxrod.systems.neighbour_search import (
+    Stretches,
+    all_rows,
+    candidates,
+    near_ones,
+    rows_of_cells,
+)
 from jaxrod.systems.strands import StrandLoads, Strands, loads_on_member
 from jaxrod.systems.touches import Law, PairLoads, Touch
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
@@ -66,6 +70,9 @@ class TouchingRods(Coupling):
     """Pairs of nodes that are tied together, near which nothing touches."""
     partners: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
+
+    dotted: ClassVar[bool] = False
+    """Whether the law has contact points on elements."""
 
     # What a law says.
 
@@ -104,8 +111,7 @@ class TouchingRods(Coupling):
     @property
     def is_sized(self) -> bool:
         """Whether numbers of entries are known."""
-        lists = self.lists
-        return lists is None or None not in (lists.slots, lists.cell_slots)
+        return self.lists is None or self.lists.is_sized
 
     @property
     def places_matter(self) -> bool:
@@ -153,26 +159,22 @@ class TouchingRods(Coupling):
                 moves=moves,
                 spins=spins,
                 placed=self.places_matter,
+                dotted=self.dotted,
             )
             for strand, name in zip(self.strands, self.members, strict=True)
         ]
         for number, (a, b) in enumerate(self.views()):
-            own = beside(rows[a])
-            if self.found is None:
-                yield a, b, Pairs(own, upright(rows[b]))
-                continue
-            found = self.found.lists[number]
-            other = looked_up(rows[b], found.index)
-            yield a, b, Pairs(own, other, found.index, found.there)
+            listed = None if self.found is None else self.found.lists[number]
+            yield a, b, Pairs.of(rows[a], rows[b], listed)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all members."""
         total: dict[int, StrandLoads] = {}
         for a, b, pairs in self.all_pairs(seen, moves=True):
             loads = self.pair_loads(a, b, pairs)
-            size = self.strands[b].radii.shape[0]
-            on_a = StrandLoads.on_segments(*pairs.over_others(loads.on_own))
-            on_b = StrandLoads.on_segments(*pairs.over_own(loads.on_other, size))
+            sizes = [self.strands[k].radii.shape[0] for k in (a, b)]
+            on_a = StrandLoads.on_segments(*pairs.on_own(loads.on_own, sizes[0]))
+            on_b = StrandLoads.on_segments(*pairs.on_other(loads.on_other, sizes[1]))
             total[a] = total.get(a, StrandLoads()).added(on_a)
             total[b] = total.get(b, StrandLoads()).added(on_b)
         return {
@@ -207,35 +209,37 @@ class TouchingRods(Coupling):
     def search(self, seen: AllSeen) -> Found:
         """Neighbours of all elements where members are; never differentiated."""
         assert self.lists is not None
-        slots, cells = self.lists.slots, self.lists.cell_slots
-        assert slots is not None and cells is not None
         seen = jax.lax.stop_gradient(seen)
+        dtype, views = self.stiffness.dtype, self.views()
         every = [self._stretches(a, seen) for a in range(len(self.members))]
-        dtype = self.stiffness.dtype
-        zero = jnp.zeros((), dtype)
-        missed, used, total, most = zero, zero, zero, zero
+        rooms = _rooms(self.lists.candidates, views), _rooms(self.lists.pairs, views)
         lists: list[IndexList] = []
-        elements = 0
-        for a, b in self.views():
-            may = lambda own, other, a=a, b=b: self.allowed(a, b, own, other)
-            if cells:
-                candidates = in_cells(every[a], every[b], may, cells)
-            else:
-                candidates = among_all(every[a], every[b], may)
-            entries, counts = listed(candidates, slots)
-            lists.append(entries)
-            largest = jnp.max(counts).astype(dtype)
-            used, most = (
-                jnp.maximum(used, largest),
-                jnp.maximum(most, candidates.in_cells),
-            )
-            missed = jnp.maximum(missed, largest - slots)
-            if cells:
-                missed = jnp.maximum(missed, candidates.in_cells - cells)
-            total = total + jnp.sum(counts).astype(dtype)
-            elements += counts.shape[0]
+        used, looked_at = [], []
+        lacked, most = jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
+        for (a, b), many, few in zip(views, *rooms, strict=True):
+            own, other = every[a], every[b]
+            rows = all_rows(own, other)
+            if self.lists.cell_slots:
+                rows, held = rows_of_cells(own, other, self.lists.cell_slots)
+                most = jnp.maximum(most, held)
+            may = lambda one, two, a=a, b=b: self.allowed(a, b, one, two)
+            some, count = candidates(own, other, rows, many)
+            near, number = near_ones(own, other, some, may, few)
+            lists.append(near)
+            looked_at.append(count)
+            used.append(number)
+            lacked = jnp.maximum(lacked, jnp.maximum(count - many, number - few))
+        if self.lists.cell_slots:
+            lacked = jnp.maximum(lacked, most - self.lists.cell_slots)
         places = tuple(seen[name].motion.position for name in self.members)
-        return Found(tuple(lists), places, missed, used, total / elements, most)
+        return Found(
+            tuple(lists),
+            places,
+            lacked.astype(dtype),
+            jnp.stack(used).astype(dtype),
+            jnp.stack(looked_at).astype(dtype),
+            most.astype(dtype),
+        )
 
     def moved(self, seen: AllSeen) -> Array:
         """Farthest that a node is from where lists were made, over half the skin."""
@@ -259,37 +263,44 @@ class TouchingRods(Coupling):
         if is_traced(self, seen):
             raise ValueError(
                 "neighbours cannot be counted in a state that is traced: give "
-                "neighbour_lists the numbers slots and cell_slots"
+                "neighbour_lists the numbers pairs, candidates and cell_slots"
             )
-        needed = self.needed(seen)
-        if lists.slots is None:
-            lists = replace(lists, slots=with_spare(float(needed.used)))
-        if lists.cell_slots is None:
-            cells = float(needed.in_cells)
-            lists = replace(lists, cell_slots=with_spare(cells))
-        return replace(self, lists=lists)
+        return replace(self, lists=self.needed(seen, with_spare))
 
-    def needed(self, seen: AllSeen) -> Found:
-        """What lists of a concrete state hold that have all the entries they need."""
+    def needed(self, seen: AllSeen, spare: Callable[[float], int]) -> NeighbourLists:
+        """Lists with as many entries as a concrete state needs, and some to spare.
+
+        Args:
+            seen: The state.
+            spare: Entries for what was counted.
+        """
         assert self.lists is not None
-        lists = replace(
-            self.lists,
-            slots=1 if self.lists.slots is None else self.lists.slots,
-            cell_slots=1 if self.lists.cell_slots is None else self.lists.cell_slots,
-        )
-        found = _searched(replace(self, lists=lists), seen)
-        assert lists.cell_slots is not None
-        if float(found.in_cells) > lists.cell_slots > 0:
-            lists = replace(lists, cell_slots=int(found.in_cells))
-            found = _searched(replace(self, lists=lists), seen)
-        return found
+        lists, given = self.lists, self.lists
+        # Counts are right as far as there was room for what they are counted among.
+        for _ in range(3):
+            trial = replace(
+                lists,
+                pairs=1 if lists.pairs is None else lists.pairs,
+                candidates=1 if lists.candidates is None else lists.candidates,
+                cell_slots=1 if lists.cell_slots is None else lists.cell_slots,
+            )
+            found = _searched(replace(self, lists=trial), seen)
+            if lists.cell_slots is None:
+                lists = replace(lists, cell_slots=spare(float(found.in_cells)))
+            elif lists.candidates is None:
+                counts = tuple(spare(float(count)) for count in found.candidates)
+                lists = replace(lists, candidates=counts)
+            elif lists.pairs is None:
+                counts = tuple(spare(float(count)) for count in found.used)
+                lists = replace(lists, pairs=counts)
+            if given.is_sized or lists.is_sized:
+                break
+        return lists
 
     def _stretches(self, a: int, seen: AllSeen) -> Stretches:
         strand, dtype = self.strands[a], self.stiffness.dtype
         placed = self.places_matter
-        elements = elements_at(
-            strand, seen[self.members[a]], moves=False, spins=False, placed=placed
-        )
+        elements = elements_at(strand, seen[self.members[a]], placed=placed)
         # Forces begin half a width of the onset before surfaces touch.
         radii = (1 + 0.25 * self.onset) * self.bounding_radii(a)
         numbers = jnp.asarray(np.arange(strand.radii.shape[0]), dtype)
@@ -306,6 +317,14 @@ def same_rod(own: Elements, other: Elements) -> Array:
     """Whether elements of one member are of one rod."""
     assert own.rods is not None and other.rods is not None
     return own.rods == other.rods
+
+
+def _rooms(
+    given: int | tuple[int, ...] | None, views: list[tuple[int, int]]
+) -> tuple[int, ...]:
+    """Entries of every list."""
+    assert given is not None
+    return given if isinstance(given, tuple) else (given,) * len(views)
 
 
 @jax.jit
