@@ -150,6 +150,7 @@ _NAMES = {
     "systems.crossing_contact": ("CrossingContact", "crossing_contact"),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
     "systems.neighbour_lists": ("NeighbourLists", "NeighbourRecord", "neighbour_lists"),
+    "systems.neighbours": ("Neighbours", "neighbours"),
     "systems.rigid_bodies": (
         "BodyState",
         "RigidBodies",

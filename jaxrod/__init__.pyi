@@ -179,6 +179,8 @@ from jaxrod.systems.hinges import rigid_joint as rigid_joint
 from jaxrod.systems.neighbour_lists import NeighbourLists as NeighbourLists
 from jaxrod.systems.neighbour_lists import NeighbourRecord as NeighbourRecord
 from jaxrod.systems.neighbour_lists import neighbour_lists as neighbour_lists
+from jaxrod.systems.neighbours import Neighbours as Neighbours
+from jaxrod.systems.neighbours import neighbours as neighbours
 from jaxrod.systems.rigid_bodies import BodyState as BodyState
 from jaxrod.systems.rigid_bodies import RigidBodies as RigidBodies
 from jaxrod.systems.rigid_bodies import rigid_body as rigid_body

@@ -125,7 +125,7 @@ class CrossingContact(TouchingRods):
                 from_node(own.starts, own.ends, place),
                 from_node(other.starts, other.ends, mark),
             ),
-            (own.rods == rod) & (other.rods == fellow),
+            jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow),
             (own.radii, other.radii),
             0.5 * (own.rest_lengths + other.rest_lengths),
         )

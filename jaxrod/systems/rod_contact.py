@@ -169,7 +169,7 @@ class RodContact(TouchingRods):
                     jnp.abs(points.places - place),
                     from_node(other.starts, other.ends, mark),
                 ),
-                (own.rods == rod) & (other.rods == fellow),
+                jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow),
                 (points.radii, other.radii),
                 other.rest_lengths,
             )
