@@ -202,7 +202,11 @@ class CrossingContact(TouchingRods):
         push = middle.weight * normal_force(
             middle.depth, jnp.zeros_like(middle.depth), middle.width, self.stiffness
         )
-        have = products(*lines)
+        # All of one shape: slopes are those of each pair, not of an edge in all pairs.
+        shape = jnp.shape(weight)
+        have: Products = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, shape), products(*lines)
+        )
 
         def changing(have: Products) -> tuple[Array, tuple[Array, Array]]:
             return crossedness(have), middles(have)
