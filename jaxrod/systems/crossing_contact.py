@@ -34,6 +34,7 @@ from jaxrod.systems.along_rods import (
     share_of_gap,
     tied_share,
 )
+from jaxrod.systems.contact_numbers import contact_numbers
 from jaxrod.systems.coupling import AllParts, TiedPair
 from jaxrod.systems.element_pairs import Elements, Pairs
 from jaxrod.systems.neighbour_lists import NeighbourLists
@@ -50,7 +51,7 @@ from jaxrod.systems.segment_distance import (
 )
 from jaxrod.systems.strands import strands
 from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
-from jaxrod.systems.touching_rods import TouchingRods, contact_numbers, same_rod
+from jaxrod.systems.touching_rods import TouchingRods, same_rod
 from jaxrod.validation import Numbers
 
 

@@ -14,7 +14,7 @@ sort but that by cells.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +25,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
 from jaxrod.systems.element_pairs import Elements, IndexList, looked_up
+from jaxrod.systems.neighbour_lists import Found, NeighbourLists
 from jaxrod.systems.segment_distance import nearest_places
 
 CELLS = 1024
@@ -87,6 +88,59 @@ def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array
     reach = own.reach + other.reach
     near, may = square <= reach * reach, allowed(own, other)
     return near if may is None else near & may
+
+
+def found_by(
+    how: NeighbourLists,
+    every: Sequence[Stretches],
+    views: Sequence[tuple[int, int]],
+    allowed: Callable[[int, int, Stretches, Stretches], Array | None],
+    places: tuple[Vec3, ...],
+) -> Found:
+    """Lists of all pairs of members.
+
+    Args:
+        how: How they are made, with numbers of entries.
+        every: Elements of each member.
+        views: The pairs of members.
+        allowed: Which elements of two members may touch.
+        places: Nodes of the members, to be kept with the lists [m].
+    """
+    assert how.cell_slots is not None
+    lists: list[IndexList] = []
+    used, looked_at = [], []
+    lacked, most = jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
+    for number, (a, b) in enumerate(views):
+        own, other = every[a], every[b]
+        rows = all_rows(own, other)
+        if how.cell_slots:
+            rows, held = rows_of_cells(own, other, how.cell_slots)
+            most = jnp.maximum(most, held)
+        may = lambda one, two, a=a, b=b: allowed(a, b, one, two)
+        many, few = _room(how.candidates, number), _room(how.pairs, number)
+        some, count = candidates(own, other, rows, many)
+        near, taken = near_ones(own, other, some, may, few)
+        lists.append(near)
+        looked_at.append(count)
+        used.append(taken)
+        lacked = jnp.maximum(lacked, jnp.maximum(count - many, taken - few))
+    if how.cell_slots:
+        lacked = jnp.maximum(lacked, most - how.cell_slots)
+    dtype = every[0].reach.dtype
+    return Found(
+        tuple(lists),
+        places,
+        lacked.astype(dtype),
+        jnp.stack(used).astype(dtype),
+        jnp.stack(looked_at).astype(dtype),
+        most.astype(dtype),
+    )
+
+
+def _room(given: int | tuple[int, ...] | None, number: int) -> int:
+    """Entries of a list."""
+    assert given is not None
+    return given[number] if isinstance(given, tuple) else given
 
 
 def all_rows(own: Stretches, other: Stretches) -> Rows:

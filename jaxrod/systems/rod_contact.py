@@ -26,10 +26,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
+from jaxrod.contacts.contact_law import energy_density
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
-from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.along_rods import (
@@ -38,27 +37,21 @@ from jaxrod.systems.along_rods import (
     share_of_gap,
     tied_share,
 )
+from jaxrod.systems.contact_numbers import contact_numbers
 from jaxrod.systems.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.systems.element_pairs import Pairs, lifted
 from jaxrod.systems.line_pairs import ElementPoints, points_on
-from jaxrod.systems.near_segments import Nearness, nearnesses
+from jaxrod.systems.line_rows import row_loads, row_nearnesses
 from jaxrod.systems.neighbour_lists import NeighbourLists
 from jaxrod.systems.neighbour_search import Stretches
 from jaxrod.systems.parts import Parts
 from jaxrod.systems.points_needed import points_needed
 from jaxrod.systems.segment_distance import between, products
 from jaxrod.systems.strands import (
-    ContactPoints,
-    Segments,
-    StrandLoads,
-    Strands,
-    loads_on_member,
-    points_at,
-    segments_at,
     strands,
 )
 from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
-from jaxrod.systems.touching_rods import TouchingRods, contact_numbers, same_rod
+from jaxrod.systems.touching_rods import TouchingRods, same_rod
 from jaxrod.validation import Numbers, check_count
 
 SPACING = 1 / 3
@@ -181,28 +174,14 @@ class RodContact(TouchingRods):
         """Forces and couples on all members."""
         if self.found is not None:
             return super().loads(seen)
-        rubs = self.friction is not None
-        total: dict[int, StrandLoads] = {}
-        for a, b, weights in self._pairs():
-            points = points_at(self.strands[a], seen[self.members[a]], spins=rubs)
-            segments = segments_at(self.strands[b], seen[self.members[b]], spins=rubs)
-            for near in self._near(a, b, weights, points, segments):
-                on_a, on_b = self._pair_loads(near, points, segments)
-                total[a] = total.get(a, StrandLoads()).added(on_a)
-                total[b] = total.get(b, StrandLoads()).added(on_b)
-        return {
-            self.members[k]: loads_on_member(
-                self.strands[k], seen[self.members[k]], loads
-            )
-            for k, loads in total.items()
-        }
+        return row_loads(self, seen)
 
     def energy(self, seen: AllSeen) -> Array:
         """Energy of all contacts [J]; not a number where lists have missed some."""
         if self.found is not None:
             return super().energy(seen)
         total = jnp.zeros((), self.stiffness.dtype)
-        for near in self._all(seen):
+        for near in row_nearnesses(self, seen):
             density = energy_density(near.depth, near.width, self.stiffness)
             total = total + jnp.sum(near.weight * density)
         return total
@@ -212,7 +191,7 @@ class RodContact(TouchingRods):
         if self.found is not None:
             return super().violation(seen)
         worst = jnp.zeros((), self.stiffness.dtype)
-        for near in self._all(seen):
+        for near in row_nearnesses(self, seen):
             depth = jnp.where(near.weight > 0, near.depth, 0)
             worst = jnp.maximum(worst, jnp.max(depth / near.half_sum))
         return worst
@@ -240,88 +219,6 @@ class RodContact(TouchingRods):
             node_drag=None if drag is None else sides * drag * lengths,
             element_drag=turning,
         )
-
-    def _pairs(self) -> Iterator[tuple[int, int, Array]]:
-        """Members whose points and segments meet, and half the lengths that count."""
-        for a in range(len(self.members)):
-            for b in range(len(self.members)):
-                points, segments = self.strands[a], self.strands[b]
-                half = 0.5 * points.lengths[None, :]
-                if a == b and not (points.count > 1 or self.itself):
-                    continue
-                if a == b:
-                    half = self._within(points, segments, half)
-                for one, i, other, j in self.tied:
-                    if (one, other) == (self.members[a], self.members[b]):
-                        half = half * _away(points, i, segments, j)
-                yield a, b, half
-
-    def _within(self, points: Strands, segments: Strands, half: Array) -> Array:
-        """Half the lengths of points, for segments of the same member."""
-        same = segments.segment_rods[:, None] == points.point_rods[None, :]
-        if not self.itself:
-            return jnp.where(same, 0, half)
-        place, start = points.places[None, :], segments.starts[:, None]
-        length = segments.rest_lengths[:, None]
-        apart = jnp.maximum(start - place, place - start - length)
-        share = share_of_gap(apart, segments.radii[:, None], length)
-        return jnp.where(same, half * share, half)
-
-    def _near(
-        self,
-        a: int,
-        b: int,
-        weights: Array,
-        points: ContactPoints,
-        segments: Segments,
-    ) -> Iterator[Nearness]:
-        last = self.strands[b].is_last
-        radii = self.strands[b].radii, self.strands[a].point_radii
-        return nearnesses(points, segments, weights, last, radii, self.onset)
-
-    def _all(self, seen: AllSeen) -> Iterator[Nearness]:
-        for a, b, weights in self._pairs():
-            points = points_at(self.strands[a], seen[self.members[a]], spins=False)
-            segments = segments_at(self.strands[b], seen[self.members[b]], spins=False)
-            yield from self._near(a, b, weights, points, segments)
-
-    def _pair_loads(
-        self, near: Nearness, points: ContactPoints, segments: Segments
-    ) -> tuple[StrandLoads, StrandLoads]:
-        """Loads of one kind of nearness on the points' member and the segments'."""
-        rate = near.rates(points, segments)
-        leaving = vectors.dot(rate, near.normal)
-        push = normal_force(
-            near.depth, leaving, near.width, self.stiffness, self.damping
-        )
-        force = vectors.scale(push, near.normal)
-        turns: tuple[Vec3, Vec3] | None = None
-        if self.friction is not None:
-            assert self.friction_drag is not None
-            arms = near.arms()
-            slip = near.slip(rate, leaving, arms, points, segments)
-            rub = friction_force(push, slip, self.friction, self.friction_drag)
-            force = vectors.add(force, rub)
-            turns = vectors.cross(arms[0], rub), vectors.cross(rub, arms[1])
-        return near.summed(force, turns)
-
-
-def _away(points: Strands, node: int, segments: Strands, other: int) -> Array:
-    """Zero for points and segments near nodes that are tied, along their rods."""
-    rod, place = rod_and_place(points, node)
-    fellow, mark = rod_and_place(segments, other)
-    along = jnp.abs(points.places - place)
-    ends = segments.starts + segments.rest_lengths
-    beside = from_node(segments.starts, ends, mark)
-    concerned = (segments.segment_rods == fellow)[:, None] & (points.point_rods == rod)[
-        None, :
-    ]
-    return tied_share(
-        (along[None, :], beside[:, None]),
-        concerned,
-        (segments.radii[:, None], points.point_radii[None, :]),
-        segments.rest_lengths[:, None],
-    )
 
 
 def rod_contact(

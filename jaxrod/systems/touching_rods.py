@@ -21,22 +21,15 @@ from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.element_pairs import (
     Elements,
-    IndexList,
     Pairs,
     elements_at,
 )
 from jaxrod.systems.names import check_named
 from jaxrod.systems.neighbour_lists import Found, NeighbourLists, with_spare
-from jaxrod.systems.neighbour_search import (
-    Stretches,
-    all_rows,
-    candidates,
-    near_ones,
-    rows_of_cells,
-)
+from jaxrod.systems.neighbour_search import Stretches, found_by
 from jaxrod.systems.strands import StrandLoads, Strands, loads_on_member
 from jaxrod.systems.touches import Law, PairLoads, Touch
-from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
+from jaxrod.validation import is_traced
 
 FEW_PAIRS = 40_000
 """Pairs of elements that are all looked at, where nothing else is said."""
@@ -210,36 +203,9 @@ class TouchingRods(Coupling):
         """Neighbours of all elements where members are; never differentiated."""
         assert self.lists is not None
         seen = jax.lax.stop_gradient(seen)
-        dtype, views = self.stiffness.dtype, self.views()
         every = [self._stretches(a, seen) for a in range(len(self.members))]
-        rooms = _rooms(self.lists.candidates, views), _rooms(self.lists.pairs, views)
-        lists: list[IndexList] = []
-        used, looked_at = [], []
-        lacked, most = jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
-        for (a, b), many, few in zip(views, *rooms, strict=True):
-            own, other = every[a], every[b]
-            rows = all_rows(own, other)
-            if self.lists.cell_slots:
-                rows, held = rows_of_cells(own, other, self.lists.cell_slots)
-                most = jnp.maximum(most, held)
-            may = lambda one, two, a=a, b=b: self.allowed(a, b, one, two)
-            some, count = candidates(own, other, rows, many)
-            near, number = near_ones(own, other, some, may, few)
-            lists.append(near)
-            looked_at.append(count)
-            used.append(number)
-            lacked = jnp.maximum(lacked, jnp.maximum(count - many, number - few))
-        if self.lists.cell_slots:
-            lacked = jnp.maximum(lacked, most - self.lists.cell_slots)
         places = tuple(seen[name].motion.position for name in self.members)
-        return Found(
-            tuple(lists),
-            places,
-            lacked.astype(dtype),
-            jnp.stack(used).astype(dtype),
-            jnp.stack(looked_at).astype(dtype),
-            most.astype(dtype),
-        )
+        return found_by(self.lists, every, self.views(), self.allowed, places)
 
     def moved(self, seen: AllSeen) -> Array:
         """Farthest that a node is from where lists were made, over half the skin."""
@@ -319,71 +285,6 @@ def same_rod(own: Elements, other: Elements) -> Array:
     return own.rods == other.rods
 
 
-def _rooms(
-    given: int | tuple[int, ...] | None, views: list[tuple[int, int]]
-) -> tuple[int, ...]:
-    """Entries of every list."""
-    assert given is not None
-    return given if isinstance(given, tuple) else (given,) * len(views)
-
-
 @jax.jit
 def _searched(contact: TouchingRods, seen: AllSeen) -> Found:
     return contact.search(seen)
-
-
-def contact_numbers(
-    members: tuple[str, ...],
-    stiffness: Numbers,
-    damped: tuple[Numbers | None, Numbers | None, Numbers | None],
-    onset: Numbers,
-    partners: int,
-    lists: NeighbourLists | None,
-    *,
-    units: tuple[str, str],
-) -> dict[str, Any]:
-    """Checked fields that laws have in common.
-
-    Args:
-        members: Names.
-        stiffness: Force per penetration.
-        damped: Damping, friction and friction drag.
-        onset: Width of the onset over the mean of the radii [1].
-        partners: Rods that may touch one place.
-        lists: How lists are made.
-        units: Of the stiffness and of damping.
-
-    Raises:
-        ValueError: If a number is out of range, or friction has no drag.
-        TypeError: If a name is none.
-    """
-    for name in members:
-        if not isinstance(name, str):
-            raise TypeError(f"members are named by strings, got {name!r}")
-    if not members or len(set(members)) < len(members):
-        raise ValueError(f"members must be named once each, got {list(members)}")
-    damping, friction, friction_drag = damped
-    drag = damping if friction_drag is None else friction_drag
-    if friction is not None and drag is None:
-        raise ValueError(
-            f"friction needs friction_drag > 0 {units[1]}, what it resists per speed "
-            "at the onset of slip (by default the damping), got none"
-        )
-    if lists is not None:
-        check_kind("lists", lists, NeighbourLists)
-
-    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
-        return None if value is None else as_array(name, value, unit, positive=True)
-
-    return {
-        "stiffness": as_array("stiffness", stiffness, units[0], positive=True),
-        "onset": as_array("onset", onset, "", positive=True),
-        "damping": number("damping", damping, units[1]),
-        "friction": number("friction", friction, ""),
-        "friction_drag": (
-            None if friction is None else number("friction_drag", drag, units[1])
-        ),
-        "members": members,
-        "partners": check_count("partners", partners, 1, 1000),
-        "lists": lists,
-    }
