@@ -147,8 +147,11 @@ _NAMES = {
     "structure": ("memory", "pytree", "static"),
     "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
+    "systems.crossing_contact": ("CrossingContact", "crossing_contact"),
     "systems.glue": ("Glue", "glue"),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
+    "systems.neighbour_lists": ("NeighbourLists", "NeighbourRecord", "neighbour_lists"),
+    "systems.neighbours": ("Neighbours", "neighbours"),
     "systems.pose_springs": ("PoseSpring", "pose_spring", "pose_spring_reactions"),
     "systems.rigid_bodies": (
         "BodyState",

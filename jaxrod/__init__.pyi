@@ -173,10 +173,17 @@ from jaxrod.structure import static as static
 from jaxrod.systems.body_contact import BodyContact as BodyContact
 from jaxrod.systems.body_contact import body_contact as body_contact
 from jaxrod.systems.coupling import Coupling as Coupling
+from jaxrod.systems.crossing_contact import CrossingContact as CrossingContact
+from jaxrod.systems.crossing_contact import crossing_contact as crossing_contact
 from jaxrod.systems.glue import Glue as Glue
 from jaxrod.systems.glue import glue as glue
 from jaxrod.systems.hinges import hinge_joint as hinge_joint
 from jaxrod.systems.hinges import rigid_joint as rigid_joint
+from jaxrod.systems.neighbour_lists import NeighbourLists as NeighbourLists
+from jaxrod.systems.neighbour_lists import NeighbourRecord as NeighbourRecord
+from jaxrod.systems.neighbour_lists import neighbour_lists as neighbour_lists
+from jaxrod.systems.neighbours import Neighbours as Neighbours
+from jaxrod.systems.neighbours import neighbours as neighbours
 from jaxrod.systems.pose_springs import PoseSpring as PoseSpring
 from jaxrod.systems.pose_springs import pose_spring as pose_spring
 from jaxrod.systems.pose_springs import pose_spring_reactions as pose_spring_reactions

@@ -159,7 +159,7 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
         density=DENSITY,
         effects=(weight, jaxrod.exponential_damping(0.5, 0.5)),
     )
-    rest = {"arms": of_arms, "head": of_head}
+    rest: dict[str, RodState | jaxrod.BodyState] = {"arms": of_arms, "head": of_head}
     roots = [("arms", k, "start") for k in range(N_ARMS)]
     system = jaxrod.make_system(
         {"arms": arms, "head": head},

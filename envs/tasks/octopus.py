@@ -35,7 +35,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import limit_rate
+from jaxrod import Scene, limit_rate
 from jaxrod.envs.animals.octopus_body import (
     HEAD,
     LENGTH,
@@ -62,8 +62,8 @@ bound."""
 SPEED = 0.1
 """Unit of observed velocities [m/s]."""
 STROKE = (4.0, 1.0, 0.5)
-"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of 24
-that were tried, of 1 to 4 s."""
+"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of
+24 that were tried, of 1 to 4 s."""
 
 
 @pytree
@@ -186,9 +186,11 @@ class Octopus:
         """The arms and the head."""
         place = state.body["head"].positions[:, 0]
         way = jnp.sum(place[:2] * state.heading)
+        arms = params.body.system.members["arms"]
+        assert isinstance(arms, Scene)
         return Snapshot(
             positions=state.body["arms"].positions,
-            radii=params.body.system.members["arms"].rod.radii,
+            radii=arms.rod.radii,
             spheres=((place, HEAD),),
             readouts={"way along the heading [m]": way},
             up="z",

@@ -8,41 +8,38 @@ are enough for rods welded end to end, and for closed ones.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-import numpy as np
-
-from jaxrod.systems.coupling import TiedPair
+from jaxrod.systems.coupling import AllParts, TiedPair
 
 
-def ends_alone(
-    member: str,
-    count: int,
-    n_elements: Mapping[str, int],
-    tied: Sequence[TiedPair],
-) -> np.ndarray:
-    """Whether each segment of a member is a rod's last, and nothing follows.
+def last_but_continued(
+    member: str, parts: AllParts, tied: Sequence[TiedPair]
+) -> tuple[int, ...]:
+    """Last segments of rods of a member after which another rod goes on.
 
     Args:
         member: Name of the member.
-        count: Its rods.
-        n_elements: Elements of the rods of all members.
+        parts: Of all members.
         tied: Pairs of nodes that are tied together, in both orders.
     """
-    n = n_elements[member]
+
+    def elements(name: str) -> int:
+        return parts[name].n_elements
 
     def is_last(place: tuple[str, int]) -> bool:
-        return place[1] % (n_elements[place[0]] + 1) == n_elements[place[0]]
+        n = elements(place[0])
+        return place[1] % (n + 1) == n
 
     fellows: dict[tuple[str, int], list[tuple[str, int]]] = {}
     for one, i, other, j in tied:
         fellows.setdefault((one, i), []).append((other, j))
-    alone = np.arange(count * n) % n == n - 1
-    for rod in range(count):
+    n, found = elements(member), []
+    for rod in range(parts[member].count):
         here = (member, rod * (n + 1) + n)
         others = fellows.get(here, [])
         # One of a group stays: one that is no last node, or else the first by name.
         stays = others and all(map(is_last, others)) and here < min(others)
         if others and not stays:
-            alone[rod * n + n - 1] = False
-    return alone
+            found.append(rod * n + n - 1)
+    return tuple(found)

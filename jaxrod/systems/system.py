@@ -26,12 +26,14 @@ from jaxrod.systems.attachments import Attachment
 from jaxrod.systems.body_effects import check_body_effects, in_type
 from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.energies import (
+    seen_at_rest,
     system_angular_momentum,
     system_kinetic_energy,
     system_momentum,
     system_potential_energy,
 )
 from jaxrod.systems.health import SystemHealth, system_health
+from jaxrod.systems.neighbour_lists import RECORD
 from jaxrod.systems.rigid_bodies import RigidBodies
 from jaxrod.systems.runs import (
     check_system_run,
@@ -154,6 +156,8 @@ def make_system(
         coupling.check(parts)
     tied = () if ties is None else ties.pairs
     fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
+    if any(coupling.refresh_every is not None for coupling in fitted):
+        fitted = _sized(system, fitted, state)
     couplings_in_type = jax.tree.map(in_type(system.dtype), fitted)
     _check_followers(ordered)
     return replace(
@@ -197,6 +201,36 @@ def _with_own_types(member: Member) -> Member:
         return member
     cast = in_type(member.masses.dtype)
     return replace(member, effects=jax.tree.map(cast, member.effects))
+
+
+def _sized(
+    system: System, couplings: tuple[Coupling, ...], state: SystemState | None
+) -> tuple[Coupling, ...]:
+    """Couplings with room for their neighbours, counted in a state."""
+    if RECORD in system.members:
+        raise ValueError(
+            f"no member can be called {RECORD!r}: a state has its record of lists there"
+        )
+    if state is None:
+        sizes = [c for c in couplings if c.refresh_every is not None and not c.is_sized]
+        if sizes:
+            raise ValueError(
+                "lists of neighbours need pairs, candidates and cell_slots from "
+                "neighbour_lists, or make_system a state in which to count them"
+            )
+        return couplings
+    # As the lists would be, without them: nothing is looked for yet.
+    plain = replace(system, couplings=())
+    seen, _ = seen_at_rest(plain, state)
+    parts = system.parts()
+    return tuple(
+        c if c.refresh_every is None else _with_room(c, parts, seen) for c in couplings
+    )
+
+
+def _with_room(coupling: Coupling, parts: Any, seen: Any) -> Coupling:
+    ready: Any = coupling.prepared(parts)
+    return replace(coupling, lists=ready.sized(seen).lists)  # type: ignore[type-var]
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:
