@@ -170,6 +170,7 @@ def strands(parts: Parts, per_element: int, continued: tuple[int, ...] = ()) -> 
         rest_lengths=parts.rest_lengths,
         count=count,
         per_element=per_element,
+        continued=continued,
     )
 
 
