@@ -62,8 +62,8 @@ bound."""
 SPEED = 0.1
 """Unit of observed velocities [m/s]."""
 STROKE = (4.0, 1.0, 0.5)
-"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of 24
-that were tried, of 1 to 4 s."""
+"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of
+24 that were tried, of 1 to 4 s."""
 
 
 @pytree
@@ -188,7 +188,7 @@ class Octopus:
         way = jnp.sum(place[:2] * state.heading)
         return Snapshot(
             positions=state.body["arms"].positions,
-            radii=params.body.system.members["arms"].rod.radii,
+            radii=params.body.arms.rod.radii,
             spheres=((place, HEAD),),
             readouts={"way along the heading [m]": way},
             up="z",
