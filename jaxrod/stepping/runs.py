@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from jaxrod.composite import Composite, Stepper
 from jaxrod.effects.time import Clock
-from jaxrod.scene import Composite, Evolvable, Model, Stepper
+from jaxrod.scene import Evolvable, Model
 from jaxrod.stepping.checks import (
     check_arguments,
     check_counter,
@@ -45,9 +46,8 @@ def step(
         TypeError: If `scene` or `state` is something else.
     """
     begin = check_first(scene, first, 1)
-    return _static_compiled(
-        scene, state, check_arguments(scene, state, dt, begin), 1, begin
-    )
+    dt = check_arguments(scene, state, dt, begin)
+    return _static_compiled(scene, with_memory(scene, state), dt, 1, begin)
 
 
 def advance(
@@ -94,6 +94,8 @@ def advance(
         n_steps = check_count("n_steps", n_steps, 0)
     begin = check_first(scene, first, n_steps)
     dt = check_arguments(scene, state, dt, begin)
+    # Before it is compiled: the program is that of the next call too.
+    state = with_memory(scene, state)
     if is_traced(scene, state, dt, n_steps, begin):
         if isinstance(n_steps, int):
             return _static_compiled(scene, state, dt, n_steps, begin)
@@ -138,6 +140,7 @@ def rollout(
     records = check_records(n_steps, every)
     begin = check_first(scene, first, n_steps)
     dt = check_arguments(scene, state, dt, begin)
+    state = with_memory(scene, state)
     if is_traced(scene, state, dt, begin):
         return _rollout_compiled(scene, state, dt, records, every, begin)
     near_bound = check_step(scene.recalling(state), dt, state)

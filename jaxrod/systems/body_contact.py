@@ -9,12 +9,10 @@ are exact, with damping and friction too, and friction makes both roll.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
@@ -25,7 +23,9 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
+from jaxrod.systems.names import check_named
 from jaxrod.systems.parts import Parts, mapped
+from jaxrod.systems.points_needed import points_needed
 from jaxrod.systems.posed import Posed, posed
 from jaxrod.systems.strands import (
     ContactPoints,
@@ -35,7 +35,7 @@ from jaxrod.systems.strands import (
     points_at,
     strands,
 )
-from jaxrod.validation import Numbers, as_array, check_count, is_traced
+from jaxrod.validation import Numbers, as_array, check_count
 
 
 @pytree
@@ -64,11 +64,7 @@ class BodyContact(Coupling):
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if members are missing, of other kinds or without shape."""
         for name, rods in ((self.rod, True), (self.body, False)):
-            if name not in parts:
-                raise ValueError(
-                    f"no member is called {name!r}; there are "
-                    + ", ".join(map(repr, parts))
-                )
+            check_named(name, parts)
             if parts[name].is_rod != rods:
                 raise ValueError(
                     "body_contact is between a rod and a rigid body, got "
@@ -83,7 +79,9 @@ class BodyContact(Coupling):
         """With the number of points."""
         if self.points_per_element is not None:
             return self
-        return replace(self, points_per_element=_needed(self.rod, parts))
+        # A radius apart at most.
+        needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
+        return replace(self, points_per_element=needed)
 
     def prepared(self, parts: AllParts) -> BodyContact:
         """With lengths and radii of the points."""
@@ -244,18 +242,6 @@ def _size(bodies: Parts) -> Array:
     """Largest distance of a surface from the centre, of what is filled evenly [m]."""
     largest = jnp.max(bodies.inertias, axis=0)
     return jnp.sqrt(5 * largest / bodies.node_masses)
-
-
-def _needed(name: str, parts: AllParts) -> int:
-    """Points per element such that neighbours are a radius apart at most."""
-    own = parts[name]
-    if is_traced(own.rest_lengths, own.radii):
-        raise ValueError(
-            f"body_contact: of {name!r} the lengths or radii are traced: give "
-            "points_per_element"
-        )
-    ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)
-    return max(1, math.ceil(float(np.max(ratio)) - 1e-6))
 
 
 def body_contact(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from jaxtyping import Array
 
@@ -43,6 +44,32 @@ class Coupling:
     def prepared(self, parts: AllParts) -> Coupling:
         """Itself with constants worked out once, before the first step."""
         return self
+
+    @property
+    def refresh_every(self) -> int | None:
+        """Steps after which what `search` found is looked for anew; `None`: nothing."""
+        return None
+
+    @property
+    def is_sized(self) -> bool:
+        """Whether there is room for what `search` finds."""
+        return True
+
+    def sized(self, seen: AllSeen) -> Coupling:
+        """Itself with room for what `search` finds in a state; for `make_system`."""
+        return self
+
+    def search(self, seen: AllSeen) -> Any:
+        """What it looks for once in a while, as arrays; with `refresh_every`.
+
+        With fields `missed`, `used` and the coupling's field `found`, in which it is
+        until the next search: see `jaxrod.systems.neighbour_lists`.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no search")
+
+    def moved(self, seen: AllSeen) -> Array:
+        """How far members are from where `search` was, over how far they may be."""
+        raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces on nodes, world frame [N], and couples on elements, own frames [N m].

@@ -19,6 +19,7 @@ from jaxrod.scene import (
     potential_energy,
 )
 from jaxrod.systems.assembly import Assembly, Member, SystemState, held_parts
+from jaxrod.systems.listing import searched, with_found
 from jaxrod.systems.parts import Seen, in_one_row
 from jaxrod.systems.rigid_bodies import (
     BodyState,
@@ -61,7 +62,7 @@ def seen_at_rest(
 ) -> tuple[dict[str, Seen], tuple[Any, ...]]:
     """Members as couplings see them in a state, with their rates; couplings prepared.
 
-    Spins are angular momenta, whatever the method.
+    Spins are angular momenta, whatever the method. Neighbours are looked for.
     """
     parts = held_parts(system, state)
     prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
@@ -80,7 +81,7 @@ def seen_at_rest(
         else:
             motion = in_one_row(jax.vmap(motion_of)(own))
         seen[name] = Seen(parts[name], motion)
-    return seen, prepared
+    return seen, with_found(prepared, searched(prepared, seen))
 
 
 def _total(values: Any) -> Any:

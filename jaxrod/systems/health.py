@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -14,6 +15,7 @@ from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import Assembly, SystemState
 from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
 
 
@@ -48,12 +50,19 @@ class SystemHealth:
     """Flag: what is tied or attached has come apart, or contact is missed."""
     largest_violation: Float[Array, ""]
     """Largest violation of what couplings tie [1]."""
+    overflow: Bool[Array, ""]
+    """Flag: lists of neighbours had too few entries, now or in a run that led here."""
+    stale: Bool[Array, ""]
+    """Flag: lists were used in a run after a node had moved by half their skin."""
+    neighbours: NeighbourRecord
+    """What is behind both; zero without lists."""
 
     @property
     def flagged(self) -> Bool[Array, ""]:
         """Whether anything is wrong anywhere."""
         each = [jnp.any(own.flagged) for own in self.members.values()]
-        return functools.reduce(jnp.logical_or, each, self.violation)
+        own = self.violation | self.overflow | self.stale
+        return functools.reduce(jnp.logical_or, each, own)
 
 
 @jax.jit
@@ -90,8 +99,23 @@ def system_health(
     worst = functools.reduce(
         jnp.maximum, [value for value in found if value is not None], zero
     )
+    record = state.get(RECORD, no_record(system.dtype))
+    for coupling in couplings:
+        if coupling.refresh_every is not None:
+            record = replace(
+                record,
+                missed=jnp.maximum(record.missed, coupling.found.missed),
+                used=jnp.maximum(record.used, jnp.max(coupling.found.used)),
+            )
     # Written so that NaN counts as wrong.
-    return SystemHealth(members, ~(worst <= limits.largest_violation), worst)
+    return SystemHealth(
+        members,
+        ~(worst <= limits.largest_violation),
+        worst,
+        record.overflow,
+        record.stale,
+        record,
+    )
 
 
 def _of_bodies(state: BodyState, dt: ArrayLike, limits: HealthLimits) -> BodyHealth:

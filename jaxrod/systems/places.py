@@ -11,6 +11,7 @@ import numpy as np
 from jaxrod.rods.rod import RodState
 from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts
+from jaxrod.systems.names import check_named
 from jaxrod.systems.rigid_bodies import BodyState
 from jaxrod.validation import check_count
 
@@ -62,11 +63,7 @@ class Points:
 
     def check(self, parts: AllParts) -> None:
         """Raises a `ValueError` if the member is missing or smaller."""
-        if self.member not in parts:
-            raise ValueError(
-                f"no member is called {self.member!r}; there are "
-                + ", ".join(map(repr, parts))
-            )
+        check_named(self.member, parts)
         largest = parts[self.member].n_nodes
         if np.any(self.nodes.values >= largest):
             raise ValueError(
@@ -132,11 +129,7 @@ def resolved(
             f'{name} must be a place such as ("arm", "finish"), got {place!r}'
         )
     member, *rest = place
-    if member not in layouts:
-        raise ValueError(
-            f"{name}: no member is called {member!r}; there are "
-            + ", ".join(map(repr, layouts))
-        )
+    check_named(member, layouts, where=name)
     own = layouts[member]
     if not own.is_rod:
         if len(rest) > 1:

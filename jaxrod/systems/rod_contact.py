@@ -20,123 +20,180 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
+from jaxrod.contacts.contact_law import energy_density
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
-from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
-from jaxrod.systems.near_segments import Nearness, nearnesses
+from jaxrod.systems.along_rods import (
+    from_node,
+    rod_and_place,
+    share_of_gap,
+    tied_share,
+)
+from jaxrod.systems.contact_numbers import contact_numbers
+from jaxrod.systems.continued import last_but_continued
+from jaxrod.systems.coupling import AllParts, AllSeen, TiedPair
+from jaxrod.systems.element_pairs import Pairs, lifted
+from jaxrod.systems.line_pairs import ElementPoints, points_on
+from jaxrod.systems.line_rows import row_loads, row_nearnesses
+from jaxrod.systems.neighbour_lists import NeighbourLists
+from jaxrod.systems.neighbour_search import Stretches
 from jaxrod.systems.parts import Parts
+from jaxrod.systems.points_needed import points_needed
+from jaxrod.systems.segment_distance import between, products
 from jaxrod.systems.strands import (
-    ContactPoints,
-    Segments,
-    StrandLoads,
-    Strands,
-    loads_on_member,
-    points_at,
-    segments_at,
     strands,
 )
-from jaxrod.validation import Numbers, as_array, check_count, is_traced
+from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
+from jaxrod.systems.touching_rods import TouchingRods, same_rod
+from jaxrod.validation import Numbers, check_count
+
+SPACING = 1 / 3
+"""Largest distance of neighbouring contact points over the radius [1]."""
 
 
 @pytree
-class RodContact(Coupling):
+class RodContact(TouchingRods):
     """Contact between all rods of some members; see `rod_contact`."""
 
-    stiffness: Float[Array, ""]
-    """Force per length of contact and penetration [N/m^2]."""
-    onset: Float[Array, ""]
-    """Width of the smooth onset over the mean of the radii [1]."""
-    damping: Float[Array, ""] | None = None
-    """Force per length and speed along the normal [kg/(m s)]."""
-    friction: Float[Array, ""] | None = None
-    """Coefficient of Coulomb friction [1]."""
-    friction_drag: Float[Array, ""] | None = None
-    """Largest friction per length and speed of slip [kg/(m s)]."""
-    strands: tuple[Strands, ...] = ()
-    """Points and segments of each member, once prepared."""
-    members: tuple[str, ...] = static(default=())
-    """Names of the members."""
-    itself: bool = static(default=False)
-    """Whether rods touch themselves."""
     points_per_element: tuple[int, ...] = static(default=())
     """Contact points per element of each member, once fitted; or one number for all."""
-    tied: tuple[TiedPair, ...] = static(default=())
-    """Pairs of nodes that are tied together, near which nothing touches."""
-    partners: int = static(default=2)
-    """Rods that may touch one place at a time, for the stability bound."""
-
-    def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or is no rod."""
-        for name in self.members:
-            if name not in parts:
-                raise ValueError(
-                    f"no member is called {name!r}; there are "
-                    + ", ".join(map(repr, parts))
-                )
-            if not parts[name].is_rod:
-                raise ValueError(f"rod_contact is between rods, and {name!r} is rigid")
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
         """With the number of points, and what is tied and so does not touch."""
-        self.check(parts)
-        rods = sum(parts[name].count for name in self.members)
-        if rods < 2 and not self.itself:
-            raise ValueError(
-                "one rod has nothing to touch but itself: give itself=True, or more "
-                "members"
-            )
+        fitted: Any = self.with_ties(parts, tied)
         given = self.points_per_element * len(self.members)
-        per = given or tuple(_needed(name, parts) for name in self.members)
-        near = tuple(pair for pair in tied if {pair[0], pair[2]} <= set(self.members))
-        return replace(self, points_per_element=per, tied=near)
+        per = given or tuple(
+            points_needed("rod_contact", name, parts[name], SPACING)
+            for name in self.members
+        )
+        return replace(fitted, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
         """With radii and lengths of points and segments."""
         made = tuple(
-            strands(parts[name], per)
+            strands(parts[name], per, last_but_continued(name, parts, self.tied))
             for name, per in zip(self.members, self.points_per_element, strict=True)
         )
         return replace(self, strands=made)
 
+    dotted: ClassVar[bool] = True
+
+    # On lists of neighbours: pairs of elements.
+
+    def views(self) -> list[tuple[int, int]]:
+        """Members whose points and segments meet."""
+        count = len(self.members)
+        return [
+            (a, b)
+            for a in range(count)
+            for b in range(count)
+            if a != b or self.itself or self.strands[a].count > 1
+        ]
+
+    def bounding_radii(self, a: int) -> Array:
+        """Largest of an element's own radius and those of its points [m]."""
+        return jnp.maximum(self.strands[a].first_radii, self.strands[a].radii)
+
+    def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
+        """What is not of one rod, or not near along it."""
+        if a != b:
+            return None
+        one, two = own.elements, other.elements
+        may = ~same_rod(one, two)
+        if self.itself:
+            assert one.starts is not None and two.starts is not None
+            apart = jnp.maximum(two.starts - one.starts, one.ends - two.ends)
+            may = may | (apart > math.pi * two.radii)
+        return may
+
+    def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
+        """Of the points with the nearest places on segments, and with their next nodes.
+
+        The second count negative, and only where another segment follows.
+        """
+        own, other = lifted(pairs.own), lifted(pairs.other)
+        points = points_on(lifted(pairs.own), self.strands[a].per_element)
+        way = vectors.subtract(own.first, other.first)
+        have = products(way, own.edge, other.edge)
+        weights = self._weights(a, b, pairs, points)
+        nearest = have.on_other(points.fractions)
+        on_own = jnp.broadcast_to(points.fractions, nearest.shape)
+        radii = points.radii + 0 * nearest, other.radii + 0 * nearest
+        for fraction, weight in (
+            (nearest, weights),
+            (jnp.ones_like(nearest), -other.follows * weights),
+        ):
+            apart = between(way, own.edge, other.edge, (on_own, fraction))
+            yield touch_at(apart, (on_own, fraction), weight, radii, self.onset)
+
+    def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
+        """Loads of all points of each pair."""
+        own, other = lifted(pairs.own), lifted(pairs.other)
+        first, second = (
+            loads_of(touch, own, other, self.law) for touch in self.touches(a, b, pairs)
+        )
+        return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), first.added(second))
+
+    def _weights(self, a: int, b: int, pairs: Pairs, points: ElementPoints) -> Array:
+        """Rest length for which points count, half with either of two rods [m]."""
+        own, other = lifted(pairs.own), lifted(pairs.other)
+        assert pairs.listed is not None
+        half = jnp.where(pairs.listed.there[None], 0.5 * points.lengths, 0)
+        if a == b and self.itself:
+            assert other.starts is not None and other.rest_lengths is not None
+            gap = jnp.maximum(other.starts - points.places, points.places - other.ends)
+            share = share_of_gap(gap, other.radii, other.rest_lengths)
+            half = half * jnp.where(same_rod(own, other), share, 1)
+        for one, i, two, j in self.tied:
+            if (one, two) != (self.members[a], self.members[b]):
+                continue
+            assert other.starts is not None and other.rest_lengths is not None
+            assert own.rods is not None and other.rods is not None
+            rod, place = rod_and_place(self.strands[a], i)
+            fellow, mark = rod_and_place(self.strands[b], j)
+            half = half * tied_share(
+                (
+                    jnp.abs(points.places - place),
+                    from_node(other.starts, other.ends, mark),
+                ),
+                jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow),
+                (points.radii, other.radii),
+                other.rest_lengths,
+            )
+        return half
+
+    # Without lists: rows of all points and all segments.
+
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all members."""
-        rubs = self.friction is not None
-        total: dict[int, StrandLoads] = {}
-        for a, b, weights in self._pairs():
-            points = points_at(self.strands[a], seen[self.members[a]], spins=rubs)
-            segments = segments_at(self.strands[b], seen[self.members[b]], spins=rubs)
-            for near in self._near(a, b, weights, points, segments):
-                on_a, on_b = self._pair_loads(near, points, segments)
-                total[a] = total.get(a, StrandLoads()).added(on_a)
-                total[b] = total.get(b, StrandLoads()).added(on_b)
-        return {
-            self.members[k]: loads_on_member(
-                self.strands[k], seen[self.members[k]], loads
-            )
-            for k, loads in total.items()
-        }
+        if self.found is not None:
+            return super().loads(seen)
+        return row_loads(self, seen)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of all contacts [J]."""
+        """Energy of all contacts [J]; not a number where lists have missed some."""
+        if self.found is not None:
+            return super().energy(seen)
         total = jnp.zeros((), self.stiffness.dtype)
-        for near in self._all(seen):
+        for near in row_nearnesses(self, seen):
             density = energy_density(near.depth, near.width, self.stiffness)
             total = total + jnp.sum(near.weight * density)
         return total
 
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration over half the sum of the radii."""
+        if self.found is not None:
+            return super().violation(seen)
         worst = jnp.zeros((), self.stiffness.dtype)
-        for near in self._all(seen):
+        for near in row_nearnesses(self, seen):
             depth = jnp.where(near.weight > 0, near.depth, 0)
             worst = jnp.maximum(worst, jnp.max(depth / near.half_sum))
         return worst
@@ -165,101 +222,6 @@ class RodContact(Coupling):
             element_drag=turning,
         )
 
-    def _pairs(self) -> Iterator[tuple[int, int, Array]]:
-        """Members whose points and segments meet, and half the lengths that count."""
-        for a in range(len(self.members)):
-            for b in range(len(self.members)):
-                points, segments = self.strands[a], self.strands[b]
-                half = 0.5 * points.lengths[None, :]
-                if a == b and not (points.count > 1 or self.itself):
-                    continue
-                if a == b:
-                    half = self._within(points, segments, half)
-                for one, i, other, j in self.tied:
-                    if (one, other) == (self.members[a], self.members[b]):
-                        half = half * _away(points, i, segments, j)
-                yield a, b, half
-
-    def _within(self, points: Strands, segments: Strands, half: Array) -> Array:
-        """Half the lengths of points, for segments of the same member."""
-        same = segments.segment_rods[:, None] == points.point_rods[None, :]
-        if not self.itself:
-            return jnp.where(same, 0, half)
-        # Near along the rod nothing touches: bent to a curvature of one over the
-        # radius it just would, half a turn away.
-        place, start = points.places[None, :], segments.starts[:, None]
-        length = segments.rest_lengths[:, None]
-        apart = jnp.maximum(start - place, place - start - length)
-        share = (apart - math.pi * segments.radii[:, None]) / length
-        return jnp.where(same, half * jnp.clip(share, 0, 1), half)
-
-    def _near(
-        self,
-        a: int,
-        b: int,
-        weights: Array,
-        points: ContactPoints,
-        segments: Segments,
-    ) -> Iterator[Nearness]:
-        last = self.strands[b].is_last
-        radii = self.strands[b].radii, self.strands[a].point_radii
-        return nearnesses(points, segments, weights, last, radii, self.onset)
-
-    def _all(self, seen: AllSeen) -> Iterator[Nearness]:
-        for a, b, weights in self._pairs():
-            points = points_at(self.strands[a], seen[self.members[a]], spins=False)
-            segments = segments_at(self.strands[b], seen[self.members[b]], spins=False)
-            yield from self._near(a, b, weights, points, segments)
-
-    def _pair_loads(
-        self, near: Nearness, points: ContactPoints, segments: Segments
-    ) -> tuple[StrandLoads, StrandLoads]:
-        """Loads of one kind of nearness on the points' member and the segments'."""
-        rate = near.rates(points, segments)
-        leaving = vectors.dot(rate, near.normal)
-        push = normal_force(
-            near.depth, leaving, near.width, self.stiffness, self.damping
-        )
-        force = vectors.scale(push, near.normal)
-        turns: tuple[Vec3, Vec3] | None = None
-        if self.friction is not None:
-            assert self.friction_drag is not None
-            arms = near.arms()
-            slip = near.slip(rate, leaving, arms, points, segments)
-            rub = friction_force(push, slip, self.friction, self.friction_drag)
-            force = vectors.add(force, rub)
-            turns = vectors.cross(arms[0], rub), vectors.cross(rub, arms[1])
-        return near.summed(force, turns)
-
-
-def _away(points: Strands, node: int, segments: Strands, other: int) -> Array:
-    """Zero for points and segments near nodes that are tied, along their rods."""
-    rod = node // (points.n_elements + 1)
-    fellow = other // (segments.n_elements + 1)
-    along = jnp.abs(points.places - points.node_places[node])
-    ends = segments.starts + segments.rest_lengths
-    mark = segments.node_places[other]
-    beside = jnp.maximum(jnp.maximum(segments.starts - mark, mark - ends), 0)
-    apart = along[None, :] + beside[:, None]
-    reach = 0.5 * math.pi * (segments.radii[:, None] + points.point_radii[None, :])
-    share = jnp.clip((apart - reach) / segments.rest_lengths[:, None], 0, 1)
-    concerned = (segments.segment_rods == fellow)[:, None] & (points.point_rods == rod)[
-        None, :
-    ]
-    return jnp.where(concerned, share, 1)
-
-
-def _needed(name: str, parts: AllParts) -> int:
-    """Points per element such that neighbours are a third of a radius apart at most."""
-    own = parts[name]
-    if is_traced(own.rest_lengths, own.radii):
-        raise ValueError(
-            f"rod_contact: of {name!r} the lengths or radii are traced: give "
-            "points_per_element"
-        )
-    ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)
-    return max(1, math.ceil(3 * float(np.max(ratio)) - 1e-6))
-
 
 def rod_contact(
     *members: str,
@@ -271,6 +233,7 @@ def rod_contact(
     onset: Numbers = 0.01,
     points_per_element: int | None = None,
     partners: int = 2,
+    lists: NeighbourLists | None = None,
 ) -> RodContact:
     """Contact between all rods of the named members.
 
@@ -289,6 +252,8 @@ def rod_contact(
             the same to 3 % wherever they do.
         partners: Rods that may touch one place at the same time, for `stable_dt`: 2
             for a few rods, 6 in a bundle.
+        lists: Lists of neighbours, from `neighbour_lists`; by default all points and
+            all segments are looked at in every step.
 
     Returns:
         A coupling for `make_system`.
@@ -297,33 +262,19 @@ def rod_contact(
         ValueError: If a number is out of range, or friction has no drag.
         TypeError: If a name is none.
     """
-    for name in members:
-        if not isinstance(name, str):
-            raise TypeError(f"members are named by strings, got {name!r}")
-    if not members or len(set(members)) < len(members):
-        raise ValueError(f"members must be named once each, got {list(members)}")
-    drag = damping if friction_drag is None else friction_drag
-    if friction is not None and drag is None:
-        raise ValueError(
-            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
-            "and speed at the onset of slip (by default the damping), got none"
-        )
-
-    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
-        return None if value is None else as_array(name, value, unit, positive=True)
-
     if points_per_element is not None:
         check_count("points_per_element", points_per_element, 1, 1000)
+    given = contact_numbers(
+        members,
+        stiffness,
+        (damping, friction, friction_drag),
+        onset,
+        partners,
+        lists,
+        units=("N/m^2", "kg/(m s)"),
+    )
     return RodContact(
-        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
-        onset=as_array("onset", onset, "", positive=True),
-        damping=number("damping", damping, "kg/(m s)"),
-        friction=number("friction", friction, ""),
-        friction_drag=(
-            None if friction is None else number("friction_drag", drag, "kg/(m s)")
-        ),
-        members=members,
+        **given,
         itself=bool(itself),
         points_per_element=() if points_per_element is None else (points_per_element,),
-        partners=check_count("partners", partners, 1, 1000),
     )

@@ -10,14 +10,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
+from jaxrod.composite import Stepper
 from jaxrod.effects.memory import memory_of
 from jaxrod.effects.time import Clock
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, Stepper
+from jaxrod.scene import Scene
 from jaxrod.systems.assembly import Assembly, SystemState, member_shapes
 from jaxrod.systems.evolving import EvolvingSystem
+from jaxrod.systems.listing import ListingSystem, lists_neighbours, refresh_every
+from jaxrod.systems.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
 from jaxrod.systems.stability import stable_system_dt
+from jaxrod.systems.stepper import SystemStepper
 from jaxrod.validation import as_array
 
 
@@ -33,10 +37,13 @@ def check_system_state(system: Assembly, state: Any) -> None:
             "state must be a dict of the states of all members by name, got "
             f"{type(state).__name__}"
         )
-    if set(state) != set(system.members):
+    also = {RECORD} if lists_neighbours(system) else set()
+    if set(state) - also != set(system.members):
         raise ValueError(
             f"state must have the members {sorted(system.members)}, got {sorted(state)}"
         )
+    if RECORD in state:
+        _check_record(state[RECORD])
     if system.shapes and member_shapes(system.members) != system.shapes:
         raise ValueError(
             "system must be one system, got a batch: use jax.vmap, as in "
@@ -44,6 +51,14 @@ def check_system_state(system: Assembly, state: Any) -> None:
         )
     for name, member in system.members.items():
         _check_member(name, member, state[name], system.dtype)
+
+
+def _check_record(record: Any) -> None:
+    if not isinstance(record, NeighbourRecord):
+        raise TypeError(
+            f"state[{RECORD!r}] must be what a run has left there, got "
+            f"{type(record).__name__}: leave it out to begin anew"
+        )
 
 
 def _check_member(name: str, member: Any, state: Any, dtype: Any) -> None:
@@ -79,6 +94,14 @@ def system_stepper(
     system: Assembly, state: SystemState, dt: Array, first: Array | None
 ) -> Stepper:
     """The integrator of a system; `first` counts where it depends on time."""
+    own = _own_stepper(system, state, dt, first)
+    every = refresh_every(own.couplings)
+    return own if every is None else ListingSystem(own, every)
+
+
+def _own_stepper(
+    system: Assembly, state: SystemState, dt: Array, first: Array | None
+) -> SystemStepper | EvolvingSystem:
     if first is None:
         return system.stepper(state, dt)
     start = system.at(Clock(first, jnp.zeros_like(dt), dt))
@@ -89,11 +112,18 @@ def system_stepper(
 
 
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
-    """The state with the memories that effects begin with, where it has none."""
-    return {
+    """The state with the memories that effects begin with, where it has none.
+
+    And with a record of what lists of neighbours miss, where there are any.
+    """
+    own = {
         name: _with_memory(member, state[name])
         for name, member in system.members.items()
     }
+    if lists_neighbours(system):
+        record = state.get(RECORD)
+        own[RECORD] = no_record(system.dtype) if record is None else record
+    return own
 
 
 def _with_memory(member: Any, state: Any) -> Any:

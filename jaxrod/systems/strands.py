@@ -40,6 +40,8 @@ class Strands:
     """Number of rods."""
     per_element: int = static()
     """Contact points per element."""
+    continued: tuple[int, ...] = static(default=())
+    """Last segments of rods that go on in another rod, by their numbers."""
 
     @property
     def n_elements(self) -> int:
@@ -57,14 +59,26 @@ class Strands:
         return np.repeat(np.arange(self.count), self.n_elements * self.per_element + 1)
 
     @property
+    def first_radii(self) -> Array:
+        """Radius at the first node of each segment [m]."""
+        return self._rods(self.point_radii)[:, : -1 : self.per_element].reshape(-1)
+
+    @property
+    def first_lengths(self) -> Array:
+        """Rest length that the point at the first node of each segment has [m]."""
+        return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
+
+    @property
     def node_places(self) -> Array:
         """Rest arc length of each node along its rod [m]."""
         return self._rods(self.places)[:, :: self.per_element].reshape(-1)
 
     @property
     def is_last(self) -> np.ndarray:
-        """Whether each segment is the last of its rod."""
-        return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)
+        """Whether each segment is the last of its rod, and no other rod goes on."""
+        segments = np.arange(self.n_elements * self.count)
+        last = segments % self.n_elements == self.n_elements - 1
+        return last & ~np.isin(segments, self.continued)
 
     def _rods(self, row: Array) -> Array:
         """A row as one row for each rod."""
@@ -102,6 +116,12 @@ class Strands:
         nodes = jnp.concatenate([first, rods[:, -1:]], axis=1)
         return (nodes + jnp.concatenate([none, following], axis=1)).reshape(-1)
 
+    def from_segments(self, firsts: Array, nexts: Array) -> Array:
+        """Forces at both nodes of segments, on the nodes."""
+        first = jnp.pad(self._rods(firsts), ((0, 0), (0, 1)))
+        following = jnp.pad(self._rods(nexts), ((0, 0), (1, 0)))
+        return (first + following).reshape(-1)
+
     def to_segments(self, points: Array) -> Array:
         """Couples at points, on their segments."""
         rods = self._rods(points)
@@ -115,12 +135,13 @@ class Strands:
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
 
-def strands(parts: Parts, per_element: int) -> Strands:
+def strands(parts: Parts, per_element: int, continued: tuple[int, ...] = ()) -> Strands:
     """Works out the constants of a member.
 
     Args:
         parts: Of rods.
         per_element: Contact points per element.
+        continued: Last segments of rods that go on in another rod.
     """
     assert parts.rest_lengths is not None and parts.radii is not None
     count, n = parts.count, parts.n_elements
@@ -219,6 +240,11 @@ class StrandLoads:
     turning_segments: Vec3 | None = None
     """Couples on segments [N m]."""
 
+    @classmethod
+    def on_segments(cls, firsts: Vec3, nexts: Vec3, turns: Vec3 | None) -> StrandLoads:
+        """Of segments alone: on their nodes, and couples on them."""
+        return cls(on_firsts=firsts, on_nexts=nexts, turning_segments=turns)
+
     def added(self, more: StrandLoads) -> StrandLoads:
         """Sum of both, of which parts may be missing."""
         return StrandLoads(
@@ -238,8 +264,9 @@ def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
 
 def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
     """The loads on nodes and elements."""
-    assert loads.on_points is not None
     assert loads.on_firsts is not None and loads.on_nexts is not None
+    if loads.on_points is None:
+        return _of_segments(strand, seen, loads)
     x, y, z = (
         strand.to_nodes(at, first, following)
         for at, first, following in zip(
@@ -253,3 +280,16 @@ def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
     )
     frame = directors(seen.motion.orientation)
     return Loads((x, y, z), to_material(frame, couples))
+
+
+def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
+    """The loads on nodes and elements, where there are none on points."""
+    assert loads.on_firsts is not None and loads.on_nexts is not None
+    x, y, z = (
+        strand.from_segments(first, following)
+        for first, following in zip(loads.on_firsts, loads.on_nexts, strict=True)
+    )
+    if loads.turning_segments is None:
+        return Loads((x, y, z))
+    frame = directors(seen.motion.orientation)
+    return Loads((x, y, z), to_material(frame, loads.turning_segments))

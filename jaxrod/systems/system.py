@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
+from jaxrod.composite import Composite, Stepper
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.scene import Composite, Scene, Stepper
+from jaxrod.scene import Scene
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import (
     Assembly,
@@ -23,14 +23,17 @@ from jaxrod.systems.assembly import (
     member_shapes,
 )
 from jaxrod.systems.attachments import Attachment
+from jaxrod.systems.body_effects import check_body_effects, in_type
 from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.energies import (
+    seen_at_rest,
     system_angular_momentum,
     system_kinetic_energy,
     system_momentum,
     system_potential_energy,
 )
 from jaxrod.systems.health import SystemHealth, system_health
+from jaxrod.systems.neighbour_lists import RECORD
 from jaxrod.systems.rigid_bodies import RigidBodies
 from jaxrod.systems.runs import (
     check_system_run,
@@ -78,7 +81,16 @@ class System(Assembly, Composite):
     ) -> SystemHealth:
         """Flags and what is behind them."""
         check_system_state(self, state)
+        self.check_moment()
         return system_health(self, state, dt, limits=limits)
+
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+        if self.depends_on_time:
+            raise ValueError(
+                "this asks about one moment, but a number of an effect or a coupling "
+                "is a schedule: give system.at(time)"
+            )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
         """Of all members [J]."""
@@ -88,6 +100,7 @@ class System(Assembly, Composite):
     def potential_energy(self, state: Any) -> Float[Array, ""]:
         """Of all members and couplings [J]."""
         check_system_state(self, state)
+        self.check_moment()
         return system_potential_energy(self, state)
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
@@ -115,8 +128,8 @@ def make_system(
         state: A state of the system, if what is attached is to be checked against it.
 
     Raises:
-        ValueError: If a coupling does not fit the members, types differ, or a member's
-            method has no steps in a system.
+        ValueError: If a coupling does not fit the members, types differ, a member's
+            method has no steps in a system, or an effect does not act on rigid bodies.
         TypeError: If a member or a coupling is something else.
     """
     if not isinstance(members, Mapping) or not members:
@@ -128,7 +141,8 @@ def make_system(
     others = [c for c in listed if not isinstance(c, Tie)]
     # Ties come last: they have the final word on velocities.
     ordered = (*others, ties) if ties is not None else tuple(others)
-    system = System(dict(members), ordered)
+    kept = {name: _with_own_types(member) for name, member in members.items()}
+    system = System(kept, ordered)
     types = {name: System({name: member}).dtype for name, member in members.items()}
     if len(set(types.values())) > 1:
         raise ValueError(
@@ -142,7 +156,9 @@ def make_system(
         coupling.check(parts)
     tied = () if ties is None else ties.pairs
     fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
-    couplings_in_type = jax.tree.map(_in_type(system.dtype), fitted)
+    if any(coupling.refresh_every is not None for coupling in fitted):
+        fitted = _sized(system, fitted, state)
+    couplings_in_type = jax.tree.map(in_type(system.dtype), fitted)
     _check_followers(ordered)
     return replace(
         system, couplings=couplings_in_type, shapes=member_shapes(system.members)
@@ -165,6 +181,7 @@ def _check_member(name: Any, member: Any) -> None:
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
     if isinstance(member, RigidBodies):
+        check_body_effects(name, member)
         return
     if not isinstance(member, Scene):
         raise TypeError(
@@ -176,6 +193,44 @@ def _check_member(name: Any, member: Any) -> None:
             f"member {name!r} steps with {type(member.method).__name__}, which has no "
             "steps in a system: use consistent() or pyelastica()"
         )
+
+
+def _with_own_types(member: Member) -> Member:
+    """Bodies with the numbers of their effects in their own type."""
+    if not isinstance(member, RigidBodies):
+        return member
+    cast = in_type(member.masses.dtype)
+    return replace(member, effects=jax.tree.map(cast, member.effects))
+
+
+def _sized(
+    system: System, couplings: tuple[Coupling, ...], state: SystemState | None
+) -> tuple[Coupling, ...]:
+    """Couplings with room for their neighbours, counted in a state."""
+    if RECORD in system.members:
+        raise ValueError(
+            f"no member can be called {RECORD!r}: a state has its record of lists there"
+        )
+    if state is None:
+        sizes = [c for c in couplings if c.refresh_every is not None and not c.is_sized]
+        if sizes:
+            raise ValueError(
+                "lists of neighbours need pairs, candidates and cell_slots from "
+                "neighbour_lists, or make_system a state in which to count them"
+            )
+        return couplings
+    # As the lists would be, without them: nothing is looked for yet.
+    plain = replace(system, couplings=())
+    seen, _ = seen_at_rest(plain, state)
+    parts = system.parts()
+    return tuple(
+        c if c.refresh_every is None else _with_room(c, parts, seen) for c in couplings
+    )
+
+
+def _with_room(coupling: Coupling, parts: Any, seen: Any) -> Coupling:
+    ready: Any = coupling.prepared(parts)
+    return replace(coupling, lists=ready.sized(seen).lists)  # type: ignore[type-var]
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:
@@ -203,12 +258,3 @@ def _check_followers(couplings: Sequence[Coupling]) -> None:
                             f"{followers[key]!r}: attach all tied nodes to the body "
                             "instead"
                         )
-
-
-def _in_type(dtype: Any) -> Any:
-    def cast(leaf: Any) -> Array:
-        array = jnp.asarray(leaf)
-        inexact = jnp.issubdtype(array.dtype, jnp.floating)
-        return array.astype(dtype) if inexact else array
-
-    return cast

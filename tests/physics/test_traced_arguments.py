@@ -264,6 +264,8 @@ FACTORIES = {
     ],
     "body_contact": [{"rod": "rod", "body": "head", **TOUCH}],
     "rod_contact": [{"members": ("one", "two"), **TOUCH}],
+    "crossing_contact": [{"members": ("one", "two"), **TOUCH}],
+    "neighbour_lists": [{"skin": 0.5}],
     "limit_rate": [
         {"applied": (1.0, 2.0), "commanded": (1.5, -3.0), "largest_change": (1.0, 0.5)}
     ],

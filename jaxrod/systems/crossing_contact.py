@@ -1,0 +1,300 @@
+r"""Contact between rods by the crossing law: each crossing counts once.
+
+Over the segments $i$, $j$ of two rods and the nodes between segments
+
+$$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big],$$
+
+$p$ the penetration at the nearest places of two segments, of the next node $v$ or $w$
+of one and the other segment, and of both nodes. Segments less the nodes between them
+count a crossing once, wherever it is and however long segments are for their radius,
+and so smoothly: what a node takes away is what both its segments have there. Rods that
+lie side by side count once too, however long they do: the law is for nests, nets and
+knots of long elements. Forces are those of the energy, exactly, and act at one common
+point of both rods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.contacts.contact_law import energy_density, normal_force
+from jaxrod.effects.base import StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree
+from jaxrod.systems.along_rods import (
+    from_node,
+    rod_and_place,
+    share_of_gap,
+    tied_share,
+)
+from jaxrod.systems.contact_numbers import contact_numbers
+from jaxrod.systems.continued import last_but_continued
+from jaxrod.systems.coupling import AllParts, TiedPair
+from jaxrod.systems.element_pairs import Elements, Pairs
+from jaxrod.systems.neighbour_lists import NeighbourLists
+from jaxrod.systems.neighbour_search import Stretches
+from jaxrod.systems.parts import Parts
+from jaxrod.systems.segment_distance import (
+    Products,
+    between,
+    crossedness,
+    from_products,
+    middles,
+    nearest_places,
+    products,
+)
+from jaxrod.systems.strands import strands
+from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
+from jaxrod.systems.touching_rods import TouchingRods, same_rod
+from jaxrod.validation import Numbers
+
+
+@pytree
+class CrossingContact(TouchingRods):
+    """Contact between all rods of some members; see `crossing_contact`."""
+
+    def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
+        """With what is tied and so does not touch."""
+        fitted: Any = self.with_ties(parts, tied)
+        return fitted
+
+    def prepared(self, parts: AllParts) -> CrossingContact:
+        """With radii and lengths of segments."""
+        made = tuple(
+            strands(parts[name], 1, last_but_continued(name, parts, self.tied))
+            for name in self.members
+        )
+        return replace(self, strands=made)
+
+    def views(self) -> list[tuple[int, int]]:
+        """Every two members once."""
+        count = len(self.members)
+        return [
+            (a, b)
+            for a in range(count)
+            for b in range(a, count)
+            if a != b or self.itself or self.strands[a].count > 1
+        ]
+
+    def bounding_radii(self, a: int) -> Array:
+        """Radii of the elements [m]."""
+        return self.strands[a].radii
+
+    def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
+        """Of one member every two elements once, and what is not near along a rod."""
+        may = None
+        share = self._share(a, b, own.elements, other.elements)
+        if share is not None:
+            may = share > 0
+        if a == b:
+            once = own.numbers < other.numbers
+            may = once if may is None else may & once
+        return may
+
+    def _share(self, a: int, b: int, own: Elements, other: Elements) -> Array | None:
+        """Share that counts of pairs of elements; `None`: all of it."""
+        share: Array | None = None
+        if a == b:
+            same = same_rod(own, other)
+            near = jnp.zeros_like(own.radii + other.radii)
+            if self.itself:
+                assert own.starts is not None and other.starts is not None
+                assert own.rest_lengths is not None
+                assert other.rest_lengths is not None
+                gap = jnp.maximum(own.starts - other.ends, other.starts - own.ends)
+                length = 0.5 * (own.rest_lengths + other.rest_lengths)
+                near = share_of_gap(gap, 0.5 * (own.radii + other.radii), length)
+            share = jnp.where(same, near, 1)
+        for one, i, two, j in self.tied:
+            if (one, two) == (self.members[a], self.members[b]):
+                tied = self._tied(a, b, (i, j), own, other)
+                share = tied if share is None else share * tied
+        return share
+
+    def _tied(
+        self, a: int, b: int, nodes: tuple[int, int], own: Elements, other: Elements
+    ) -> Array:
+        assert own.starts is not None and other.starts is not None
+        assert own.rest_lengths is not None and other.rest_lengths is not None
+        rod, place = rod_and_place(self.strands[a], nodes[0])
+        fellow, mark = rod_and_place(self.strands[b], nodes[1])
+        assert own.rods is not None and other.rods is not None
+        return tied_share(
+            (
+                from_node(own.starts, own.ends, place),
+                from_node(other.starts, other.ends, mark),
+            ),
+            jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow),
+            (own.radii, other.radii),
+            0.5 * (own.rest_lengths + other.rest_lengths),
+        )
+
+    def _weights(self, a: int, b: int, pairs: Pairs) -> Array:
+        """What pairs count [1]."""
+        own, other = pairs.own, pairs.other
+        share = self._share(a, b, own, other)
+        if pairs.listed is not None:
+            # Lists hold every two elements once.
+            there = pairs.listed.there.astype(own.radii.dtype)
+            return there if share is None else jnp.where(pairs.listed.there, share, 0)
+        ones = jnp.ones_like(own.radii + other.radii)
+        share = ones if share is None else share
+        if a != b:
+            return share
+        size = self.strands[a].radii.shape[0]
+        before = jnp.arange(size)[:, None] < jnp.arange(size)[None, :]
+        return jnp.where(before, share, 0)
+
+    def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
+        """Of both segments, of a node and a segment twice, and of both nodes.
+
+        Of segments at their nearest places, and at their middles as far as they are
+        parallel.
+        """
+        own, other = pairs.own, pairs.other
+        lines = vectors.subtract(own.first, other.first), own.edge, other.edge
+        weight = self._weights(a, b, pairs)
+        have = products(*lines)
+        share = crossedness(have)
+        s, t, _ = nearest_places(*lines)
+        one = jnp.ones_like(s)
+        radii = own.radii + 0 * s, other.radii + 0 * s
+        for places, counts in (
+            ((s, t), share * weight),
+            (middles(have), (1 - share) * weight),
+            ((one, have.on_other(1.0)), -own.follows * weight),
+            ((have.on_own(1.0), one), -other.follows * weight),
+            ((one, one), own.follows * other.follows * weight),
+        ):
+            yield touch_at(between(*lines, places), places, counts, radii, self.onset)
+
+    def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
+        """Loads of all touches."""
+        own, other = pairs.own, pairs.other
+        nearest, middle, *nodes = self.touches(a, b, pairs)
+        total = loads_of(nearest, own, other, self.law)
+        for touch in (middle, *nodes):
+            total = total.added(loads_of(touch, own, other, self.law))
+        way, own_edge, other_edge = self._shifting(nearest, middle, pairs)
+        return replace(
+            total,
+            way=vectors.add(total.way, way),
+            own_edge=vectors.add(total.own_edge, own_edge),
+            other_edge=vectors.add(total.other_edge, other_edge),
+        )
+
+    def _shifting(
+        self, nearest: Touch, middle: Touch, pairs: Pairs
+    ) -> tuple[Vec3, Vec3, Vec3]:
+        """What the energy of segments that are nearly parallel changes by besides.
+
+        At the nearest places the distance is stationary: their motion counts for
+        nothing. That of the middles does, and that of the share of each.
+        """
+        own, other = pairs.own, pairs.other
+        lines = vectors.subtract(own.first, other.first), own.edge, other.edge
+        weight = nearest.weight + middle.weight
+        first, second = (
+            energy_density(touch.depth, touch.width, self.stiffness)
+            for touch in (nearest, middle)
+        )
+        push = middle.weight * normal_force(
+            middle.depth, jnp.zeros_like(middle.depth), middle.width, self.stiffness
+        )
+        # All of one shape: slopes are those of each pair, not of an edge in all pairs.
+        shape = jnp.shape(weight)
+        have: Products = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, shape), products(*lines)
+        )
+
+        def changing(have: Products) -> tuple[Array, tuple[Array, Array]]:
+            return crossedness(have), middles(have)
+
+        _, pulled = jax.vjp(changing, have)
+        along = (
+            push * vectors.dot(middle.normal, own.edge),
+            -push * vectors.dot(middle.normal, other.edge),
+        )
+        (slopes,) = pulled((weight * (second - first), along))
+        return from_products(slopes, *lines)
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and drag as if its partners crossed every element at one node.
+
+        The square of what a spring sees of both rods is at most twice the sum of the
+        squares of either; of the four parts of a slip, four times.
+        """
+        return {name: self._bound(parts[name]) for name in self.members}
+
+    def _bound(self, own: Parts) -> StabilityBound:
+        assert own.radii is not None
+        per_rod = jnp.full(own.n_elements + 1, 2.0, self.stiffness.dtype)
+        per_rod = per_rod.at[0].set(1.0).at[-1].set(1.0)
+        crossings = self.partners * jnp.tile(per_rod, own.count)
+        drag, sides, turning = self.damping, 2, None
+        if self.friction_drag is not None:
+            rub = self.friction_drag
+            drag, sides = rub if drag is None else jnp.maximum(drag, rub), 4
+            turning = 4 * self.partners * drag * own.radii**2
+        return StabilityBound(
+            nodes=2 * self.stiffness * crossings,
+            node_drag=None if drag is None else sides * drag * crossings,
+            element_drag=turning,
+        )
+
+
+def crossing_contact(
+    *members: str,
+    stiffness: Numbers,
+    damping: Numbers | None = None,
+    friction: Numbers | None = None,
+    friction_drag: Numbers | None = None,
+    itself: bool = False,
+    onset: Numbers = 0.01,
+    partners: int = 2,
+    lists: NeighbourLists | None = None,
+) -> CrossingContact:
+    """Contact between all rods of the named members, counted once for each crossing.
+
+    For rods that cross, of elements longer than some radii: nests, nets, knots. Rods
+    that lie side by side repel each other as one crossing does, however long they are:
+    for bundles there is `rod_contact`.
+
+    Args:
+        *members: Names of members, one rod each or equal rods together.
+        stiffness: Force per penetration of a crossing [N/m].
+        damping: Force per normal speed [kg/s].
+        friction: Coefficient of Coulomb friction [1].
+        friction_drag: Largest friction per speed of slip [kg/s]; by default as much as
+            `damping`.
+        itself: Whether each rod touches itself too. Of elements nearer to each other
+            along the rod than pi times its radius nothing is seen.
+        onset: Width of the smooth onset of contact over the mean of the radii [1].
+        partners: Rods that may cross one element at the same time, for `stable_dt`.
+        lists: Lists of neighbours, from `neighbour_lists`; by default all pairs of
+            elements are looked at in every step.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If a number is out of range, or friction has no drag.
+        TypeError: If a name is none.
+    """
+    given = contact_numbers(
+        members,
+        stiffness,
+        (damping, friction, friction_drag),
+        onset,
+        partners,
+        lists,
+        units=("N/m", "kg/s"),
+    )
+    return CrossingContact(**given, itself=bool(itself))

@@ -1,0 +1,46 @@
+"""The line law on pairs of elements: points of the one against the other segment.
+
+As `jaxrod.systems.near_segments` has it for rows of all points: here each element of a
+pair has its own points along the axis before, `(points, pairs)`, the next node being
+one more that counts only at the end of a rod.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.structure import pytree
+from jaxrod.systems.element_pairs import Elements
+
+
+@pytree
+class ElementPoints:
+    """Contact points of the elements of pairs."""
+
+    fractions: Array
+    """Where they are on their element [1]."""
+    lengths: Array
+    """Rest length that each stands for [m]."""
+    radii: Array
+    """Radius at each [m]."""
+    places: Array
+    """Rest arc length of each along its rod [m]."""
+
+
+def points_on(own: Elements, per_element: int) -> ElementPoints:
+    """The points of elements with an axis for points before."""
+    assert own.first_radii is not None and own.first_lengths is not None
+    assert own.starts is not None and own.rest_lengths is not None
+    counts = np.arange(per_element + 1).reshape(-1, *[1] * (own.radii.ndim - 1))
+    fractions = jnp.asarray(counts / per_element, own.radii.dtype)
+    spacing = own.rest_lengths / per_element
+    at_end = 0.5 * (1 - own.follows) * spacing
+    within = jnp.where(counts == per_element, at_end, spacing)
+    return ElementPoints(
+        fractions=fractions,
+        lengths=jnp.where(counts == 0, own.first_lengths, within),
+        radii=jnp.where(counts == 0, own.first_radii, own.radii),
+        places=own.starts + fractions * own.rest_lengths,
+    )

@@ -1,0 +1,90 @@
+"""How many neighbours there are in a state, and how many lists have room for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.neighbour_lists import NeighbourLists, with_spare
+from jaxrod.systems.system import System
+from jaxrod.systems.touching_rods import TouchingRods
+from jaxrod.validation import check_kind, is_traced
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Neighbours in a state, of one coupling: list by list."""
+
+    members: tuple[tuple[str, str], ...]
+    """Members whose elements each list pairs."""
+    pairs: tuple[int, ...]
+    """Pairs of elements on each."""
+    candidates: tuple[int, ...]
+    """Pairs whose distance was worked out for that."""
+    in_cells: int
+    """Most elements in three neighbouring cells; 0 without a grid."""
+    occupancy: float
+    """Largest share of the room there is that this takes; infinite without any [1]."""
+    suggested: NeighbourLists
+    """Lists with half as much room again as this state needs."""
+
+
+def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
+    """Counts what lists of neighbours hold in a concrete state.
+
+    Args:
+        system: The system.
+        state: A state of it: the densest it will see is the one to size lists for.
+
+    Returns:
+        For every coupling with lists, in their order in the system.
+
+    Raises:
+        ValueError: If a value is traced.
+    """
+    check_kind("system", system, System)
+    if is_traced(system, state):
+        raise ValueError("neighbours are counted in concrete states, got a traced one")
+    seen, _ = seen_at_rest(replace(system, couplings=()), state)
+    parts = system.parts()
+    return tuple(
+        _counted(coupling.prepared(parts), seen)
+        for coupling in system.couplings
+        if isinstance(coupling, TouchingRods) and coupling.lists is not None
+    )
+
+
+def _counted(coupling: Any, seen: Any) -> Neighbours:
+    given: NeighbourLists = coupling.lists
+    # All pairs stay all pairs; a grid stays a grid.
+    cells = 0 if given.cell_slots == 0 else None
+    bare = replace(given, pairs=None, candidates=None, cell_slots=cells)
+    empty = replace(coupling, lists=bare)
+    need: Any = empty.needed(seen, lambda count: max(1, int(count)))
+    views = coupling.views()
+    share = math.inf
+    if given.is_sized:
+        share = max(
+            count / room
+            for field in ("pairs", "candidates", "cell_slots")
+            for count, room in zip(
+                _each(getattr(need, field), views),
+                _each(getattr(given, field), views),
+                strict=True,
+            )
+            if room
+        )
+    return Neighbours(
+        members=tuple((coupling.members[a], coupling.members[b]) for a, b in views),
+        pairs=need.pairs,
+        candidates=need.candidates,
+        in_cells=need.cell_slots,
+        occupancy=share,
+        suggested=empty.needed(seen, with_spare),
+    )
+
+
+def _each(value: Any, views: list[tuple[int, int]]) -> tuple[int, ...]:
+    return value if isinstance(value, tuple) else (value,) * len(views)

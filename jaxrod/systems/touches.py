@@ -1,0 +1,191 @@
+"""Places where two elements touch, what they do there, and sums over them.
+
+Force and reaction act at one common point of both, half a penetration deep: momentum
+and angular momentum are exact, with damping and friction too, and friction turns both.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree
+from jaxrod.systems.element_pairs import Elements
+
+ROUNDED = 1e-7
+"""Share of the radii within which distances are rounded off [1]."""
+
+
+@pytree
+class Touch:
+    """Places on pairs of elements, and how deep they are in each other there."""
+
+    own_fraction: Array
+    """Where on the one element, over its length [1]."""
+    other_fraction: Array
+    """Where on the other [1]."""
+    normal: Vec3
+    """Unit vectors from the other to the one."""
+    weight: Array
+    """What the touch counts: a length in the line law [m], else a number [1]; negative
+    for what is taken away."""
+    depth: Array
+    """Penetration [m]."""
+    width: Array
+    """Width of the onset of contact [m]."""
+    own_radius: Array
+    """Of the one [m]."""
+    other_radius: Array
+    """Of the other [m]."""
+
+    @property
+    def arms(self) -> tuple[Vec3, Vec3]:
+        """From both axes to their common point [m]."""
+        overlap = 0.5 * self.depth
+        return (
+            vectors.scale(overlap - self.own_radius, self.normal),
+            vectors.scale(self.other_radius - overlap, self.normal),
+        )
+
+
+@pytree
+class Law:
+    """Numbers of the law of contact: per length of contact, or per crossing."""
+
+    stiffness: Array
+    """Force per penetration [N/m^2] or [N/m]."""
+    damping: Array | None
+    """Force per normal speed [kg/(m s)] or [kg/s]."""
+    friction: Array | None
+    """Coefficient of friction [1]."""
+    friction_drag: Array | None
+    """Largest friction per speed of slip [kg/(m s)] or [kg/s]."""
+
+    def energy(self, touch: Touch) -> Array:
+        """Of each touch [J]."""
+        density = energy_density(touch.depth, touch.width, self.stiffness)
+        return touch.weight * density
+
+
+@pytree
+class PairLoads:
+    """What elements of pairs do to each other, by what they differ in.
+
+    Conjugate to the way between the first nodes and to both edges: the one gets the
+    force at its first node, the other the opposite.
+    """
+
+    way: Vec3
+    """Force on the one, at its first node [N]."""
+    own_edge: Vec3
+    """What of it is at the next node instead [N]."""
+    other_edge: Vec3
+    """What the other gets at its next node [N]."""
+    own_turn: Vec3 | None = None
+    """Couple on the one [N m]."""
+    other_turn: Vec3 | None = None
+    """Couple on the other [N m]."""
+
+    def added(self, more: PairLoads) -> PairLoads:
+        """Sum of both, of one kind."""
+        return PairLoads(
+            vectors.add(self.way, more.way),
+            vectors.add(self.own_edge, more.own_edge),
+            vectors.add(self.other_edge, more.other_edge),
+            _added(self.own_turn, more.own_turn),
+            _added(self.other_turn, more.other_turn),
+        )
+
+    @property
+    def on_own(self) -> tuple[Vec3, Vec3, Vec3 | None]:
+        """On first nodes, next nodes and sections of the one."""
+        return vectors.subtract(self.way, self.own_edge), self.own_edge, self.own_turn
+
+    @property
+    def on_other(self) -> tuple[Vec3, Vec3, Vec3 | None]:
+        """On first nodes, next nodes and sections of the other."""
+        first = vectors.scale(-1.0, vectors.add(self.way, self.other_edge))
+        return first, self.other_edge, self.other_turn
+
+
+def touch_at(
+    way: Vec3,
+    fractions: tuple[Array, Array],
+    weight: Array,
+    radii: tuple[Array, Array],
+    onset: Array,
+) -> Touch:
+    """The touch of two places.
+
+    Args:
+        way: From the place on the other element to that on the one [m].
+        fractions: Where they are on both, own first [1].
+        weight: What it counts.
+        radii: Of both, own first [m].
+        onset: Width of the onset over the mean of the radii [1].
+    """
+    together = radii[0] + radii[1]
+    rounded = (ROUNDED * together) * (ROUNDED * together)
+    distance = jnp.sqrt(vectors.dot(way, way) + rounded)
+    return Touch(
+        own_fraction=fractions[0],
+        other_fraction=fractions[1],
+        normal=vectors.scale(1 / distance, way),
+        weight=weight,
+        depth=together - distance,
+        width=0.5 * onset * together,
+        own_radius=radii[0],
+        other_radius=radii[1],
+    )
+
+
+def loads_of(touch: Touch, own: Elements, other: Elements, law: Law) -> PairLoads:
+    """Normal force, dashpot and friction at a touch, times what it counts."""
+    rate: Vec3 | None = None
+    leaving = jnp.zeros_like(touch.depth)
+    if law.damping is not None or law.friction is not None:
+        rate = vectors.subtract(
+            _rate(own, touch.own_fraction), _rate(other, touch.other_fraction)
+        )
+        leaving = vectors.dot(rate, touch.normal)
+    push = normal_force(touch.depth, leaving, touch.width, law.stiffness, law.damping)
+    force = vectors.scale(push, touch.normal)
+    own_turn: Vec3 | None = None
+    other_turn: Vec3 | None = None
+    if law.friction is not None:
+        assert law.friction_drag is not None and rate is not None
+        assert own.spin is not None and other.spin is not None
+        arms = touch.arms
+        slip = vectors.subtract(rate, vectors.scale(leaving, touch.normal))
+        slip = vectors.add(slip, vectors.cross(own.spin, arms[0]))
+        slip = vectors.subtract(slip, vectors.cross(other.spin, arms[1]))
+        rub = friction_force(push, slip, law.friction, law.friction_drag)
+        rub = vectors.scale(touch.weight, rub)
+        own_turn = vectors.cross(arms[0], rub)
+        other_turn = vectors.cross(rub, arms[1])
+        force = vectors.add(vectors.scale(touch.weight, force), rub)
+    else:
+        force = vectors.scale(touch.weight, force)
+    return PairLoads(
+        way=force,
+        own_edge=vectors.scale(touch.own_fraction, force),
+        other_edge=vectors.scale(-touch.other_fraction, force),
+        own_turn=own_turn,
+        other_turn=other_turn,
+    )
+
+
+def _rate(elements: Elements, fraction: Array) -> Vec3:
+    """Velocity of a place on elements [m/s]."""
+    assert elements.first_velocity is not None
+    assert elements.velocity_change is not None
+    return vectors.add(
+        elements.first_velocity, vectors.scale(fraction, elements.velocity_change)
+    )
+
+
+def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
+    return None if a is None or b is None else vectors.add(a, b)

@@ -1,0 +1,26 @@
+"""The nest of the examples: rods settle on each other and stay in the cylinder."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxrod
+from examples.loading import load
+
+
+@pytest.mark.slow
+def test_rods_settle_in_the_cylinder_and_no_contact_is_missed():
+    with jax.enable_x64(True):
+        example = load("nest")
+        system, state, dt = example.nest(30)
+        after = jaxrod.advance(system, state, dt, 600)
+        health = jaxrod.health(system, after, dt)
+        assert not health.overflow and not health.stale and not health.flagged
+        assert float(after["neighbours"].used) > 100
+        x, y, z = np.moveaxis(np.asarray(after["rods"].positions), 1, 0)
+        assert np.min(z) > 0.5 * example.RADIUS
+        assert np.max(np.hypot(x, y)) < example.WALL
+        # It fell, by less than a layer: the second layer carries the third.
+        drop = np.asarray(state["rods"].positions)[:, 2].mean() - z.mean()
+        assert 0 < drop < 4 * example.RADIUS
+        assert np.mean(z[20:]) > np.mean(z[:10]) + 2 * example.RADIUS

@@ -1,0 +1,227 @@
+"""Contact between rods by the crossing law: counted once, conservative, smooth."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.systems.energies import seen_at_rest
+from systems.members import rod
+
+STIFFNESS, RADIUS = 1e3, 0.02
+
+
+def crossing(a, b, **law):
+    """A system of two rods with contact by the crossing law, and its state."""
+    (one, of_one), (two, of_two) = a, b
+    system = jaxrod.make_system(
+        {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)},
+        jaxrod.crossing_contact("one", "two", stiffness=STIFFNESS, **law),
+    )
+    return system, {"one": of_one, "two": of_two}
+
+
+@jax.jit
+def loads_and_slopes(system, state):
+    """Loads of the contact, its energy and the gradient of that."""
+
+    def energy(positions):
+        moved = {k: replace(state[k], positions=positions[k]) for k in state}
+        seen, (contact,) = seen_at_rest(system, moved)
+        return contact.energy(seen)
+
+    positions = {name: own.positions for name, own in state.items()}
+    seen, (contact,) = seen_at_rest(system, state)
+    return contact.loads(seen), *jax.value_and_grad(energy)(positions)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [1, 2, 8])
+def test_a_crossing_is_counted_once_wherever_it_is(length, record):
+    """Sliding along three elements, of any length for their radius."""
+    element = length * RADIUS
+    gap, angle = 0.9 * 2 * RADIUS, np.deg2rad(80)
+    way = np.array((np.cos(angle), np.sin(angle), 0.0))
+    energies = []
+    for shift in np.linspace(0, 3 * element, 31):
+        middle = np.array((3 * element + shift, 0.0, gap))
+        system, state = crossing(
+            rod(10, 10 * element),
+            rod(9, 9 * element, tuple(middle - 4.3 * element * way), tuple(way)),
+        )
+        energies.append(float(loads_and_slopes(system, state)[1]))
+    # The smooth onset adds what does not depend on depth, a width squared over 24.
+    width = 0.01 * RADIUS
+    expected = 0.5 * STIFFNESS * (0.2 * RADIUS) ** 2 + STIFFNESS * width**2 / 24
+    record(
+        f"crossing law, energy along 3 elements of {length} radii: ripple",
+        "one spring",
+        np.max(np.abs(np.array(energies) / expected - 1)),
+        at_most=1e-12,
+    )
+
+
+@pytest.mark.slow
+def test_loads_are_minus_the_gradient_of_the_energy(record):
+    """At all angles: crossed, nearly parallel, parallel."""
+    random = np.random.default_rng(0)
+    worst, most = 0.0, 0.0
+    for angle in (1.5, 0.3, 0.09, 0.05, 0.02, 0.003, 0.0):
+        for _ in range(3):
+            start = (random.uniform(0, 0.15), random.uniform(-0.01, 0.01), 0.037)
+            way = (np.cos(angle), np.sin(angle), 0.0)
+            system, state = crossing(rod(5, 0.5), rod(4, 0.4, start, way))
+            loads, _, slopes = loads_and_slopes(system, state)
+            for name, own in loads.items():
+                error = np.max(np.abs(np.stack(own.forces) + slopes[name]))
+                worst = max(worst, error)
+                most = max(most, float(np.max(np.abs(slopes[name]))))
+    assert most > 1
+    record(
+        "crossing law, forces at angles from 90 degrees to parallel",
+        "gradient of the energy",
+        worst / most,
+        at_most=1e-12,
+    )
+
+
+@pytest.mark.slow
+def test_collision_keeps_momenta(record):
+    """Two rods that spin collide off their middles, with damping and friction."""
+    one, of_one = rod(4, 0.4)
+    two, of_two = rod(3, 0.3, (0.12, -0.2, 0.041), (0.3, 1, 0.1))
+    of_two = replace(of_two, velocities=of_two.velocities.at[2].set(-0.5))
+    spin = np.zeros((3, 3))
+    spin[2] = 20.0
+    of_two = jaxrod.with_angular_velocities(two, of_two, spin)
+    system, state = crossing((one, of_one), (two, of_two), damping=0.5, friction=0.4)
+    dt = 0.5 * jaxrod.stable_dt(system).dt
+    after = jaxrod.advance(system, state, dt, 400)
+    assert np.max(np.abs(after["one"].velocities)) > 0.01
+    size = float(np.sum(two.node_masses)) * 0.5
+    for function, unit, bar in (
+        (jaxrod.momentum, size, 1e-13),
+        (jaxrod.angular_momentum, 0.3 * size, 1e-13),
+    ):
+        change = np.linalg.norm(function(system, after) - function(system, state))
+        record(
+            "crossing law, collision with friction and damping",
+            function.__name__.replace("_", " "),
+            change / unit,
+            at_most=bar,
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("place", "way"),
+    [
+        ((0.12, -0.12, 0.037), (0, 1, 0)),
+        ((0.03, 0.0, 0.036), (1, 0, 0)),
+        ((0.03, -0.003, 0.036), (1, 0.05, 0)),
+        ((0.12, -0.12, 0.0), (0, 1, 0)),
+        ((0.12, -0.12, 0.0401), (0, 1, 0)),
+    ],
+    ids=["crossing", "parallel", "nearly parallel", "coincident", "onset"],
+)
+def test_gradient_of_a_run(place, way, record):
+    """Through a rod's fall on another with friction, against central differences."""
+    one, of_one = rod(3, 0.3)
+    two, of_two = rod(3, 0.3, place, way)
+    system, state = crossing((one, of_one), (two, of_two), damping=0.5, friction=0.3)
+    dt = 0.3 * jaxrod.stable_dt(system).dt
+    direction = jnp.array((0.3, 0.2, -1.0))[:, None]
+    weights = jax.random.normal(jax.random.key(0), (3, 4))
+
+    @jax.jit
+    def ended(speed):
+        moved = {**state}
+        moved["two"] = replace(of_two, velocities=of_two.velocities + speed * direction)
+        after = jaxrod.advance(system, moved, dt, 20)
+        return jnp.sum(weights * after["one"].velocities)
+
+    slope = float(jax.jit(jax.grad(ended))(0.2))
+    h = 1e-6
+    difference = float((ended(0.2 + h) - ended(0.2 - h)) / (2 * h))
+    assert np.isfinite(slope)
+    record(
+        "crossing law, gradient of 20 steps",
+        "central differences",
+        abs(slope - difference) / (abs(difference) + 1e-3),
+        at_most=1e-6,
+    )
+
+
+@pytest.mark.slow
+def test_stable_at_the_bound_and_not_far_above():
+    """Stiff contact of a node on a node: the bound is safe, and within a factor."""
+    one, of_one = rod(2, 0.2)
+    two, of_two = rod(2, 0.2, (0.1, -0.1, 0.036), (0, 1, 0))
+    system, state = crossing((one, of_one), (two, of_two))
+    stiff = replace(system.couplings[0], stiffness=jnp.asarray(1e6), partners=1)
+    system = replace(system, couplings=(stiff,))
+    dt, start = jaxrod.stable_dt(system).dt, jaxrod.total_energy(system, state)
+    held = jaxrod.advance(system, state, dt, 300)
+    assert jaxrod.total_energy(system, held) < 1.2 * start
+    with pytest.warns(jaxrod.UnstableStepWarning):
+        gone = jaxrod.advance(system, state, 4 * dt, 300)
+    assert not jaxrod.total_energy(system, gone) < 10 * start
+
+
+@pytest.mark.slow
+def test_order_of_members_and_couplings_does_not_matter():
+    """Three rods in a heap: the same to rounding in any order."""
+    rods = {
+        "a": rod(4, 0.4),
+        "b": rod(3, 0.3, (0.12, -0.15, 0.037), (0, 1, 0.01)),
+        "c": rod(5, 0.4, (0.0, 0.04, 0.02), (1, 0.03, 0.1)),
+    }
+    state = {name: own for name, (_, own) in rods.items()}
+    state["b"] = replace(state["b"], velocities=state["b"].velocities - 0.2)
+    law = {"stiffness": STIFFNESS, "damping": 0.3, "friction": 0.3}
+    lines = law | {"stiffness": 20 * STIFFNESS, "points_per_element": 3}
+    system = jaxrod.make_system(
+        {name: jaxrod.make_scene(rods[name][0]) for name in "abc"},
+        jaxrod.crossing_contact("a", "b", **law),
+        jaxrod.rod_contact("a", "c", **lines),
+    )
+    turned = jaxrod.make_system(
+        {name: jaxrod.make_scene(rods[name][0]) for name in "cba"},
+        jaxrod.rod_contact("c", "a", **lines),
+        jaxrod.crossing_contact("b", "a", **law),
+    )
+    dt = 0.3 * jaxrod.stable_dt(system).dt
+    ends = [jaxrod.advance(one, state, dt, 100) for one in (system, turned)]
+    assert np.max(np.abs(ends[0]["a"].velocities)) > 0.01
+    for name in rods:
+        np.testing.assert_allclose(
+            ends[0][name].velocities, ends[1][name].velocities, rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize(
+    ("members", "options", "words"),
+    [
+        (("one", "none"), {}, "no member is called 'none'"),
+        (("one",), {}, "nothing to touch but itself"),
+        (("one", "one"), {}, "named once"),
+        (("one", "two"), {"friction": 0.2}, "friction_drag"),
+        (("one", "two"), {"stiffness": -1.0}, "stiffness must be positive"),
+        (("one", "ball"), {}, "is rigid"),
+        (("one", "two"), {"lists": jaxrod.neighbour_lists()}, "make_system a state"),
+    ],
+)
+def test_bad_input(members, options, words):
+    one, _ = rod(4, 0.3)
+    ball, _ = jaxrod.rigid_body(
+        jaxrod.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
+    )
+    scene = jaxrod.make_scene(one)
+    with pytest.raises(ValueError, match=words):
+        jaxrod.make_system(
+            {"one": scene, "two": scene, "ball": ball},
+            jaxrod.crossing_contact(*members, **{"stiffness": 1.0} | options),
+        )
