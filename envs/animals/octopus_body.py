@@ -60,6 +60,13 @@ class OctopusBody:
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
     """Limits of health beyond which the octopus is frozen."""
 
+    @property
+    def arms(self) -> Scene:
+        """The arms, with a leading axis."""
+        arms = self.system.members["arms"]
+        assert isinstance(arms, Scene)
+        return arms
+
     def advance(
         self,
         state: SystemState,
@@ -96,10 +103,9 @@ class OctopusBody:
 
     def _with_curvature(self, curvature: Array | Ramp) -> System:
         """The system with muscles."""
-        arms = self.system.members["arms"]
-        assert isinstance(arms, Scene)
         muscles = ActiveShape(curvature=curvature, strain=None)
-        arms = dataclasses.replace(arms, effects=(*arms.effects[:-1], muscles))
+        effects = (*self.arms.effects[:-1], muscles)
+        arms = dataclasses.replace(self.arms, effects=effects)
         members = {**self.system.members, "arms": arms}
         return dataclasses.replace(self.system, members=members)
 
@@ -159,7 +165,10 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
         density=DENSITY,
         effects=(weight, jaxrod.exponential_damping(0.5, 0.5)),
     )
-    rest: dict[str, RodState | jaxrod.BodyState] = {"arms": of_arms, "head": of_head}
+    rest: dict[str, RodState | jaxrod.BodyState] = {
+        "arms": of_arms,
+        "head": of_head,
+    }
     roots = [("arms", k, "start") for k in range(N_ARMS)]
     system = jaxrod.make_system(
         {"arms": arms, "head": head},

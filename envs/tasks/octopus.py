@@ -35,7 +35,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Scene, limit_rate
+from jaxrod import limit_rate
 from jaxrod.envs.animals.octopus_body import (
     HEAD,
     LENGTH,
@@ -186,11 +186,9 @@ class Octopus:
         """The arms and the head."""
         place = state.body["head"].positions[:, 0]
         way = jnp.sum(place[:2] * state.heading)
-        arms = params.body.system.members["arms"]
-        assert isinstance(arms, Scene)
         return Snapshot(
             positions=state.body["arms"].positions,
-            radii=arms.rod.radii,
+            radii=params.body.arms.rod.radii,
             spheres=((place, HEAD),),
             readouts={"way along the heading [m]": way},
             up="z",
