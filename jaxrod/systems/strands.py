@@ -75,10 +75,13 @@ class Strands:
 
     @property
     def is_last(self) -> np.ndarray:
+        """Whether each segment is the last of its rod."""
+        return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)
+
+    @property
+    def is_end(self) -> np.ndarray:
         """Whether each segment is the last of its rod, and no other rod goes on."""
-        segments = np.arange(self.n_elements * self.count)
-        last = segments % self.n_elements == self.n_elements - 1
-        return last & ~np.isin(segments, self.continued)
+        return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
 
     def _rods(self, row: Array) -> Array:
         """A row as one row for each rod."""
