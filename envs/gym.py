@@ -22,21 +22,28 @@ from jaxrod.envs.adapters.gymnasium_vector_env import GymnasiumVectorEnv
 
 __all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "ids"]
 
-TASKS = ("tracking", "reaching", "structured", "unstructured")
-VARIANTS = ("paper", "clean")
+VARIANTS = {
+    "tracking": ("paper", "clean"),
+    "reaching": ("paper", "clean"),
+    "structured": ("paper", "clean"),
+    "unstructured": ("paper", "clean"),
+    "snake": ("clean",),
+    "octopus": ("clean",),
+}
+"""The tasks, and what variants each has."""
 
 
 def ids() -> tuple[str, ...]:
     """Returns the ids that are registered."""
-    return tuple(_id(task, variant) for task in TASKS for variant in VARIANTS)
+    return tuple(_id(task, variant) for task in VARIANTS for variant in VARIANTS[task])
 
 
 def _id(task: str, variant: str) -> str:
     return f"jaxrod/{task}-{variant}-v0"
 
 
-for _task in TASKS:
-    for _variant in VARIANTS:
+for _task, _variants in VARIANTS.items():
+    for _variant in _variants:
         gymnasium.register(
             id=_id(_task, _variant),
             entry_point="jaxrod.envs.gym:GymnasiumEnv",

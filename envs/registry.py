@@ -13,7 +13,9 @@ from jaxrod.envs.importing import callable_at, spelt_out
 from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
+    "octopus": "jaxrod.envs.tasks.octopus:octopus",
     "reaching": "jaxrod.envs.tasks.reaching:reaching",
+    "snake": "jaxrod.envs.tasks.snake:snake",
     "structured": "jaxrod.envs.tasks.structured_obstacles:structured_obstacles",
     "tracking": "jaxrod.envs.tasks.tracking:tracking",
     "trivial": "jaxrod.envs.trivial:Trivial",

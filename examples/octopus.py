@@ -5,12 +5,15 @@ on the lower side of each contract; nothing holds the animal, so its momentum st
 zero. Run it with `python examples/octopus.py`.
 """
 
+import gallery
 import jax
 import jax.numpy as jnp
 
 import jaxrod
 
 N_ARMS, N_ELEMENTS, LENGTH, HEAD = 8, 12, 0.2, 0.03  # [1], [1], [m], [m]
+NUMBER = "lengths it drifts in a second with nothing to push against, and none"
+LOOK = {"frame": 44, "azimuth": 25, "elevation": 22}
 
 
 def arm(angle):
@@ -52,7 +55,26 @@ def curl(seconds=1.0):
     return system, jaxrod.advance(system, state, dt, int(seconds / dt)), dt
 
 
+def build():
+    """The animal, its state and the time step."""
+    system, state = octopus()
+    return system, state, float(jaxrod.stable_dt(system).dt)
+
+
+def run(share=1.0):
+    """A replay of a second, the drift of the whole over the length of an arm; none."""
+    system, state, dt = build()
+    every = max(1, int(1.0 / dt / 60))
+    n = int(60 * share) * every
+    states = jaxrod.rollout(system, state, dt, n, every)
+    times = jaxrod.rollout_times(dt, n, every)
+    replay = jaxrod.viz.Replay.from_states(system, states, times, title="Octopus")
+    mass = jnp.sum(system.members["head"].masses)
+    mass += jnp.sum(system.members["arms"].rod.linear_density) * LENGTH / N_ELEMENTS
+    last = jax.tree.map(lambda leaf: leaf[-1], states)
+    speed = jnp.linalg.norm(jaxrod.momentum(system, last)) / mass
+    return replay, float(speed * n * dt / LENGTH), 0.0
+
+
 if __name__ == "__main__":
-    system, state, _ = curl()
-    print("tips below the head by [m]:", -state["arms"].positions[:, 2, -1])
-    print("momentum [kg m/s]:", jaxrod.momentum(system, state))
+    gallery.show(__file__, run, NUMBER, LOOK)

@@ -148,15 +148,19 @@ _NAMES = {
     "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
     "systems.crossing_contact": ("CrossingContact", "crossing_contact"),
+    "systems.glue": ("Glue", "glue"),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
     "systems.neighbour_lists": ("NeighbourLists", "NeighbourRecord", "neighbour_lists"),
     "systems.neighbours": ("Neighbours", "neighbours"),
+    "systems.pose_springs": ("PoseSpring", "pose_spring", "pose_spring_reactions"),
     "systems.rigid_bodies": (
         "BodyState",
         "RigidBodies",
         "rigid_body",
         "stacked_bodies",
     ),
+    "systems.rigid_contact": ("RigidContact", "rigid_contact"),
+    "systems.rings": ("ring",),
     "systems.rod_contact": ("RodContact", "rod_contact"),
     "systems.springs": ("ball_joint", "spring"),
     "systems.system": ("System", "make_system"),
@@ -169,6 +173,7 @@ _NAMES = {
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _SUBMODULES = {
+    "assemblies": "assemblies",
     "envs": "envs",
     "geometry": "geometry",
     "rotations": "geometry.rotations",

@@ -1,5 +1,6 @@
 """What `import jaxrod` offers, for type checkers: the table of `__init__.py`."""
 
+from jaxrod import assemblies as assemblies
 from jaxrod import envs as envs
 from jaxrod import geometry as geometry
 from jaxrod import tradeoff as tradeoff
@@ -174,6 +175,8 @@ from jaxrod.systems.body_contact import body_contact as body_contact
 from jaxrod.systems.coupling import Coupling as Coupling
 from jaxrod.systems.crossing_contact import CrossingContact as CrossingContact
 from jaxrod.systems.crossing_contact import crossing_contact as crossing_contact
+from jaxrod.systems.glue import Glue as Glue
+from jaxrod.systems.glue import glue as glue
 from jaxrod.systems.hinges import hinge_joint as hinge_joint
 from jaxrod.systems.hinges import rigid_joint as rigid_joint
 from jaxrod.systems.neighbour_lists import NeighbourLists as NeighbourLists
@@ -181,10 +184,16 @@ from jaxrod.systems.neighbour_lists import NeighbourRecord as NeighbourRecord
 from jaxrod.systems.neighbour_lists import neighbour_lists as neighbour_lists
 from jaxrod.systems.neighbours import Neighbours as Neighbours
 from jaxrod.systems.neighbours import neighbours as neighbours
+from jaxrod.systems.pose_springs import PoseSpring as PoseSpring
+from jaxrod.systems.pose_springs import pose_spring as pose_spring
+from jaxrod.systems.pose_springs import pose_spring_reactions as pose_spring_reactions
 from jaxrod.systems.rigid_bodies import BodyState as BodyState
 from jaxrod.systems.rigid_bodies import RigidBodies as RigidBodies
 from jaxrod.systems.rigid_bodies import rigid_body as rigid_body
 from jaxrod.systems.rigid_bodies import stacked_bodies as stacked_bodies
+from jaxrod.systems.rigid_contact import RigidContact as RigidContact
+from jaxrod.systems.rigid_contact import rigid_contact as rigid_contact
+from jaxrod.systems.rings import ring as ring
 from jaxrod.systems.rod_contact import RodContact as RodContact
 from jaxrod.systems.rod_contact import rod_contact as rod_contact
 from jaxrod.systems.springs import ball_joint as ball_joint

@@ -1,5 +1,7 @@
 """Shared test set-up: strict JAX, both precisions, and what to skip where."""
 
+import ctypes
+import gc
 import os
 import shutil
 import tempfile
@@ -66,6 +68,30 @@ def precision(request):
     """Turns 64-bit types off in tests marked `default_precision`."""
     with jax.enable_x64(request.node.get_closest_marker("default_precision") is None):
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def memory():
+    """Gives back what compiled programs hold, before there is too much of it."""
+    yield
+    if resident_bytes() > MOST_BYTES:
+        jax.clear_caches()
+        gc.collect()
+        # What the compiler has freed is kept by the C library until it is told.
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+MOST_BYTES = 2e9
+"""Of memory in use at the end of a file of tests."""
+
+
+def resident_bytes() -> int:
+    """Memory that this process has in use; 0 where it cannot be told."""
+    try:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
 
 
 @pytest.fixture(params=["float32", "float64"])

@@ -70,7 +70,7 @@ def smooth_actions(steps, size, amplitude, seed=0):
     )
 
 
-def check_vmap_is_a_loop(env):
+def check_vmap_is_a_loop(env, atol=1e-4):
     """A batch of three does what three do alone, in single precision."""
     params = env.default_params()
     keys = jax.random.split(KEY, 3)
@@ -84,7 +84,7 @@ def check_vmap_is_a_loop(env):
         state = jax.tree.map(lambda leaf, i=i: leaf[i], states)
         single = step(keys[i], state, actions[i], params)
         for a, b in zip(jax.tree.leaves(single), jax.tree.leaves(batch), strict=True):
-            np.testing.assert_allclose(a, b[i], rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(a, b[i], rtol=1e-4, atol=atol)
             assert a.dtype in (jnp.float32, jnp.int32, jnp.bool_)
     # One program serves all actions and all parameters.
     state = jax.tree.map(lambda leaf: leaf[0], states)

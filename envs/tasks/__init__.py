@@ -1,1 +1,1 @@
-"""The four tasks."""
+"""The tasks."""

@@ -160,19 +160,25 @@ def helical_offsets(
     Args:
         rod: The rod.
         radius: Distance from the centreline, one number, or one per node [m].
-        turns: From the start of the rod to its finish, right-handed if above 0.
-        angles: Of each fibre at the start, from d1 towards d2 `(k,)` [rad].
+        turns: From the start of the rod to its finish, right-handed if above 0, at most
+            100 in size.
+        angles: Of each fibre at the start, from d1 towards d2, at most 1000 in size
+            `(k,)` [rad].
 
     Raises:
-        ValueError: If an argument is of the wrong shape or not finite.
+        ValueError: If an argument is of the wrong shape or out of range.
     """
     kind = rod.rest_lengths.dtype
     places = node_places(rod)
     wide = as_array(
         "radius", radius, "m", [(), places.shape], non_negative=True, dtype=kind
     )
-    whole = as_array("turns", turns, "", dtype=kind)
+    whole = numeric("turns", turns)
+    # More of them are lost in single precision.
+    as_array("size of turns", abs(whole), "", at_most=100.0)
+    whole = as_array("turns", whole, "", dtype=kind)
     first = numeric("angles", angles, "rad")
+    as_array("size of angles", abs(first), "rad", [(first.size,)], at_most=1000.0)
     first = as_array("angles", first, "rad", [(first.size,)], dtype=kind)
     share = jnp.asarray(places / places[-1], kind)
     angle = first[:, None] + 2 * jnp.pi * (whole * share)[None, :]

@@ -207,7 +207,7 @@ def travelling_wave(
         amplitudes=_amplitudes(amplitude, from_head / places[-1], kind),
         phases=start - jnp.asarray(from_head, kind) / length,
         period=as_array("period", period, "s", positive=True, dtype=kind),
-        ramp_up=_ramp_up(ramp_up, kind),
+        ramp_up=_ramp_up("ramp_up", ramp_up, kind),
     )
     direction = jnp.asarray(unit_vector("axis", axis), kind)
     return TravellingWave(wave, direction, walls_of(into))
@@ -254,7 +254,7 @@ def muscle_torques(
         amplitudes=_amplitudes(amplitude, shares, kind),
         phases=(shift - number * jnp.asarray(shares, kind)) / (2 * jnp.pi),
         period=as_array("period", period, "s", positive=True, dtype=kind),
-        ramp_up=_ramp_up(ramp_up_time, kind),
+        ramp_up=_ramp_up("ramp_up_time", ramp_up_time, kind),
     )
     return WorldWave(wave, as_array("direction", direction, "", [(3,)], dtype=kind))
 
@@ -275,7 +275,7 @@ def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
     return jnp.asarray(xp.sum(basis * given[None, :], axis=1), kind)
 
 
-def _ramp_up(ramp_up: Numbers | None, kind: Any) -> Array | None:
+def _ramp_up(name: str, ramp_up: Numbers | None, kind: Any) -> Array | None:
     if ramp_up is None:
         return None
-    return as_array("ramp_up", ramp_up, "s", positive=True, dtype=kind)
+    return as_array(name, ramp_up, "s", positive=True, dtype=kind)

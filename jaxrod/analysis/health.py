@@ -29,13 +29,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxrod.analysis.energy_balance import energy_balance
+from jaxrod.composite import Composite
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState, check_size
 from jaxrod.scene import (
-    Composite,
     Model,
     Scene,
     check_memory,

@@ -46,11 +46,12 @@ from jaxrod.analysis.frequency import (
     fastest_vibration,
     no_damping,
 )
+from jaxrod.composite import Composite
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.methods.drag_kick import without_drag
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Composite, Model, Scene, check_scene, damping_rates, scene_of
+from jaxrod.scene import Model, Scene, check_scene, damping_rates, scene_of
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array
 

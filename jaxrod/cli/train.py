@@ -2,8 +2,9 @@
 
 TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
-nest) or `trivial` (solved in seconds, to try things out). Their variants are `paper`,
-whose scores compare with the published ones, and `clean`. Or it is one of your own:
+nest), `snake` or `octopus` (they crawl along a heading) or `trivial` (solved in
+seconds, to try things out). The arms' variants are `paper`, whose scores compare with
+the published ones, and `clean`; the animals are `clean`. Or it is one of your own:
 `mypackage.mymodule:make_task` or `folder/file.py:make_task` names what makes it, and
 modules are looked for in the current folder, too (docs/extending.md).
 
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="an option of the task, such as n_elements=20; may be given several times",
     )
-    parser.add_argument("--variant", help="paper or clean (default: paper)")
+    parser.add_argument("--variant", help="paper or clean (default: the first it has)")
     parser.add_argument(
         "--controls",
         type=int,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,8 +21,8 @@ from jaxrod.effects.nodes import (
     force_at,
     own_couple,
 )
-from jaxrod.effects.paths import Path, Placed, Turned, Turning
-from jaxrod.effects.time import Schedule, as_timed
+from jaxrod.effects.paths import Path, Placed, Turned, Turning, schedule_of
+from jaxrod.effects.time import Schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.matrices import Matrix
@@ -175,9 +174,9 @@ def driven(
     check_one(state)
     index = 0 if check_end(end) == "start" else -1
     path = Path(
-        state.positions[:, index], _schedule("displacement", displacement, "m", (3,))
+        state.positions[:, index], schedule_of("displacement", displacement, "m", (3,))
     )
-    turn = _schedule("angle", angle, "rad", ())
+    turn = schedule_of("angle", angle, "rad", ())
     if free_to_turn and (axis is not None):
         raise ValueError("an end that is free to turn is not turned about an axis")
     if axis is None and (isinstance(angle, Schedule) or np.any(np.asarray(angle) != 0)):
@@ -188,22 +187,3 @@ def driven(
         along = jnp.asarray(about, state.positions.dtype)
         wall = Turning(state.orientations[:, index], along, turn)
     return Driven(path, wall, end, axes_named(axes))
-
-
-@pytree
-class _Constant(Schedule):
-    """A schedule that stays what it is."""
-
-    value: Array
-
-    def __call__(self, clock: Any) -> Array:
-        return self.value
-
-    @property
-    def largest(self) -> Array:
-        return jnp.abs(self.value)
-
-
-def _schedule(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
-    checked = as_timed(name, value, unit, shape)
-    return checked if isinstance(checked, Schedule) else _Constant(checked)

@@ -33,7 +33,7 @@ from jaxrod.rods.drag import Drag, drag_loads
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
-from jaxrod.validation import Numbers, as_array, check_array, is_traced, numeric
+from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 
 @pytree
@@ -207,14 +207,20 @@ def slender_cylinder(
     thin = as_array("radius", radius, "m", positive=True)
     if not is_traced(long, thin) and not float(long) >= 10 * float(thin):
         raise ValueError(
-            "length must be at least 10 radii for a slender cylinder, got "
-            f"{float(long / thin):.3g}"
+            "length must be at least 10 times radius for a slender cylinder, got "
+            f"{float(long):.3g} m and {float(thin):.3g} m"
         )
     slenderness = jnp.log(long / thin)
+    turning = 4 * jnp.pi * eta * thin**2
+    if not is_traced(turning) and not jnp.finfo(turning.dtype).tiny <= turning:
+        raise ValueError(
+            "radius must not be so small that the drag of turning is lost in "
+            f"{turning.dtype}, got {float(thin):.3g} m"
+        )
     return (
         2 * jnp.pi * eta / (slenderness - 0.807),
         4 * jnp.pi * eta / (slenderness + 0.193),
-        4 * jnp.pi * eta * thin**2,
+        turning,
     )
 
 
@@ -262,5 +268,4 @@ def _coefficient(name: str, value: Numbers, unit: str) -> Array:
         raise ValueError(
             f"{name} must be one number or one per element, got shape {given.shape}"
         )
-    checked = check_array(name, given, [given.shape], unit, non_negative=True)
-    return jnp.asarray(checked, jnp.result_type(float))
+    return as_array(name, given, unit, [given.shape], non_negative=True)

@@ -13,12 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.time import Clock, Schedule
+from jaxrod.effects.time import Clock, Schedule, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     join_quaternion,
     multiply_quaternions,
-    rotation_exp,
     split_quaternion,
 )
 from jaxrod.structure import pytree
@@ -98,9 +97,31 @@ class Turning(Schedule):
         return Turned(self._turned(angle), jnp.zeros_like(self.axis))
 
     def _turned(self, angle: Array) -> Array:
-        turn = rotation_exp(vectors.scale(angle, vectors.split(self.axis)))
+        # Not `rotation_exp`, which is for one whole turn at most: walls wind rods up.
+        half = 0.5 * angle
+        x, y, z = vectors.scale(jnp.sin(half), vectors.split(self.axis))
         start = split_quaternion(self.start)
-        return join_quaternion(multiply_quaternions(turn, start))
+        return join_quaternion(multiply_quaternions((jnp.cos(half), x, y, z), start))
+
+
+@pytree
+class _Constant(Schedule):
+    """A schedule that stays what it is."""
+
+    value: Array
+
+    def __call__(self, clock: Any) -> Array:
+        return self.value
+
+    @property
+    def largest(self) -> Array:
+        return jnp.abs(self.value)
+
+
+def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
+    """A schedule, or a constant as one, checked as `as_timed` does."""
+    checked = as_timed(name, value, unit, shape)
+    return checked if isinstance(checked, Schedule) else _Constant(checked)
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:

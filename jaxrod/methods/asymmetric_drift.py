@@ -14,17 +14,11 @@ two is small, and the splitting nearly exact.
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import (
-    Quaternion,
-    directors,
-    multiply_quaternions,
-    normalise,
-    rotation_exp,
-    sine_ratio_and_cosine,
-)
+from jaxrod.geometry.free_rotation import freely_turned
+from jaxrod.geometry.rotations import Quaternion
 from jaxrod.geometry.vectors import Vec3
 
 
@@ -44,18 +38,6 @@ def asymmetric_drift(
         contrasts: One over the inertia about d1, and d2, less that [1/(kg m^2)].
         dt: Time [s].
     """
-    q = _turned(q, momentum, 0, 0.5 * dt * contrasts[0])
-    q = _turned(q, momentum, 1, dt * contrasts[1])
-    q = _turned(q, momentum, 0, 0.5 * dt * contrasts[0])
-    whole = rotation_exp(vectors.scale(dt * inverse_polar, momentum))
-    return normalise(multiply_quaternions(whole, q))
-
-
-def _turned(q: Quaternion, momentum: Vec3, axis: int, mobility: Array) -> Quaternion:
-    """Turned about one of the elements' own axes, at the rate given by momentum."""
-    half = 0.5 * mobility * vectors.dot(directors(q)[axis], momentum)
-    sine_ratio, cosine = sine_ratio_and_cosine(half * half)
-    sine = half * sine_ratio
-    zero = 0 * sine
-    about = (sine, zero, zero) if axis == 0 else (zero, sine, zero)
-    return multiply_quaternions(q, (cosine, *about))
+    zero, one = (jnp.full((), x, q[0].dtype) for x in (0, 1))
+    parts = ((contrasts[0], (one, zero, zero)), (contrasts[1], (zero, one, zero)))
+    return freely_turned(q, momentum, inverse_polar, parts, dt)

@@ -20,9 +20,8 @@ from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.geometry.vectors import inner_difference, join, split
 from jaxrod.rods.elasticity import joint_rotations, shear_stretch
 from jaxrod.rods.rod import JointMean, Rod, RodState, check_state
-from jaxrod.rods.section_shapes import CIRCLE, Section
-from jaxrod.rods.sections import round_rod
-from jaxrod.rods.shaped_rods import shaped_rod
+from jaxrod.rods.section_shapes import Section
+from jaxrod.rods.sections import rod_of_section
 from jaxrod.validation import (
     Numbers,
     check_array,
@@ -220,22 +219,18 @@ def _build(
         raise ValueError(
             f'joint_mean must be "arithmetic" or "series", got {joint_mean!r}'
         )
-    material: dict[str, Any] = {
-        "rest_lengths": rest_lengths,
-        "density": density,
-        "youngs_modulus": youngs_modulus,
-        "shear_modulus": shear_modulus,
-        "poisson_ratio": poisson_ratio,
-        "dtype": dtype,
-    }
-    if radius is not None:
-        correction = CIRCLE if shear_correction is None else shear_correction
-        rod = round_rod(n, radius=radius, shear_correction=correction, **material)
-    else:
-        assert section is not None
-        rod = shaped_rod(
-            n, section=section, shear_correction=shear_correction, **material
-        )
+    rod = rod_of_section(
+        n,
+        rest_lengths=rest_lengths,
+        radius=radius,
+        section=section,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        shear_modulus=shear_modulus,
+        poisson_ratio=poisson_ratio,
+        shear_correction=shear_correction,
+        dtype=dtype,
+    )
     rod = dataclasses.replace(rod, joint_mean=joint_mean)
     if not is_traced(positions, rest_lengths):
         _check_resolved(placed_by, positions, rest_lengths, dtype)

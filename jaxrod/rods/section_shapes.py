@@ -19,6 +19,10 @@ CIRCLE = np.float64(27 / 28)
 """Shear factor of a circular section at Poisson's ratio 1/2, as in PyElastica 1.0."""
 
 
+_LARGEST = 1e40
+"""Sixth powers of more are no numbers in double precision [m]."""
+
+
 @pytree
 class Section:
     """A shape of sections; one number each, or one per element."""
@@ -45,6 +49,8 @@ def _dimension(name: str, value: Numbers) -> Any:
         )
     if not is_traced(size) and not np.all((size > 0) & np.isfinite(size)):
         raise ValueError(f"{name} must be positive and finite, got {value} m")
+    if not is_traced(size) and np.any(size > _LARGEST):
+        raise ValueError(f"{name} must be at most {_LARGEST:g} m, got {value} m")
     return size
 
 

@@ -1,27 +1,64 @@
-"""Rods of round section: masses and stiffnesses from radius and material."""
+"""Rods from a section and a material: masses and stiffnesses of their elements."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxrod.rods.rod import Rod
-from jaxrod.validation import Numbers, check_array, check_held, is_traced
+from jaxrod.rods.section_shapes import CIRCLE, Section
+from jaxrod.validation import (
+    Numbers,
+    check_array,
+    check_held,
+    check_kind,
+    is_traced,
+)
 
 
-def round_rod(
+@dataclass(frozen=True)
+class _Words:
+    """Formulas of a section's numbers, for messages."""
+
+    radius: str
+    area: str
+    moments: tuple[str, str]
+    polar: str
+    torsion: str
+
+
+_ROUND = _Words(
+    radius="radius",
+    area="pi radius^2",
+    moments=("pi/4 radius^4",) * 2,
+    polar="pi/2 radius^4",
+    torsion="pi/2 radius^4",
+)
+_SHAPED = _Words(
+    radius="section.radius",
+    area="section.area",
+    moments=("section.second_moments[0]", "section.second_moments[1]"),
+    polar="sum(section.second_moments)",
+    torsion="section.torsion_constant",
+)
+
+
+def rod_of_section(
     n: int,
     *,
     rest_lengths: Any,
-    radius: Numbers,
+    radius: Numbers | None,
+    section: Section | None,
     density: Numbers,
     youngs_modulus: Numbers,
     shear_modulus: Numbers | None,
     poisson_ratio: Numbers,
-    shear_correction: Numbers,
+    shear_correction: Numbers | None,
     dtype: Any,
 ) -> Rod:
     """A rod that is straight at rest; arguments as in `jaxrod.straight_rod`.
@@ -29,27 +66,41 @@ def round_rod(
     Args:
         n: Number of elements.
         rest_lengths: Of the elements `(n,)`, checked [m].
-        radius: One number, one per element, or those of base and tip [m].
+        radius: Of round sections: one number, one per element, or those of base and
+            tip [m].
+        section: A shape instead.
         density: One number or one per element [kg/m^3].
         youngs_modulus: One number or one per element [Pa].
         shear_modulus: One number or one per element, or `None` for Poisson's ratio
             to give it [Pa].
         poisson_ratio: One number or one per element [1].
-        shear_correction: One number or one per element [1].
+        shear_correction: One number or one per element, or `None` for the section's
+            [1].
         dtype: float32 or float64.
 
     Raises:
         ValueError: If an argument is out of range, or the type cannot hold it or what
             follows from it.
+        TypeError: If the section is something else.
     """
 
     def per_element(name: str, value: Numbers, unit: str) -> Any:
         return check_array(name, value, [(), (n,)], unit, positive=True, dtype=dtype)
 
-    radii = _radii(radius, n, dtype)
+    words = _SHAPED if radius is None else _ROUND
+    # Numbers that the type cannot hold are refused in words, not NumPy's warnings.
+    with np.errstate(all="ignore"):
+        if radius is None:
+            check_kind("section", section, Section)
+            assert section is not None
+            _check_shapes(section, n)
+        else:
+            section = _round(_radii(radius, n, dtype))
     densities = per_element("density", density, "kg/m^3")
     young = per_element("youngs_modulus", youngs_modulus, "Pa")
-    correction = per_element("shear_correction", shear_correction, "")
+    factors = section.shear_factors
+    if shear_correction is not None:
+        factors = (per_element("shear_correction", shear_correction, ""),) * 2
     ratio = check_array("poisson_ratio", poisson_ratio, [(), (n,)], "")
     if not is_traced(ratio) and np.any((ratio <= -1) | (ratio > 0.5)):
         raise ValueError(f"poisson_ratio must be in (-1, 0.5], got {poisson_ratio}")
@@ -60,65 +111,93 @@ def round_rod(
 
     def check(formula: str, value: Any, unit: str) -> None:
         if not is_traced(value):
-            check_held(formula, value, unit, dtype, each=True)
+            check_held(formula, np.asarray(value), unit, dtype, each=True)
 
     def leaf(formula: str, value: Any, unit: str) -> Array:
         check(formula, value, unit)
         return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
 
-    # Numbers that the type cannot hold are refused in words, not NumPy's warnings.
+    area, moments = section.area, section.second_moments
+    axes = 1 if section.is_round else 2
     with np.errstate(all="ignore"):
-        area = np.pi * radii**2
-        second_moment = area**2 / (4 * np.pi)
-        line, rotary = densities * area, densities * second_moment
-        across = correction * shear * area
-        bending, twisting = young * second_moment, 2 * shear * second_moment
+        line, squared = densities * area, rest_lengths**2
+        twisting = shear * section.torsion_constant
         # Not stored, but worked out in every step: squares of lengths, masses and
         # inertias of elements, stiffnesses of joints, squares of frequencies.
-        squared = rest_lengths**2
         check("element length^2", squared, "m^2")
-        check("density pi radius^2 element length", line * rest_lengths, "kg")
-        check("density pi/4 radius^4 element length", rotary * rest_lengths, "kg m^2")
-        for formula, stiffness in (
-            ("youngs_modulus pi/4 radius^4", bending),
-            ("shear_modulus pi/2 radius^4", twisting),
-        ):
-            check(f"{formula} / element length", stiffness / rest_lengths, "N m")
-            check(f"{formula} element length", stiffness * rest_lengths, "N m^3")
+        check(f"density {words.area} element length", line * rest_lengths, "kg")
+        for formula, moment in zip(words.moments[:axes], moments, strict=False):
+            inertia, bending = densities * moment, young * moment
+            check(f"density {formula} element length", inertia * rest_lengths, "kg m^2")
+            bends = f"youngs_modulus {formula}"
+            check(f"{bends} / element length", bending / rest_lengths, "N m")
+            check(f"{bends} element length", bending * rest_lengths, "N m^3")
+            rate = shear / densities * (area / moment)
+            named = f"shear_modulus / density {words.area} / ({formula})"
+            check(named, rate, "1/s^2")
+        twists = f"shear_modulus {words.torsion}"
+        check(f"{twists} / element length", twisting / rest_lengths, "N m")
+        check(f"{twists} element length", twisting * rest_lengths, "N m^3")
         stretch = young / densities / squared
         check("youngs_modulus / density / element length^2", stretch, "1/s^2")
-        check(
-            "shear_modulus / density / radius^2", shear / densities / radii**2, "1/s^2"
-        )
-        shearing = leaf("shear_correction shear_modulus pi radius^2", across, "N")
-        bending = leaf("youngs_modulus pi/4 radius^4", bending, "N m^2")
+        polar = densities * (moments[0] + moments[1])
         return Rod(
             rest_lengths=leaf("element length", rest_lengths, "m"),
-            radii=leaf("radius", radii, "m"),
-            linear_density=leaf("density pi radius^2", line, "kg/m"),
+            radii=leaf(words.radius, section.radius, "m"),
+            linear_density=leaf(f"density {words.area}", line, "kg/m"),
             rotary_inertia=jnp.stack(
                 [
-                    leaf("density pi/4 radius^4", rotary, "kg m"),
-                    leaf("density pi/2 radius^4", 2 * rotary, "kg m"),
+                    *(
+                        leaf(f"density {formula}", densities * moment, "kg m")
+                        for formula, moment in zip(
+                            words.moments[:axes], moments, strict=False
+                        )
+                    ),
+                    leaf(f"density {words.polar}", polar, "kg m"),
                 ]
             ),
             shear_stretch_stiffness=jnp.stack(
                 [
-                    shearing,
-                    shearing,
-                    leaf("youngs_modulus pi radius^2", young * area, "N"),
+                    *(
+                        leaf(
+                            f"shear_correction shear_modulus {words.area}",
+                            factor * shear * area,
+                            "N",
+                        )
+                        for factor in factors
+                    ),
+                    leaf(f"youngs_modulus {words.area}", young * area, "N"),
                 ]
             ),
             bend_twist_stiffness=jnp.stack(
                 [
-                    bending,
-                    bending,
-                    leaf("shear_modulus pi/2 radius^4", twisting, "N m^2"),
+                    *(
+                        leaf(f"youngs_modulus {formula}", young * moment, "N m^2")
+                        for formula, moment in zip(words.moments, moments, strict=True)
+                    ),
+                    leaf(twists, twisting, "N m^2"),
                 ]
             ),
             rest_strains=jnp.zeros((3, n), dtype),
             rest_curvatures=jnp.zeros((3, n - 1), dtype),
         )
+
+
+def _round(radii: Any) -> Section:
+    """Full circles; their second moments from their areas, as PyElastica has them."""
+    area = np.pi * radii**2
+    second = area**2 / (4 * np.pi)
+    shear = (CIRCLE, CIRCLE)
+    return Section(area, (second, second), 2 * second, shear, radii, is_round=True)
+
+
+def _check_shapes(section: Section, n: int) -> None:
+    for leaf in jax.tree.leaves(section):
+        if np.shape(leaf) not in ((), (n,)):
+            raise ValueError(
+                f"section must have one number or one per element ({n}), got shape "
+                f"{np.shape(leaf)}"
+            )
 
 
 def _radii(radius: Numbers, n: int, dtype: Any) -> Any:

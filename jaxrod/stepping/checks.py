@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from jaxrod.analysis.stability import compression, stable_dt
+from jaxrod.composite import Composite
 from jaxrod.effects.time import Clock
-from jaxrod.scene import Composite, Model, check_scene, check_scene_and_state
+from jaxrod.scene import Model, check_scene, check_scene_and_state
 from jaxrod.validation import MOST, as_array, check_array, check_count, is_traced
 
 COMPRESSED = 0.9

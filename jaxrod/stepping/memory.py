@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from jaxrod.composite import Composite
 from jaxrod.effects.memory import memory_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Composite, Model, check_scene
+from jaxrod.scene import Model, check_scene
 from jaxrod.validation import check_kind
 
 

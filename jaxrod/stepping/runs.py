@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from jaxrod.composite import Composite, Stepper
 from jaxrod.effects.time import Clock
-from jaxrod.scene import Composite, Evolvable, Model, Stepper
+from jaxrod.scene import Evolvable, Model
 from jaxrod.stepping.checks import (
     check_arguments,
     check_counter,

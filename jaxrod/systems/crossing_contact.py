@@ -35,6 +35,7 @@ from jaxrod.systems.along_rods import (
     tied_share,
 )
 from jaxrod.systems.contact_numbers import contact_numbers
+from jaxrod.systems.continued import last_but_continued
 from jaxrod.systems.coupling import AllParts, TiedPair
 from jaxrod.systems.element_pairs import Elements, Pairs
 from jaxrod.systems.neighbour_lists import NeighbourLists
@@ -66,7 +67,10 @@ class CrossingContact(TouchingRods):
 
     def prepared(self, parts: AllParts) -> CrossingContact:
         """With radii and lengths of segments."""
-        made = tuple(strands(parts[name], 1) for name in self.members)
+        made = tuple(
+            strands(parts[name], 1, last_but_continued(name, parts, self.tied))
+            for name in self.members
+        )
         return replace(self, strands=made)
 
     def views(self) -> list[tuple[int, int]]:
@@ -121,6 +125,7 @@ class CrossingContact(TouchingRods):
         assert own.rest_lengths is not None and other.rest_lengths is not None
         rod, place = rod_and_place(self.strands[a], nodes[0])
         fellow, mark = rod_and_place(self.strands[b], nodes[1])
+        assert own.rods is not None and other.rods is not None
         return tied_share(
             (
                 from_node(own.starts, own.ends, place),

@@ -51,8 +51,8 @@ class ElasticJoint(Coupling):
     """Rotation vectors at rest, in the frames of `b` but for these rotations [rad]."""
     stiffness: Float[Array, "3 joints"] | None = None
     """Stiffness about d1, d2, d3 [N m]; `None`: that of half an element of each rod."""
-    damping: Float[Array, ""] | None = None
-    """Couple per relative angular velocity [N m s]."""
+    damping: Float[Array, ""] | Float[Array, " joints"] | None = None
+    """Couple per relative angular velocity, one for all or one for each [N m s]."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or smaller."""
@@ -128,13 +128,17 @@ def natural_stiffness(a: Points, b: Points, parts: AllParts) -> Float[Array, "3 
             f"a joint between rigid bodies {a.member!r} and {b.member!r} needs a "
             "stiffness [N m]"
         )
-    weighted, length = jnp.zeros(()), jnp.zeros(())
+    weighted, length, compliance = jnp.zeros(()), jnp.zeros(()), jnp.zeros(())
     for points, own in rods:
         assert own.rest_lengths is not None and own.bend_twist_stiffness is not None
         index = points.elements.values
         lengths = own.rest_lengths[index]
-        weighted = weighted + own.bend_twist_stiffness[:, index] * lengths[None, :]
+        stiffness = own.bend_twist_stiffness[:, index]
+        weighted = weighted + stiffness * lengths[None, :]
+        compliance = compliance + 0.5 * lengths[None, :] / stiffness
         length = length + lengths
+    if any(own.joint_mean == "series" for _, own in rods):
+        return 1 / compliance
     # The mean by length, over the length from middle to middle, as within a rod.
     return weighted / length[None, :] / (0.5 * length[None, :])
 

@@ -122,7 +122,7 @@ def nearnesses(
         points: The points.
         segments: The segments.
         weights: Rest length for which each pair counts [m].
-        is_last: Whether each segment is the last of its rod.
+        is_last: Whether each segment is the last of its rod, and nothing follows.
         radii: Of the segments and at the points [m].
         onset: Width of the onset over the mean of the radii [1].
     """

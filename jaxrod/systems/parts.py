@@ -53,6 +53,8 @@ class Parts:
     """Elements of each rod; 1 for bodies."""
     is_rod: bool = static(default=True)
     """Whether they are rods."""
+    joint_mean: str = static(default="arithmetic")
+    """How joints of rods get their stiffness from two elements."""
 
     @property
     def first_nodes(self) -> np.ndarray:
@@ -105,6 +107,7 @@ def _of_rod(rod: Rod) -> Parts:
         bend_twist_stiffness=rod.bend_twist_stiffness,
         linear_density=rod.linear_density,
         n_elements=rod.n_elements,
+        joint_mean=rod.joint_mean,
     )
 
 

@@ -211,6 +211,9 @@ def _place(
     given = check_array("orientation", orientation, [(4,)], "", dtype=dtype)
     if not is_traced(given) and not np.any(given):
         raise ValueError("orientation must not be zero, got (0, 0, 0, 0)")
+    if not is_traced(given):
+        # Squares of large numbers are none of a narrow type.
+        given = given / np.max(np.abs(given))
     quaternion = jnp.asarray(given, dtype)
     return centre, quaternion / jnp.sqrt(jnp.sum(quaternion**2))
 

@@ -38,6 +38,7 @@ from jaxrod.systems.along_rods import (
     tied_share,
 )
 from jaxrod.systems.contact_numbers import contact_numbers
+from jaxrod.systems.continued import last_but_continued
 from jaxrod.systems.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.systems.element_pairs import Pairs, lifted
 from jaxrod.systems.line_pairs import ElementPoints, points_on
@@ -78,7 +79,7 @@ class RodContact(TouchingRods):
     def prepared(self, parts: AllParts) -> RodContact:
         """With radii and lengths of points and segments."""
         made = tuple(
-            strands(parts[name], per)
+            strands(parts[name], per, last_but_continued(name, parts, self.tied))
             for name, per in zip(self.members, self.points_per_element, strict=True)
         )
         return replace(self, strands=made)
@@ -155,6 +156,7 @@ class RodContact(TouchingRods):
             if (one, two) != (self.members[a], self.members[b]):
                 continue
             assert other.starts is not None and other.rest_lengths is not None
+            assert own.rods is not None and other.rods is not None
             rod, place = rod_and_place(self.strands[a], i)
             fellow, mark = rod_and_place(self.strands[b], j)
             half = half * tied_share(

@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
+from jaxrod.composite import Stepper
 from jaxrod.effects.memory import memory_of
 from jaxrod.effects.time import Clock
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, Stepper
+from jaxrod.scene import Scene
 from jaxrod.systems.assembly import Assembly, SystemState, member_shapes
 from jaxrod.systems.evolving import EvolvingSystem
 from jaxrod.systems.listing import ListingSystem, lists_neighbours, refresh_every

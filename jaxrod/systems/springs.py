@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import StabilityBound
@@ -28,7 +29,7 @@ from jaxrod.systems.places import Place
 from jaxrod.systems.rest import position_of
 from jaxrod.systems.rows import summed
 from jaxrod.systems.ties import pairs
-from jaxrod.validation import Numbers, as_array
+from jaxrod.validation import Numbers, as_array, is_traced
 
 
 @pytree
@@ -149,15 +150,20 @@ def spring(
     """
     ends: tuple[Any, Any] = (None, None)
     if at is not None:
-        first, second = at
-        ends = first, second
+        if not isinstance(at, tuple | list) or len(at) != 2:
+            raise ValueError(f"at must be a pair of points (3,) in m, got {at!r}")
+        ends = _point("at[0]", at[0]), _point("at[1]", at[1])
     made = _springs(a, b, state, stiffness, damping, ends)
     one = jnp.stack([position.place for position in _poses(a, state)], axis=1)
     two = jnp.stack([position.place for position in _poses(b, state)], axis=1)
     if at is not None:
-        one, two = (jnp.asarray(point)[:, None] for point in ends)
-    rest = vectors.safe_norm(vectors.split(two - one))
-
+        one, two = (point[:, None] for point in ends)
+    way = two - one
+    if not is_traced(way) and not np.all(np.any(np.asarray(way) != 0, axis=0)):
+        raise ValueError(
+            "a and b must be at two places, got a spring of length 0 m: use ball_joint"
+        )
+    rest = vectors.safe_norm(vectors.split(way))
     return replace(made, rest_lengths=rest)
 
 
@@ -189,7 +195,7 @@ def ball_joint(
     Raises:
         ValueError: If there is no such place, or a number is out of range.
     """
-    point = None if at is None else jnp.asarray(at)
+    point = None if at is None else _point("at", at)
     if point is None:
         points = [pose.place for pose in _poses(a, state)]
         return _springs(a, b, state, stiffness, damping, (None, points))
@@ -217,6 +223,10 @@ def _springs(
         stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
         damping=optional_number("damping", damping, "kg/s"),
     )
+
+
+def _point(name: str, value: Numbers) -> Array:
+    return as_array(name, value, "m", [(3,)])
 
 
 def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:

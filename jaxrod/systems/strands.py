@@ -40,6 +40,8 @@ class Strands:
     """Number of rods."""
     per_element: int = static()
     """Contact points per element."""
+    continued: tuple[int, ...] = static(default=())
+    """Last segments of rods that go on in another rod, by their numbers."""
 
     @property
     def n_elements(self) -> int:
@@ -73,8 +75,10 @@ class Strands:
 
     @property
     def is_last(self) -> np.ndarray:
-        """Whether each segment is the last of its rod."""
-        return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)
+        """Whether each segment is the last of its rod, and no other rod goes on."""
+        segments = np.arange(self.n_elements * self.count)
+        last = segments % self.n_elements == self.n_elements - 1
+        return last & ~np.isin(segments, self.continued)
 
     def _rods(self, row: Array) -> Array:
         """A row as one row for each rod."""
@@ -131,12 +135,13 @@ class Strands:
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
 
-def strands(parts: Parts, per_element: int) -> Strands:
+def strands(parts: Parts, per_element: int, continued: tuple[int, ...] = ()) -> Strands:
     """Works out the constants of a member.
 
     Args:
         parts: Of rods.
         per_element: Contact points per element.
+        continued: Last segments of rods that go on in another rod.
     """
     assert parts.rest_lengths is not None and parts.radii is not None
     count, n = parts.count, parts.n_elements
@@ -165,6 +170,7 @@ def strands(parts: Parts, per_element: int) -> Strands:
         rest_lengths=parts.rest_lengths,
         count=count,
         per_element=per_element,
+        continued=continued,
     )
 
 

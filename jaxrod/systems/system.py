@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
+from jaxrod.composite import Composite, Stepper
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.scene import Composite, Scene, Stepper
+from jaxrod.scene import Scene
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import (
     Assembly,
@@ -23,6 +23,7 @@ from jaxrod.systems.assembly import (
     member_shapes,
 )
 from jaxrod.systems.attachments import Attachment
+from jaxrod.systems.body_effects import check_body_effects, in_type
 from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.energies import (
     seen_at_rest,
@@ -80,7 +81,16 @@ class System(Assembly, Composite):
     ) -> SystemHealth:
         """Flags and what is behind them."""
         check_system_state(self, state)
+        self.check_moment()
         return system_health(self, state, dt, limits=limits)
+
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+        if self.depends_on_time:
+            raise ValueError(
+                "this asks about one moment, but a number of an effect or a coupling "
+                "is a schedule: give system.at(time)"
+            )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
         """Of all members [J]."""
@@ -90,6 +100,7 @@ class System(Assembly, Composite):
     def potential_energy(self, state: Any) -> Float[Array, ""]:
         """Of all members and couplings [J]."""
         check_system_state(self, state)
+        self.check_moment()
         return system_potential_energy(self, state)
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
@@ -117,8 +128,8 @@ def make_system(
         state: A state of the system, if what is attached is to be checked against it.
 
     Raises:
-        ValueError: If a coupling does not fit the members, types differ, or a member's
-            method has no steps in a system.
+        ValueError: If a coupling does not fit the members, types differ, a member's
+            method has no steps in a system, or an effect does not act on rigid bodies.
         TypeError: If a member or a coupling is something else.
     """
     if not isinstance(members, Mapping) or not members:
@@ -130,7 +141,8 @@ def make_system(
     others = [c for c in listed if not isinstance(c, Tie)]
     # Ties come last: they have the final word on velocities.
     ordered = (*others, ties) if ties is not None else tuple(others)
-    system = System(dict(members), ordered)
+    kept = {name: _with_own_types(member) for name, member in members.items()}
+    system = System(kept, ordered)
     types = {name: System({name: member}).dtype for name, member in members.items()}
     if len(set(types.values())) > 1:
         raise ValueError(
@@ -146,7 +158,7 @@ def make_system(
     fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
     if any(coupling.refresh_every is not None for coupling in fitted):
         fitted = _sized(system, fitted, state)
-    couplings_in_type = jax.tree.map(_in_type(system.dtype), fitted)
+    couplings_in_type = jax.tree.map(in_type(system.dtype), fitted)
     _check_followers(ordered)
     return replace(
         system, couplings=couplings_in_type, shapes=member_shapes(system.members)
@@ -169,6 +181,7 @@ def _check_member(name: Any, member: Any) -> None:
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
     if isinstance(member, RigidBodies):
+        check_body_effects(name, member)
         return
     if not isinstance(member, Scene):
         raise TypeError(
@@ -180,6 +193,14 @@ def _check_member(name: Any, member: Any) -> None:
             f"member {name!r} steps with {type(member.method).__name__}, which has no "
             "steps in a system: use consistent() or pyelastica()"
         )
+
+
+def _with_own_types(member: Member) -> Member:
+    """Bodies with the numbers of their effects in their own type."""
+    if not isinstance(member, RigidBodies):
+        return member
+    cast = in_type(member.masses.dtype)
+    return replace(member, effects=jax.tree.map(cast, member.effects))
 
 
 def _sized(
@@ -237,12 +258,3 @@ def _check_followers(couplings: Sequence[Coupling]) -> None:
                             f"{followers[key]!r}: attach all tied nodes to the body "
                             "instead"
                         )
-
-
-def _in_type(dtype: Any) -> Any:
-    def cast(leaf: Any) -> Array:
-        array = jnp.asarray(leaf)
-        inexact = jnp.issubdtype(array.dtype, jnp.floating)
-        return array.astype(dtype) if inexact else array
-
-    return cast

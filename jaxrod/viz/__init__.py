@@ -1,24 +1,50 @@
-"""Looking at rods: an offline 3-D player, still pictures, learning curves.
+"""Looking at rods: an offline 3-D player, stills, films, learning curves.
 
-Imports NumPy only; matplotlib is imported by the functions that draw with it.
+Imports NumPy only. matplotlib, which brings Pillow, is imported by the functions that
+draw with them, JAX by those that ask a scene or a system.
 """
 
+from typing import Any
+
+from jaxrod.viz.arrows import Arrows
 from jaxrod.viz.curves import learning_curve
-from jaxrod.viz.drawing import animation, frame
+from jaxrod.viz.drawing import animation, film, frame, picture
+from jaxrod.viz.meshes import Mesh
 from jaxrod.viz.page import html, save_html
 from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Replay
+from jaxrod.viz.rods import Rods
 from jaxrod.viz.shapes import Cylinder, Sphere
 
 __all__ = [
+    "Arrows",
     "Cylinder",
+    "Mesh",
     "PaperResult",
     "Replay",
+    "Rods",
     "Sphere",
     "animation",
+    "bending",
+    "film",
     "frame",
     "html",
     "learning_curve",
     "paper_result",
+    "picture",
     "save_html",
+    "speed",
+    "stretch",
+    "twist_rate",
 ]
+
+_MEASURES = ("bending", "speed", "stretch", "twist_rate")
+
+
+def __getattr__(name: str) -> Any:
+    """Functions of a scene and a state, which need JAX, when they are first used."""
+    if name in _MEASURES:
+        from jaxrod.viz import measures
+
+        return getattr(measures, name)
+    raise AttributeError(f"module 'jaxrod.viz' has no attribute {name!r}")

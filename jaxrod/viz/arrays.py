@@ -28,3 +28,21 @@ def require_finite(
     raise ValueError(
         f"{name} must be finite, got {values[where]} {unit} at index {where}{when}"
     )
+
+
+def checked_times(times: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Times of frames [s], one for each, or an error in words."""
+    clock = numbers("times", times, "s")
+    if clock.shape != shape:
+        raise ValueError(
+            f"times must have shape {shape} [s], one per frame, got {clock.shape}"
+        )
+    require_finite("times", clock, "s")
+    backward = np.flatnonzero(np.diff(clock) <= 0)
+    if backward.size:
+        k = int(backward[0])
+        raise ValueError(
+            f"times must increase, got {clock[k]:g} s then {clock[k + 1]:g} s "
+            f"at index {k + 1}"
+        )
+    return clock

@@ -1,24 +1,32 @@
-"""Still pictures and animations of a replay with matplotlib, without a display."""
+"""Pictures and films of a replay, without a display or a browser."""
 
 from __future__ import annotations
 
+import io
+import itertools
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import UInt8
 
+from jaxrod.files import write_atomically
+from jaxrod.viz.captions import captioned
+from jaxrod.viz.colours import linear
+from jaxrod.viz.geometry import Shapes, Triangles
+from jaxrod.viz.light import Ground, rendered, view_of
 from jaxrod.viz.matplotlib_needed import need_matplotlib
-from jaxrod.viz.page import nodal_radii
-from jaxrod.viz.replay import Replay
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
-    from matplotlib.figure import Figure
 
-_ROD_COLOURS = ("#2f7fd6", "#e0653a", "#2a9d74", "#b45cc4", "#c9a227", "#5b6ee1")
-_SPHERE_COLOURS = ("#f59e0b", "#10a37f", "#d64570", "#7c5cd6")
-_CYLINDER_COLOUR = "#9aa3b0"
-_SIDES = 20
+    from jaxrod.viz.replay import Replay
+
+_PALE = linear("#eef2f7")
 
 
 def frame(
@@ -32,6 +40,8 @@ def frame(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Draws one frame of a replay as an RGB picture.
 
+    The view holds everything in every frame, so that pictures follow each other.
+
     Args:
         replay: the replay to draw.
         index: which frame, 0 to T-1; negative counts from the end.
@@ -44,9 +54,103 @@ def frame(
         ValueError: the size is not positive.
         IndexError: there is no such frame.
     """
-    scene = _Scene(replay, width, height, azimuth, elevation)
-    scene.show(range(replay.num_frames)[index])
-    return scene.pixels()
+    painter = _Painter(replay, (width, height), azimuth, elevation, fine=1)
+    return painter.paint([range(replay.num_frames)[index]])
+
+
+def picture(
+    replay: Replay,
+    frame: int | Sequence[int],
+    path: str | os.PathLike[str],
+    *,
+    width: int = 960,
+    height: int = 640,
+    azimuth: float = 35.0,
+    elevation: float = 20.0,
+    zoom: float = 1.0,
+    field: str | None = None,
+    captions: bool = True,
+    small: bool = False,
+) -> None:
+    """Writes a still of one frame, or of several in one, as a PNG file.
+
+    The view holds what is drawn. The file appears whole or not at all.
+
+    Args:
+        replay: the replay to draw.
+        frame: which frame, 0 to T-1, negative from the end; of several the last is
+            drawn in full, those before it paler.
+        path: the file to write; its folder must exist.
+        width: width of the picture [pixels].
+        height: height of the picture [pixels].
+        azimuth: angle of the view around the upward axis [degrees].
+        elevation: angle of the view above the floor [degrees].
+        zoom: above one, nearer than what holds everything.
+        field: label of the field that colours the rods; `None`: their own colours.
+        captions: whether to write title, time and legend on it.
+        small: whether to keep 256 colours only, which makes the file less than half
+            as large.
+
+    Raises:
+        ValueError: a number is not positive, or there is no such field.
+        IndexError: there is no such frame.
+    """
+    frames = [frame] if isinstance(frame, int | np.integer) else list(frame)
+    frames = [range(replay.num_frames)[int(k)] for k in frames]
+    size = (width, height)
+    painter = _Painter(replay, size, azimuth, elevation, zoom, field, frames, captions)
+    _save_png(painter.paint(frames), path, small)
+
+
+def film(
+    replay: Replay,
+    path: str | os.PathLike[str],
+    *,
+    frames_per_second: float = 20.0,
+    speed: float = 1.0,
+    width: int = 640,
+    height: int = 480,
+    azimuth: float = 35.0,
+    elevation: float = 20.0,
+    zoom: float = 1.0,
+    field: str | None = None,
+    captions: bool = True,
+) -> None:
+    """Writes the motion as a GIF, or as an MP4 where ffmpeg is installed.
+
+    Args:
+        replay: the replay to draw.
+        path: the file to write, ending in .gif or .mp4; its folder must exist.
+        frames_per_second: pictures per second of the film [Hz]. Frames of the replay
+            that lie closer are left out, none are made up.
+        speed: seconds of the replay per second of the film [1].
+        width: width of the picture [pixels]; even for MP4.
+        height: height of the picture [pixels]; even for MP4.
+        azimuth: angle of the view around the upward axis [degrees].
+        elevation: angle of the view above the floor [degrees].
+        zoom: above one, nearer than what holds everything.
+        field: label of the field that colours the rods; `None`: their own colours.
+        captions: whether to write title, time and legend on it.
+
+    Raises:
+        ValueError: the ending is another one, or a number is not positive.
+        FileNotFoundError: an MP4 is asked for and there is no ffmpeg.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in (".gif", ".mp4"):
+        raise ValueError(f"a film's file must end in .gif or .mp4, got {ending!r}")
+    if not speed > 0:
+        raise ValueError(f"speed must be positive, got {speed}")
+    thin = replay.thinned(frames_per_second / speed)
+    painter = _Painter(
+        thin, (width, height), azimuth, elevation, zoom, field, None, captions
+    )
+    pictures = (painter.paint([k]) for k in range(thin.num_frames))
+    # Of frames recorded more seldom each is shown for longer.
+    span = float(thin.times[-1] - thin.times[0]) / speed
+    rate = (thin.num_frames - 1) / span if span else frames_per_second
+    save = _save_gif if ending == ".gif" else _save_mp4
+    save(pictures, rate, path)
 
 
 def animation(
@@ -75,12 +179,24 @@ def animation(
     """
     need_matplotlib()
     from matplotlib.animation import FuncAnimation
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
     thin = replay.thinned(frames_per_second)
-    scene = _Scene(thin, width, height, azimuth, elevation)
+    painter = _Painter(thin, (width, height), azimuth, elevation, fine=1)
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
+    FigureCanvasAgg(figure)
+    axes: Any = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    image = axes.imshow(painter.paint([0]))
+
+    def show(index: int) -> list[Any]:
+        image.set_data(painter.paint([index]))
+        return [image]
+
     return FuncAnimation(
-        scene.figure,
-        scene.show,
+        figure,
+        show,
         frames=thin.num_frames,
         init_func=list,
         interval=1000 / frames_per_second,
@@ -88,123 +204,128 @@ def animation(
     )
 
 
-class _Scene:
-    """A figure whose moving parts are redrawn for each frame."""
-
-    figure: Figure
+class _Painter:
+    """Paints frames of a replay, all from the same place."""
 
     def __init__(
-        self, replay: Replay, width: int, height: int, azimuth: float, elevation: float
+        self,
+        replay: Replay,
+        size: tuple[int, int],
+        azimuth: float,
+        elevation: float,
+        zoom: float = 1.0,
+        field: str | None = None,
+        frames: Sequence[int] | None = None,
+        captions: bool = True,
+        fine: int = 2,
     ) -> None:
         need_matplotlib()
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.colors import LightSource
-        from matplotlib.figure import Figure
-
-        for name, pixels in (("width", width), ("height", height)):
+        for name, pixels in zip(("width", "height"), size, strict=True):
             if pixels < 1:
                 raise ValueError(f"{name} must be positive, got {pixels} pixels")
-        self.replay = replay
-        self.light = LightSource(azdeg=315, altdeg=50)
-        self.figure = Figure(figsize=(width / 100, height / 100), dpi=100)
-        self.canvas = FigureCanvasAgg(self.figure)
-        box = (0, 0, 1, 0.96)
-        axes: Any = self.figure.add_axes(box, projection="3d")
-        self.axes = axes
-        self.axes.view_init(elev=elevation, azim=azimuth, vertical_axis=replay.up)
-        low, high = replay.bounds()
-        self.axes.set(
-            xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2])
-        )
-        self.axes.set_box_aspect(high - low, zoom=1.02)
-        for axis in "xyz":
-            getattr(self.axes, f"set_{axis}label")(f"{axis} [m]")
-            getattr(self.axes, f"{axis}axis").set_major_locator(_ticks())
-        self.axes.tick_params(labelsize=7, colors="#5a6676")
-        for cylinder in replay.cylinders:
-            ends = np.stack([cylinder.start, cylinder.end])
-            self._surface(_tube(ends, np.full(2, cylinder.radius)), _CYLINDER_COLOUR)
-        self.radii = nodal_radii(replay.radii)
-        self.moving: list[Any] = []
-
-    def show(self, index: int) -> list[Any]:
-        """Redraws the rods and spheres of one frame."""
-        for artist in self.moving:
-            artist.remove()
-        replay = self.replay
-        self.moving = [
-            self._surface(
-                _tube(replay.positions[index, rod], self.radii[rod]),
-                _ROD_COLOURS[rod % len(_ROD_COLOURS)],
+        if not zoom > 0:
+            raise ValueError(f"zoom must be positive, got {zoom}")
+        if field is not None and field not in replay.fields:
+            raise ValueError(
+                f"field must be one of {list(replay.fields)}, got {field!r}"
             )
-            for rod in range(replay.num_rods)
-        ]
-        for k, sphere in enumerate(replay.spheres):
-            colour = _SPHERE_COLOURS[k % len(_SPHERE_COLOURS)]
-            ball = _ball(sphere.positions[index], sphere.radius)
-            self.moving.append(self._surface(ball, colour))
-        heading = f"{replay.title}   " if replay.title else ""
-        self.figure.suptitle(
-            f"{heading}t = {replay.times[index]:.2f} s",
-            x=0.02,
-            y=0.98,
-            ha="left",
-            fontsize=10,
-        )
-        return self.moving
+        self.replay, self.size, self.field = replay, size, field
+        self.captions = captions
+        self.shapes = Shapes(replay, field)
+        low, high = replay.bounds()
+        up = "xyz".index(replay.up)
+        if frames is None:
+            points = np.array(list(itertools.product(*zip(low, high, strict=True))))
+        else:
+            every = [self.shapes.at(k).corners.reshape(-1, 3) for k in frames]
+            points = np.concatenate(every)
+        floor = float(low[up]) if replay.floor is None else replay.floor
+        wide = size[0] / size[1]
+        room = 0.86 if captions else 0.93
+        view = view_of(points, up, azimuth, elevation, (0.93 * wide, room), zoom)
+        span = float(np.max(np.ptp(points, axis=0)))
+        self.step = _round_step(span / 4)
+        centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        self.ground = Ground(view, floor, self.step, size, centre, span)
+        self.fine = fine
 
-    def pixels(self) -> np.ndarray:
-        self.canvas.draw()
-        return np.asarray(self.canvas.buffer_rgba())[..., :3].copy()
-
-    def _surface(self, mesh: np.ndarray, colour: str) -> Any:
-        return self.axes.plot_surface(
-            *np.moveaxis(mesh, -1, 0),
-            color=colour,
-            lightsource=self.light,
-            rcount=len(mesh),
-            ccount=mesh.shape[1],
-            linewidth=0,
-            antialiased=False,
-        )
-
-
-def _ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(4)
+    def paint(self, frames: Sequence[int]) -> UInt8[np.ndarray, "height width 3"]:
+        """Paints frames into one picture, the last one in full."""
+        parts = []
+        for order, index in enumerate(frames):
+            part = self.shapes.at(index)
+            share = (1 - (order + 1) / len(frames)) * 0.75
+            pale = part.colours * (1 - share) + _PALE * share
+            parts.append(part._replace(colours=pale))
+        whole = Triangles(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+        light = rendered(whole, self.ground, self.fine)
+        pixels = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+        if not self.captions:
+            return pixels
+        return captioned(pixels, self.replay, frames[-1], self.field, self.step)
 
 
-def _tube(nodes: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Surface of a tube with closed ends around a line of nodes, (n+3, sides, 3)."""
-    tangents = np.gradient(nodes, axis=0)
-    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
-    # Carry one normal along the line without turning it about the tangent.
-    normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
-    normals = np.empty_like(nodes)
-    for i, tangent in enumerate(tangents):
-        normal = normal - (normal @ tangent) * tangent
-        normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
-        normals[i] = normal
-    binormals = np.cross(tangents, normals)
-    angle = np.linspace(0, 2 * np.pi, _SIDES + 1)[:, None]
-    rings = nodes[:, None] + radii[:, None, None] * (
-        np.cos(angle) * normals[:, None] + np.sin(angle) * binormals[:, None]
+def _round_step(x: float) -> float:
+    """The nearest of 1, 2, 5 times a power of ten that is not below x."""
+    power = 10.0 ** np.floor(np.log10(max(x, 1e-12)))
+    return float(next(m * power for m in (1, 2, 5, 10) if m * power >= 0.999 * x))
+
+
+def _save_png(pixels: np.ndarray, path: Any, small: bool) -> None:
+    from PIL import Image
+
+    file, image = io.BytesIO(), Image.fromarray(pixels)
+    if small:
+        palette = Image.fromarray(_colourful(pixels)).quantize(256, kmeans=3)
+        image = image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
+    image.save(file, format="png", optimize=True)
+    write_atomically(path, file.getvalue())
+
+
+def _colourful(pixels: np.ndarray) -> np.ndarray:
+    """Pixels to choose a palette from: fewer greys, of which most pictures are full."""
+    flat = pixels.reshape(-1, 3)
+    grey = np.ptp(flat.astype(int), axis=1) <= 24
+    chosen = np.concatenate([flat[~grey], flat[grey][::6]])
+    side = int(len(chosen) ** 0.5)
+    return chosen[: side * side].reshape(side, side, 3)
+
+
+def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
+    from PIL import Image
+
+    first, *others = (
+        Image.fromarray(pixels).quantize(96, dither=Image.Dither.NONE)
+        for pixels in pictures
     )
-    ends = [np.broadcast_to(nodes[k], (1, _SIDES + 1, 3)) for k in (0, -1)]
-    return np.concatenate([ends[0], rings, ends[1]])
-
-
-def _ball(centre: np.ndarray, radius: float) -> np.ndarray:
-    """Surface of a sphere, (10, 17, 3)."""
-    polar = np.linspace(0, np.pi, 10)[:, None]
-    around = np.linspace(0, 2 * np.pi, 17)[None]
-    directions = np.stack(
-        [
-            np.sin(polar) * np.cos(around),
-            np.sin(polar) * np.sin(around),
-            np.cos(polar) * np.ones_like(around),
-        ],
-        axis=-1,
+    file = io.BytesIO()
+    first.save(
+        file,
+        format="gif",
+        save_all=True,
+        append_images=others,
+        duration=max(20, round(1000 / rate)),
+        loop=0,
+        optimize=True,
     )
-    return centre + radius * directions
+    write_atomically(path, file.getvalue())
+
+
+def _save_mp4(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise FileNotFoundError("an MP4 needs ffmpeg, which is not there: take .gif")
+    first = next(pictures)
+    height, width = first.shape[:2]
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate:g} -i -"
+    coded = "-c:v libx264 -pix_fmt yuv420p -crf 20"
+    half = Path(path).with_suffix(".half.mp4")
+    command = [program, "-y", "-loglevel", "error", *source.split(), *coded.split()]
+    with subprocess.Popen([*command, half], stdin=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        for pixels in (first, *pictures):
+            process.stdin.write(pixels.tobytes())
+        process.stdin.close()
+    if process.returncode:
+        raise OSError(f"ffmpeg could not write {path}")
+    os.replace(half, path)

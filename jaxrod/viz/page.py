@@ -1,8 +1,12 @@
 """The replay as one HTML page that plays anywhere, without a network.
 
-The page holds its data and its program: about 60 kB of program, and two bytes per
+The page holds its data and its program: about 70 kB of program, and two bytes per
 coordinate before compression. Coordinates are rounded to 65536 steps of the range
 each axis covers, that is to within range / 131070 (8 micrometres for 1 m).
+
+The program is the project's own. The libraries there are draw what it draws, but the
+smallest bundle of three.js with orbit controls is 572 kB in every page, and bends no
+tube between nodes: that and reading the recording would be our own program still.
 """
 
 from __future__ import annotations
@@ -20,6 +24,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxrod.files import write_atomically
+from jaxrod.viz import colours
+from jaxrod.viz.meshes import shaded
+from jaxrod.viz.rods import at_nodes
 
 if TYPE_CHECKING:
     from jaxrod.viz.replay import Replay
@@ -91,60 +98,112 @@ def encode(replay: Replay) -> tuple[dict[str, Any], bytes]:
     """Packs a replay into a JSON header and compressed bytes.
 
     The bytes are zlib over, in order, little-endian float32: times since the first
-    frame (T), nodal radii (R, n+1), readouts (K, T); then the coordinates of all
-    P = R (n+1) + S points as unsigned 16-bit integers, series by series
-    (P, 3, T), as zigzag differences in time, low bytes first, then high bytes.
+    frame (T), radii of the nodes of all rods, readouts (K, T), and place and normal of
+    the corners of every triangle of every mesh (3 F, 6); then series of unsigned 16-bit
+    levels over time, as zigzag differences, low bytes first, then high bytes: the
+    coordinates of all points (P, 3, T), which are nodes, centres of spheres, origins
+    of bodies and of arrows, orientations of bodies (B, 4, T), and arrows (A, 3, T);
+    then fields at all nodes (F, N, T) as differences of 8-bit levels, 255 for none.
     """
-    num_frames, num_rods, num_nodes, _ = replay.positions.shape
-    points = np.concatenate(
-        [replay.positions.reshape(num_frames, -1, 3)]
-        + [sphere.positions[:, None] for sphere in replay.spheres],
-        axis=1,
-    )
-    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
-    step = np.where(high > low, (high - low) / _STEPS, 1.0)
-    levels = np.rint((points - low) / step).astype(np.int32).transpose(1, 2, 0)
-    change = np.diff(levels, axis=-1, prepend=0)
+    series, scales, count = _series(replay)
+    change = np.diff(series, axis=-1, prepend=0)
     change = (change + 32768) % 65536 - 32768
     zigzag = ((change << 1) ^ (change >> 31)).astype(np.uint16)
     low_byte, high_byte = zigzag & 0xFF, zigzag >> 8
-    floats = [replay.times - replay.times[0], nodal_radii(replay.radii)]
+    floats = [replay.times - replay.times[0]]
+    floats += [at_nodes(rods.radii) for rods in replay.rods]
     floats += list(replay.readouts.values())
+    triangles = [np.concatenate(shaded(mesh), axis=-1) for mesh in replay.meshes]
+    levels = [_levels(replay, label) for label in replay.fields]
     data = b"".join(
-        [np.asarray(part, "<f4").tobytes() for part in floats]
+        [np.asarray(part, "<f4").tobytes() for part in floats + triangles]
         + [part.astype(np.uint8).tobytes() for part in (low_byte, high_byte)]
+        + [
+            np.diff(part, axis=-1, prepend=0).astype(np.uint8).tobytes()
+            for part in levels
+        ]
     )
     box_low, box_high = replay.bounds()
     header = {
-        "frames": num_frames,
-        "rods": num_rods,
-        "nodes": num_nodes,
+        "frames": replay.num_frames,
+        "nodes": [r.num_nodes for r in replay.rods for _ in range(r.num_rods)],
         "start": float(replay.times[0]),
         "title": replay.title,
         "up": replay.up,
-        "rodNames": list(replay.rod_names),
+        "floor": replay.floor,
+        "rodColours": colours.rod_colours(replay),
+        "rodLegend": colours.rod_legend(replay),
+        "otherLegend": colours.other_legend(replay),
+        "ramp": list(colours.RAMP),
         "readouts": list(replay.readouts),
-        "spheres": [{"radius": s.radius, "name": s.name} for s in replay.spheres],
+        "fields": [
+            {"label": label, "range": replay.field_range(label)}
+            for label in replay.fields
+        ],
+        "spheres": [
+            {"radius": s.radius, "colour": colours.SPHERES[k % len(colours.SPHERES)]}
+            for k, s in enumerate(replay.spheres)
+        ],
         "cylinders": [
             {
                 "start": c.start.tolist(),
                 "end": c.end.tolist(),
                 "radius": c.radius,
-                "name": c.name,
+                "colour": colours.FIXED,
             }
             for c in replay.cylinders
         ],
-        "low": low.tolist(),
-        "step": step.tolist(),
+        "meshes": [
+            {"corners": 3 * len(m.faces), "count": m.count, "colour": colour}
+            for m, colour in zip(
+                replay.meshes, colours.mesh_colours(replay), strict=True
+            )
+        ],
+        "arrows": [
+            {"count": a.vectors.shape[1], "colour": a.colour} for a in replay.arrows
+        ],
+        "points": count,
+        "scales": scales,
         "box": [box_low.tolist(), box_high.tolist()],
     }
     return header, zlib.compress(data, 9)
 
 
-def nodal_radii(radii: np.ndarray) -> np.ndarray:
-    """Radius of the drawn tube at the nodes [m]: (R, n) per element to (R, n+1)."""
-    padded = np.pad(radii, ((0, 0), (1, 1)), mode="edge")
-    return (padded[:, 1:] + padded[:, :-1]) / 2
+def _series(replay: Replay) -> tuple[np.ndarray, list[Any], int]:
+    """Levels of everything that moves (S, T); lows and steps; the number of points."""
+    frames = replay.num_frames
+    points = [r.positions.reshape(frames, -1, 3) for r in replay.rods]
+    points += [sphere.positions[:, None] for sphere in replay.spheres]
+    points += [mesh.positions for mesh in replay.meshes]
+    points += [arrows.origins for arrows in replay.arrows]
+    size = float(np.linalg.norm(np.subtract(*replay.bounds())))
+    turns = [mesh.orientations for mesh in replay.meshes]
+    ways = [arrows.drawn(size)[0] for arrows in replay.arrows]
+    series, scales = [], []
+    for parts, width in ((points, 3), (turns, 4), (ways, 3)):
+        whole = np.concatenate([*parts, np.zeros((frames, 0, width))], axis=1)
+        low, high = np.zeros(width), np.zeros(width)
+        if whole.size:
+            low, high = whole.min(axis=(0, 1)), whole.max(axis=(0, 1))
+        step = np.where(high > low, (high - low) / _STEPS, 1.0)
+        levels = np.rint((whole - low) / step).astype(np.int32)
+        series.append(levels.transpose(1, 2, 0).reshape(-1, frames))
+        scales.append({"low": low.tolist(), "step": step.tolist()})
+    return np.concatenate(series), scales, len(series[0]) // 3
+
+
+def _levels(replay: Replay, label: str) -> np.ndarray:
+    """Levels of a field at all nodes, (N, T): 0 to 254, or 255 for none."""
+    low, high = replay.field_range(label)
+    parts = []
+    for rods in replay.rods:
+        shape = rods.positions.shape[:3]
+        values = rods.fields.get(label, np.full(shape, np.nan))
+        known = np.isfinite(values)
+        share = (np.where(known, values, low) - low) / (high - low)
+        level = np.where(known, np.rint(254 * np.clip(share, 0, 1)), 255)
+        parts.append(level.reshape(replay.num_frames, -1).T.astype(np.int32))
+    return np.concatenate(parts)
 
 
 @cache

@@ -1,16 +1,21 @@
-"""A recorded motion of one or more rods, ready to be looked at."""
+"""A recorded motion of rods and bodies, ready to be looked at."""
 
 from __future__ import annotations
 
 import dataclasses
 import html as markup
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxrod.viz.arrays import numbers, require_finite
+from jaxrod.viz.arrays import checked_times, numbers, require_finite
+from jaxrod.viz.arrows import Arrows, checked_arrows
+from jaxrod.viz.extent import extent
+from jaxrod.viz.meshes import Mesh, checked_mesh
+from jaxrod.viz.rods import Rods, checked_rods
 from jaxrod.viz.shapes import Cylinder, Sphere, checked_cylinder, checked_sphere
 
 Axis = Literal["x", "y", "z"]
@@ -18,33 +23,37 @@ Axis = Literal["x", "y", "z"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replay:
-    """A recorded motion of R rods of n elements over T frames, as NumPy arrays.
+    """A recorded motion of rods and bodies over T frames, as NumPy arrays.
 
-    Make one with `Replay.from_rollout` (the component-first arrays the simulator
-    returns) or `Replay.from_nodes` (one xyz triple per node): they check and convert.
-    In a notebook a replay shows itself as a 3-D player.
+    Make one with `Replay.from_states` (a scene or a system and its states),
+    `Replay.from_rollout` (component-first arrays) or `Replay.from_nodes` (one xyz
+    triple per node): they check and convert; `together` puts several beside each
+    other. In a notebook a replay shows itself as a 3-D player; `picture` and `film`
+    write files.
     """
 
     times: Float[np.ndarray, "num_frames"]
     """Time of each frame [s], increasing, shape (T,)."""
-    positions: Float[np.ndarray, "num_frames num_rods num_nodes 3"]
-    """Node positions [m], shape (T, R, n+1, 3)."""
-    radii: Float[np.ndarray, "num_rods num_elements"]
-    """Element radii [m], shape (R, n)."""
+    rods: tuple[Rods, ...] = ()
+    """Rods, those with as many elements together."""
     spheres: tuple[Sphere, ...] = ()
     """Spheres shown with the rods, their positions of shape (T, 3)."""
     cylinders: tuple[Cylinder, ...] = ()
     """Cylinders shown with the rods."""
+    meshes: tuple[Mesh, ...] = ()
+    """Rigid bodies shown with the rods."""
+    arrows: tuple[Arrows, ...] = ()
+    """Arrows: forces and the like."""
     readouts: Mapping[str, Float[np.ndarray, "num_frames"]] = dataclasses.field(
         default_factory=dict
     )
     """Name -> one number per frame, shape (T,), for example the reward."""
-    rod_names: tuple[str, ...] = ()
-    """Names of the rods in the legend; empty, or R names."""
     title: str = ""
     """Heading of the player."""
     up: Axis = "z"
     """The world axis drawn upwards."""
+    floor: float | None = None
+    """Height of the ground along the upward axis [m]; `None`: below everything."""
 
     @classmethod
     def from_rollout(
@@ -79,10 +88,16 @@ class Replay:
         *,
         spheres: Sequence[Sphere] = (),
         cylinders: Sequence[Cylinder] = (),
+        meshes: Sequence[Mesh] = (),
+        arrows: Sequence[Arrows] = (),
         readouts: Mapping[str, Any] | None = None,
+        fields: Mapping[str, Any] | None = None,
         rod_names: Sequence[str] = (),
+        name: str = "",
+        colour: str = "",
         title: str = "",
         up: Axis = "z",
+        floor: float | None = None,
     ) -> Replay:
         """Makes a replay from one xyz triple per node.
 
@@ -93,50 +108,207 @@ class Replay:
             times: time of each frame [s], increasing, shape (T,).
             spheres: spheres to show; positions (3,) or (T, 3).
             cylinders: cylinders to show.
+            meshes: rigid bodies to show.
+            arrows: forces and the like to show.
             readouts: name -> one number per frame, shape (T,).
+            fields: label with a unit -> numbers to colour the rods by, broadcastable
+                to (T, R, n) with n for elements, n+1 for nodes or n-1 for joints.
             rod_names: names of the rods in the legend; empty, or R names.
+            name: what the rods are called together.
+            colour: of all rods, as "#rrggbb"; empty: one of its own for each.
             title: heading of the player.
             up: the world axis drawn upwards: "x", "y" or "z".
+            floor: height of the ground along it [m]; `None`: below everything.
 
         Raises:
             ValueError: an argument has the wrong shape or an impossible value.
         """
         nodes = numbers("positions", positions, "m")
-        if nodes.ndim == 3:
-            nodes = nodes[:, None]
-        if nodes.ndim != 4 or nodes.shape[-1] != 3 or nodes.shape[2] < 2:
-            raise ValueError(
-                "positions must have shape (T, n+1, 3) or (T, R, n+1, 3) [m] with "
-                f"at least 2 nodes, got {np.shape(positions)}"
-            )
-        num_frames, num_rods, num_nodes, _ = nodes.shape
-        if num_frames == 0 or num_rods == 0:
-            raise ValueError(
-                f"positions must hold at least one frame and one rod, got {nodes.shape}"
-            )
-        clock = _times(times, num_frames)
-        require_finite("positions", nodes, "m", clock)
+        clock = checked_times(times, nodes.shape[:1])
+        rods = checked_rods(
+            positions,
+            radii,
+            clock,
+            names=rod_names,
+            name=name,
+            colour=colour,
+            fields=fields,
+        )
+        return cls.of(
+            clock,
+            (rods,),
+            spheres=spheres,
+            cylinders=cylinders,
+            meshes=meshes,
+            arrows=arrows,
+            readouts=readouts,
+            title=title,
+            up=up,
+            floor=floor,
+        )
+
+    @classmethod
+    def of(
+        cls,
+        times: Any,
+        rods: Sequence[Rods] = (),
+        *,
+        spheres: Sequence[Sphere] = (),
+        cylinders: Sequence[Cylinder] = (),
+        meshes: Sequence[Mesh] = (),
+        arrows: Sequence[Arrows] = (),
+        readouts: Mapping[str, Any] | None = None,
+        title: str = "",
+        up: Axis = "z",
+        floor: float | None = None,
+    ) -> Replay:
+        """Makes a replay of rods that are checked already and of what is with them.
+
+        Args:
+            times: time of each frame [s], increasing, shape (T,).
+            rods: rods, those with as many elements together.
+            spheres: as in `from_nodes`, and so are the others.
+            cylinders: cylinders to show.
+            meshes: rigid bodies to show.
+            arrows: forces and the like to show.
+            readouts: name -> one number per frame, shape (T,).
+            title: heading of the player.
+            up: the world axis drawn upwards.
+            floor: height of the ground along it [m].
+
+        Raises:
+            ValueError: an argument has the wrong shape or an impossible value.
+        """
+        clock = checked_times(times, (np.size(times),))
         if up not in ("x", "y", "z"):
             raise ValueError(f'up must be "x", "y" or "z", got {up!r}')
-        if rod_names and len(rod_names) != num_rods:
-            raise ValueError(
-                f"rod_names must be empty or hold {num_rods} names, "
-                f"got {len(rod_names)}"
-            )
+        if floor is not None:
+            floor = float(floor)
+            require_finite("floor", np.array([floor]), "m")
         return cls(
             times=clock,
-            positions=nodes,
-            radii=_radii(radii, num_rods, num_nodes - 1),
+            rods=tuple(rods),
             spheres=tuple(checked_sphere(i, s, clock) for i, s in enumerate(spheres)),
             cylinders=tuple(checked_cylinder(i, c) for i, c in enumerate(cylinders)),
+            meshes=tuple(checked_mesh(i, m, clock) for i, m in enumerate(meshes)),
+            arrows=tuple(checked_arrows(i, a, clock) for i, a in enumerate(arrows)),
             readouts={
-                str(name): _readout(str(name), values, num_frames)
+                str(name): _readout(str(name), values, len(clock))
                 for name, values in (readouts or {}).items()
             },
-            rod_names=tuple(str(name) for name in rod_names),
             title=str(title),
             up=up,
+            floor=floor,
         )
+
+    @classmethod
+    def from_states(
+        cls,
+        model: Any,
+        states: Any,
+        times: Any,
+        *,
+        fields: Mapping[str, Any] | None = None,
+        forces: bool = False,
+        colours: Mapping[str, str] | None = None,
+        spheres: Sequence[Sphere] = (),
+        cylinders: Sequence[Cylinder] = (),
+        readouts: Mapping[str, Any] | None = None,
+        title: str = "",
+        up: Axis = "z",
+        floor: float | None = None,
+    ) -> Replay:
+        """Makes a replay of a scene or a system from the states of a rollout.
+
+        Rods, rigid bodies and the fixed bodies that rods may touch are shown, each
+        member under its name.
+
+        Args:
+            model: the scene or the system.
+            states: its states with a leading axis of T, as `jaxrod.rollout` returns
+                them; of a system, a dict by member.
+            times: time of each frame [s], shape (T,).
+            fields: label with a unit -> what to colour rods by: a function of a scene
+                (as it is at the time of the frame) and a state of its rod that gives a
+                number for each of n elements, n+1 nodes or n-1 joints, or one for all;
+                or such numbers, with leading axes for frames and equal rods; or a dict
+                of either by member, for some members. `jaxrod.viz.speed`, `stretch`,
+                `bending` and `twist_rate` are such functions.
+            forces: whether to show the contact forces on rods as arrows, those at each
+                node added up.
+            colours: member -> "#rrggbb".
+            spheres: spheres to show, such as targets.
+            cylinders: cylinders to show.
+            readouts: name -> one number per frame, shape (T,).
+            title: heading of the player.
+            up: the world axis drawn upwards.
+            floor: height of the ground along it [m]; by default that of a level plane
+                which a rod may touch.
+
+        Raises:
+            ValueError: an argument has the wrong shape or an impossible value.
+            TypeError: `model` is neither.
+        """
+        from jaxrod.viz.recorded import recorded
+
+        clock = checked_times(times, (np.size(times),))
+        seen = recorded(model, states, clock, fields or {}, forces, colours or {}, up)
+        return cls.of(
+            clock,
+            seen.rods,
+            meshes=seen.meshes,
+            arrows=seen.arrows,
+            spheres=spheres,
+            cylinders=cylinders,
+            readouts=readouts,
+            title=title,
+            up=up,
+            floor=seen.floor if floor is None else floor,
+        )
+
+    def together(self, *others: Replay) -> Replay:
+        """This replay and others with the same times, in one.
+
+        Raises:
+            ValueError: their times or their upward axes differ.
+        """
+        for other in others:
+            if not np.array_equal(self.times, other.times) or other.up != self.up:
+                raise ValueError("replays put together must have the same times and up")
+        every = (self, *others)
+        floors = [replay.floor for replay in every if replay.floor is not None]
+        return dataclasses.replace(
+            self,
+            rods=sum((replay.rods for replay in every), ()),
+            spheres=sum((replay.spheres for replay in every), ()),
+            cylinders=sum((replay.cylinders for replay in every), ()),
+            meshes=sum((replay.meshes for replay in every), ()),
+            arrows=sum((replay.arrows for replay in every), ()),
+            readouts={k: v for replay in every for k, v in replay.readouts.items()},
+            floor=floors[0] if floors else None,
+        )
+
+    @property
+    def positions(self) -> Float[np.ndarray, "num_frames num_rods num_nodes 3"]:
+        """Node positions [m], shape (T, R, n+1, 3), of rods that are all alike."""
+        return self._alike().positions
+
+    @property
+    def radii(self) -> Float[np.ndarray, "num_rods num_elements"]:
+        """Element radii [m], shape (R, n), of rods that are all alike."""
+        return self._alike().radii
+
+    @property
+    def rod_names(self) -> tuple[str, ...]:
+        """Names of the rods, of rods that are all alike; empty, or R names."""
+        return self._alike().names
+
+    def _alike(self) -> Rods:
+        if len(self.rods) != 1:
+            raise ValueError(
+                f"this replay has rods of {len(self.rods)} kinds: ask each of its rods"
+            )
+        return self.rods[0]
 
     @property
     def num_frames(self) -> int:
@@ -146,7 +318,32 @@ class Replay:
     @property
     def num_rods(self) -> int:
         """Number of rods, R."""
-        return self.positions.shape[1]
+        return sum(rods.num_rods for rods in self.rods)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Labels of what the rods can be coloured by."""
+        return tuple(
+            dict.fromkeys(label for rods in self.rods for label in rods.fields)
+        )
+
+    def field_range(self, label: str) -> tuple[float, float]:
+        """Lowest and highest number of a field that has a colour of its own.
+
+        All but the highest 0.5 %; from zero on where that is near, and as far below
+        zero as above where both signs are.
+        """
+        every = [rods.fields[label] for rods in self.rods if label in rods.fields]
+        values = np.concatenate([np.ravel(numbers) for numbers in every])
+        values = values[np.isfinite(values)]
+        if not values.size:
+            return 0.0, 1.0
+        low, high = (float(np.percentile(values, share)) for share in (0.5, 99.5))
+        if low < 0 < high and -low > 0.02 * high:
+            low, high = -max(-low, high), max(-low, high)
+        elif 0 <= low < 0.3 * high or -0.02 * high <= low < 0:
+            low = 0.0
+        return (low, high) if high > low else (low - 0.5, low + 0.5)
 
     def thinned(self, frames_per_second: float) -> Replay:
         """Drops frames so that at most `frames_per_second` [Hz] remain.
@@ -169,7 +366,9 @@ class Replay:
         return dataclasses.replace(
             self,
             times=self.times[keep],
-            positions=self.positions[keep],
+            rods=tuple(rods.at_frames(keep) for rods in self.rods),
+            meshes=tuple(mesh.at_frames(keep) for mesh in self.meshes),
+            arrows=tuple(arrows.at_frames(keep) for arrows in self.arrows),
             spheres=tuple(
                 dataclasses.replace(s, positions=s.positions[keep])
                 for s in self.spheres
@@ -179,17 +378,35 @@ class Replay:
 
     def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """Corners of the box that holds everything in every frame [m]."""
-        margin = float(self.radii.max())
-        low = self.positions.min(axis=(0, 1, 2)) - margin
-        high = self.positions.max(axis=(0, 1, 2)) + margin
-        for sphere in self.spheres:
-            low = np.minimum(low, sphere.positions.min(axis=0) - sphere.radius)
-            high = np.maximum(high, sphere.positions.max(axis=0) + sphere.radius)
-        for cylinder in self.cylinders:
-            for end in (cylinder.start, cylinder.end):
-                low = np.minimum(low, end - cylinder.radius)
-                high = np.maximum(high, end + cylinder.radius)
+        low, high = extent(self.rods, self.meshes, self.spheres, self.cylinders)
+        if self.floor is not None:
+            axis = "xyz".index(self.up)
+            low[axis] = min(low[axis], self.floor)
         return low, high
+
+    def picture(self, frame: int | Sequence[int], path: Any, **look: Any) -> None:
+        """Writes a still of one frame, or of several in one, as a PNG file.
+
+        Args:
+            frame: which frame, 0 to T-1, negative from the end; of several the last
+                is drawn in full, those before it paler.
+            path: the file to write; its folder must exist.
+            **look: as in `jaxrod.viz.picture`.
+        """
+        from jaxrod.viz.drawing import picture
+
+        picture(self, frame, path, **look)
+
+    def film(self, path: str | os.PathLike[str], **look: Any) -> None:
+        """Writes the motion as a GIF, or as an MP4 where ffmpeg is installed.
+
+        Args:
+            path: the file to write, ending in .gif or .mp4; its folder must exist.
+            **look: as in `jaxrod.viz.film`.
+        """
+        from jaxrod.viz.drawing import film
+
+        film(self, path, **look)
 
     def __repr__(self) -> str:
         """One line on what was recorded, without the numbers."""
@@ -208,37 +425,6 @@ class Replay:
             f'<iframe srcdoc="{page}" title="3-D replay" allowfullscreen '
             'style="width:100%;height:520px;border:0;border-radius:8px"></iframe>'
         )
-
-
-def _times(times: Any, num_frames: int) -> np.ndarray:
-    clock = numbers("times", times, "s")
-    if clock.shape != (num_frames,):
-        raise ValueError(
-            f"times must have shape ({num_frames},) [s], one per frame, "
-            f"got {clock.shape}"
-        )
-    require_finite("times", clock, "s")
-    backward = np.flatnonzero(np.diff(clock) <= 0)
-    if backward.size:
-        k = int(backward[0])
-        raise ValueError(
-            f"times must increase, got {clock[k]:g} s then {clock[k + 1]:g} s "
-            f"at index {k + 1}"
-        )
-    return clock
-
-
-def _radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
-    values = numbers("radii", radii, "m")
-    if values.shape not in ((), (num_elements,), (num_rods, num_elements)):
-        raise ValueError(
-            f"radii must have shape ({num_elements},) or ({num_rods}, {num_elements}) "
-            f"[m], got {values.shape}"
-        )
-    require_finite("radii", values, "m")
-    if values.min() <= 0:
-        raise ValueError(f"radii must be positive, got {values.min():g} m")
-    return np.broadcast_to(values, (num_rods, num_elements)).copy()
 
 
 def _readout(name: str, values: Any, num_frames: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Every file of a run damaged in every way, and what the commands make of it.
 
-    python tests/extremes/damaged_runs.py
+    PYTHONPATH=tests python tests/extremes/damaged_runs.py
 
 A trial damages one copy of a run and asks for one command. Either the command refuses
 in one sentence that names what is damaged, changes nothing and exits with 2; or what

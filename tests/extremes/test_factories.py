@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from extremes.factories import QUICK, all_cases, fault_of
+from extremes.factories import all_cases, fault_of
+from extremes.values import QUICK
 
 
 def faults(labels):

@@ -179,7 +179,9 @@ BAD = {
     "turning must be non-negative": lambda: jaxrod.stokes_drag(1.0, 1.0, -1.0),
     "flow must have shape": lambda: jaxrod.stokes_drag(1.0, 1.0, flow=(1.0, 2.0)),
     "density must be positive": lambda: jaxrod.quadratic_drag(0.0),
-    "length must be at least 10 radii": lambda: jaxrod.slender_cylinder(1, 0.05, 0.02),
+    "length must be at least 10 times radius": lambda: jaxrod.slender_cylinder(
+        1, 0.05, 0.02
+    ),
     "viscosity must be positive": lambda: jaxrod.slender_body_drag(-1.0),
     "function must give one velocity": lambda: jaxrod.flow_field(lambda x, _: x[0]),
     "density must be positive, got -1": lambda: jaxrod.buoyancy(-1.0),

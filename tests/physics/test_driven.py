@@ -110,3 +110,41 @@ def test_a_driven_end_at_a_moment_is_a_support_that_stands_there(held):
         jaxrod.reactions(scene, expected.state)[0] for scene in (moment, standing)
     )
     np.testing.assert_allclose(one.couple, other.couple, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("turns", [0.3, 0.9, 1.1, 2.5, -7.2])
+def test_a_wall_turns_more_than_once(turns):
+    _, state = along_x()
+    wall = jaxrod.driven(
+        state, axis=(1.0, 0.0, 0.0), angle=jaxrod.ramp(0.0, 2 * np.pi * turns, 1.0)
+    )
+    angle = 2 * np.pi * turns
+    for share in (0.5, 1.0):
+        scene = jaxrod.make_scene(along_x()[0], wall).at(share)
+        w, x, y, z = np.asarray(scene.effects[0].turn.orientation)
+        start = np.asarray(state.orientations[:, 0])
+        turn = np.array([np.cos(share * angle / 2), np.sin(share * angle / 2)])
+        expected = [
+            turn[0] * start[0] - turn[1] * start[1],
+            turn[0] * start[1] + turn[1] * start[0],
+            turn[0] * start[2] - turn[1] * start[3],
+            turn[0] * start[3] + turn[1] * start[2],
+        ]
+        np.testing.assert_allclose([w, x, y, z], expected, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_wall_winds_a_rod_up():
+    rod, state = along_x()
+    wall = jaxrod.driven(
+        state,
+        "finish",
+        axis=(1.0, 0.0, 0.0),
+        angle=jaxrod.ramp(0.0, 2 * np.pi * 1.5, 1.0),
+    )
+    damping = jaxrod.exponential_damping(10.0)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), wall, damping)
+    dt = 0.8 * float(jaxrod.stable_dt(scene).dt)
+    wound = jaxrod.advance(scene, state, dt, int(2.0 / dt))
+    # Half an element at either end is the walls'.
+    np.testing.assert_allclose(jaxrod.twist(wound), 1.5 * 3 / 4, rtol=1e-4)

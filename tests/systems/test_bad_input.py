@@ -137,3 +137,56 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
     systems, states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), (system, pair))
     with pytest.raises(ValueError, match=r"use jax\.vmap"):
         jaxrod.advance(systems, states, 1e-4, 1)
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (jaxrod.uniform_load((0.0, 0.0, 1.0)), "'ball': UniformLoad.*rest_lengths"),
+        (jaxrod.end_load((0.0, 0.0, 1.0)), r"'ball': EndLoad.*shape \(2,\)"),
+        (jaxrod.stokes_drag(0.1, 0.2), "'ball': StokesDrag.*bodies have not"),
+        (
+            jaxrod.contact(jaxrod.plane(), stiffness=1.0),
+            "'ball': Contact.*stability_bound",
+        ),
+        (jaxrod.internal_damping(1e-3), "'ball': InternalDamping"),
+    ],
+)
+def test_effects_that_do_not_act_on_bodies(given, effect, words):
+    ball = replace(given[0]["ball"], effects=(jaxrod.gravity(), effect))
+    with pytest.raises(ValueError, match=words):
+        jaxrod.make_system({"ball": ball})
+
+
+def test_effects_on_bodies_take_their_type():
+    """Of a body in single precision where numbers are double by default."""
+    ball, state = jaxrod.rigid_body(
+        jaxrod.sphere((0, 0, 0), 0.05),
+        density=100.0,
+        effects=(jaxrod.gravity(), jaxrod.exponential_damping(0.5)),
+        dtype=jnp.float32,
+    )
+    system = jaxrod.make_system({"ball": ball})
+    after = jaxrod.advance(system, {"ball": state}, 0.01, 3)["ball"]
+    assert {leaf.dtype for leaf in jax.tree.leaves((system, after))} == {
+        jnp.dtype("float32")
+    }
+    assert after.velocities[2, 0] == pytest.approx(-0.292, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        jaxrod.potential_energy,
+        jaxrod.total_energy,
+        lambda system, state: jaxrod.health(system, state, 1e-3),
+    ],
+)
+def test_what_asks_about_one_moment(given, function):
+    members, state = given
+    pull = jaxrod.gravity(jaxrod.sine((0.0, 0.0, 1.0), 2.0))
+    ball = replace(members["ball"], effects=(pull,))
+    system = jaxrod.make_system({"ball": ball})
+    with pytest.raises(ValueError, match=r"one moment.*give system\.at\(time\)"):
+        function(system, {"ball": state["ball"]})
+    function(system.at(0.3), {"ball": state["ball"]})

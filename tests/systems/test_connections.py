@@ -308,6 +308,7 @@ def test_gradients_through_many_ties():
     assert slope == pytest.approx(difference, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_tied_nodes_stay_together_for_long_in_single_precision():
     """Equal velocities leave the rounding of positions, which adds up."""
     made = [

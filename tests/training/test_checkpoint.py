@@ -54,8 +54,17 @@ def test_another_structure_is_refused_by_name(checkpoints, now, said):
         checkpoints.restore(arrays(now))
 
 
-@pytest.mark.parametrize("variant", ["paper", "clean"])
-@pytest.mark.parametrize("name", ["tracking", "reaching", "structured", "unstructured"])
+ARMS = ("tracking", "reaching", "structured", "unstructured")
+
+
+@pytest.mark.parametrize(
+    ("name", "variant"),
+    [
+        *((name, variant) for name in ARMS for variant in ("paper", "clean")),
+        pytest.param("snake", "clean", marks=pytest.mark.slow),
+        pytest.param("octopus", "clean", marks=pytest.mark.slow),
+    ],
+)
 def test_the_parameters_of_every_task_come_back(name, variant, checkpoints):
     """Two control points, as in Cases 3 and 4, have no breaks between them."""
     params = make(name, variant=variant).default_params()

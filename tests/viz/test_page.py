@@ -7,6 +7,7 @@ import json
 import os
 import re
 import zlib
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -20,27 +21,54 @@ def unpack(page):
     header = json.loads(re.search(r'id="header">(.*?)</script>', page, re.DOTALL)[1])
     packed = re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1]
     data = zlib.decompress(base64.b64decode(packed))
-    frames, rods, nodes = header["frames"], header["rods"], header["nodes"]
-    points = rods * nodes + len(header["spheres"])
-    sizes = [frames, rods * nodes] + [frames] * len(header["readouts"])
+    frames, total = header["frames"], sum(header["nodes"])
+    corners = [mesh["corners"] for mesh in header["meshes"]]
+    sizes = [frames, total] + [frames] * len(header["readouts"])
+    sizes += [6 * count for count in corners]
     floats = np.frombuffer(data, "<f4", sum(sizes))
-    times, radii, *readouts = np.split(floats, np.cumsum(sizes)[:-1])
-    low, high = np.frombuffer(data, np.uint8, offset=4 * sum(sizes)).reshape(2, -1)
+    times, radii, *others = np.split(floats, np.cumsum(sizes)[:-1])
+    bodies = sum(mesh["count"] for mesh in header["meshes"])
+    arrows = sum(some["count"] for some in header["arrows"])
+    blocks = [(header["points"], 3), (bodies, 4), (arrows, 3)]
+    series = sum(count * width for count, width in blocks)
+    start = 4 * sum(sizes)
+    low, high = np.frombuffer(data, np.uint8, 2 * series * frames, start).reshape(2, -1)
     zigzag = low.astype(np.int64) + 256 * high.astype(np.int64)
     change = np.where(zigzag % 2, -(zigzag + 1) // 2, zigzag // 2)
-    levels = np.cumsum(change.reshape(points, 3, frames), axis=-1) % 65536
-    positions = header["low"] + np.array(header["step"]) * levels.transpose(2, 0, 1)
-    return header, times, radii, readouts, positions
+    levels = np.cumsum(change.reshape(series, frames), axis=-1) % 65536
+    moving, first = [], 0
+    for (count, width), scale in zip(blocks, header["scales"], strict=True):
+        own = levels[first : first + count * width].reshape(count, width, frames)
+        moving.append(scale["low"] + np.array(scale["step"]) * own.transpose(2, 0, 1))
+        first += count * width
+    changes = np.frombuffer(data, np.uint8, offset=start + 2 * series * frames)
+    fields = np.cumsum(changes.reshape(-1, total, frames), axis=-1) % 256
+    count = len(header["readouts"])
+    return Unpacked(
+        header, times, radii, others[:count], others[count:], *moving, fields
+    )
+
+
+class Unpacked(NamedTuple):
+    header: dict
+    times: np.ndarray
+    radii: np.ndarray
+    readouts: list
+    meshes: list
+    positions: np.ndarray
+    turns: np.ndarray
+    arrows: np.ndarray
+    fields: np.ndarray
 
 
 def test_the_recording_survives_to_half_a_rounding_step():
     replay = swinging_arm(num_rods=2)
-    header, times, radii, readouts, positions = unpack(html(replay))
+    header, times, radii, readouts, _, positions, *_ = unpack(html(replay))
     truth = np.concatenate(
         [replay.positions.reshape(601, -1, 3), replay.spheres[0].positions[:, None]], 1
     )
     span = truth.max(axis=(0, 1)) - truth.min(axis=(0, 1))
-    np.testing.assert_allclose(header["step"], span / 65535)
+    np.testing.assert_allclose(header["scales"][0]["step"], span / 65535)
     assert np.all(np.abs(positions - truth) <= span / 131070 * (1 + 1e-6))
     np.testing.assert_array_equal(times, replay.times.astype("f4"))
     np.testing.assert_allclose(
@@ -67,10 +95,14 @@ def test_text_from_the_user_cannot_break_the_page():
     hostile = "<!--<script></script><script>%%DATA%%&\"'"
     replay = swinging_arm(num_frames=5)
     object.__setattr__(replay, "title", hostile)
+    object.__setattr__(replay.rods[0], "name", hostile)
+    object.__setattr__(replay.rods[0], "fields", {hostile: np.ones((5, 1, 21))})
     page = html(replay)
     assert page.count("</script>") == 3
     assert "<!--<script" not in page
-    assert unpack(page)[0]["title"] == hostile
+    header = unpack(page).header
+    assert header["title"] == header["fields"][0]["label"] == hostile
+    assert header["rodLegend"][0][1] == hostile
 
 
 def test_fast_recordings_are_thinned_to_the_frame_rate():

@@ -1,7 +1,7 @@
 // The floor, the three measured edges of the box, and their numbers in metres.
 
 class Axes {
-  constructor(box, camera, tubes, element) {
+  constructor(box, floor, camera, tubes, element) {
     this.camera = camera;
     this.tubes = tubes;
     this.element = element;
@@ -17,6 +17,8 @@ class Axes {
       const flat = high <= low;
       return [flat && k < 2 ? low - 1 : low, flat ? low + 1 : high].map((n) => n * this.step);
     });
+    // The ground is where it is, or below everything.
+    if (floor !== null) this.ranges[2][0] = floor;
     this.height = this.ranges[2][0];
     this.thickness = 0.0016 * size;
     const [low, high] = [0, 1].map((side) => this.place(...this.ranges.map((r) => r[side])));

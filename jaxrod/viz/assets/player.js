@@ -12,12 +12,14 @@ class Player {
     this.invalidate = this.invalidate.bind(this);
     this.tubes = new Tubes();
     this.camera = new Camera(this.canvas, recording.up, this.invalidate);
-    this.axes = new Axes(recording.box, this.camera, this.tubes, $("labels"));
+    this.axes = new Axes(recording.box, recording.floor, this.camera, this.tubes, $("labels"));
     this.furnish();
     this.theme = readTheme();
-    const many = recording.rods * (recording.nodes - 1) > 2500;
+    this.ramp = recording.ramp.flatMap(linearColour);
+    const many = recording.total - recording.nodes.length > 2500;
     this.sharpness = many ? { along: 2, around: 10 } : { along: 5, around: 28 };
-    this.renderer = new Renderer(this.canvas, this.tubes, this.sharpness);
+    this.renderer = this.newRenderer();
+    recording.fields.forEach(({ label }, k) => $("colour").add(new Option(label, `field ${k}`)));
     this.writeLegend();
     this.readouts = recording.readouts.map((readout) => new Readout(readout, recording));
     this.connect();
@@ -25,28 +27,34 @@ class Player {
     this.seek(0);
   }
 
-  // Makes the tubes: rods, obstacles, and a trail behind every tip and moving sphere.
+  newRenderer() {
+    const bodies = this.recording.meshes.map((mesh) => ({ ...mesh, colour: linearColour(mesh.colour) }));
+    return new Renderer(this.canvas, this.tubes, bodies, this.sharpness);
+  }
+
+  // Makes the tubes: rods, obstacles, arrows, and a trail behind every tip and moving
+  // sphere.
   furnish() {
-    const { rods, nodes, spheres, cylinders, radii, series } = this.recording;
-    this.rodTubes = [];
+    const { nodes, spheres, cylinders, arrows, radii, rodColours, firsts, firstSphere } = this.recording;
     this.trailTubes = [];
     const trail = (point, radius, colour) => {
       const look = { trail: true, point, radius: 0.35 * radius, colour: linearColour(colour) };
       this.trailTubes.push(this.tubes.add(TRAIL_NODES, look));
     };
-    for (let rod = 0; rod < rods; rod++) {
-      const colour = rodColour(rod, rods);
-      const look = { colour: linearColour(colour), shadow: true, rings: true };
-      this.rodTubes.push(this.tubes.add(nodes, look));
-      if (rods <= 64) trail((rod + 1) * nodes - 1, radii[(rod + 1) * nodes - 1], colour);
-    }
-    this.balls = spheres.map(({ radius }, k) => {
-      const colour = SPHERES[k % SPHERES.length];
-      trail(series / 3 - spheres.length + k, radius, colour);
+    this.rodTubes = nodes.map((count, rod) => {
+      const look = { colour: linearColour(rodColours[rod]), shadow: true, rings: true, rod: true };
+      const tip = firsts[rod] + count - 1;
+      if (nodes.length <= 64) trail(tip, radii[tip], rodColours[rod]);
+      return this.tubes.add(count, look);
+    });
+    this.balls = spheres.map(({ radius, colour }, k) => {
+      trail(firstSphere + k, radius, colour);
       return { radius, colour: linearColour(colour), centre: [0, 0, 0] };
     });
+    this.arrowTubes = arrows.flatMap(({ count, colour }) =>
+      Array.from({ length: count }, () => this.tubes.add(4, { colour: linearColour(colour) })));
     const fixed = cylinders.map((cylinder) => {
-      const look = { colour: linearColour(CYLINDERS), shadow: true };
+      const look = { colour: linearColour(cylinder.colour), shadow: true };
       return [cylinder, this.tubes.add(2, look)];
     });
     this.tubes.allocate();
@@ -56,19 +64,31 @@ class Player {
   }
 
   pose() {
-    const { recording, tubes } = this;
-    const { nodes, radii, spheres, series } = recording;
+    const { recording, tubes, field } = this;
+    const { nodes, firsts, radii, meshes, firstSphere, firstBody, firstArrow } = recording;
     const [frame, fraction] = recording.locate(this.time);
     this.rodTubes.forEach((tube, rod) => {
-      for (let node = 0; node < nodes; node++) {
-        const k = rod * nodes + node;
+      for (let node = 0; node < nodes[rod]; node++) {
+        const k = firsts[rod] + node;
         const at = (axis) => recording.at(3 * k + axis, frame, fraction);
-        tubes.setNode(tube, node, at(0), at(1), at(2), radii[k]);
+        const level = field ? recording.level(field, k, frame, fraction) : -1;
+        tubes.setNode(tube, node, at(0), at(1), at(2), radii[k], level);
       }
       tubes.close(tube);
     });
     this.balls.forEach((ball, k) => {
-      ball.centre = recording.point(series / 3 - spheres.length + k, frame, fraction);
+      ball.centre = recording.point(firstSphere + k, frame, fraction);
+    });
+    let body = 0;
+    this.poses = meshes.map(({ count }) => Array.from({ length: count }, () => {
+      const origin = recording.point(firstBody + body, frame, fraction);
+      return { origin, turn: recording.turn(body++, frame, fraction) };
+    }));
+    const thickness = 0.0035 * 2 * this.camera.size;
+    this.arrowTubes.forEach((tube, k) => {
+      const start = recording.point(firstArrow + k, frame, fraction);
+      const way = recording.arrow(k, frame, fraction);
+      tubes.setArrow(tube, start, length(way) > 2 * thickness ? way : [0, 0, 0], thickness);
     });
     const span = Math.min(1, 0.25 * recording.duration);
     for (const tube of this.trailTubes) {
@@ -108,8 +128,8 @@ class Player {
     this.axes.update(view);
     this.renderer.draw({
       camera: view.matrix, eye: view.eye, lamp: view.lamp, up: this.camera.up,
-      floor: this.axes.floor(), balls: this.balls, theme: this.theme,
-      steepest: this.steepest || 0,
+      floor: this.axes.floor(), balls: this.balls, poses: this.poses, theme: this.theme,
+      ramp: this.ramp, steepest: this.steepest || 0, measured: Boolean(this.field),
     });
     for (const button of document.querySelectorAll("[data-preset]")) {
       button.setAttribute("aria-pressed", button.dataset.preset === this.camera.preset);
@@ -177,28 +197,22 @@ class Player {
     const curved = what === "curvature";
     this.scale ??= curved ? this.recording.curvatureScale() : undefined;
     this.steepest = curved ? this.scale : 0;
-    for (const tube of this.rodTubes) tube.curved = curved;
+    this.field = this.recording.fields.find((_, k) => what === `field ${k}`);
     this.writeLegend();
     this.layOut();
   }
 
   writeLegend() {
-    const { rods, rodNames, spheres, cylinders, title } = this.recording;
+    const { rodLegend, otherLegend, ramp, title } = this.recording;
     $("title").textContent = title;
-    const entries = [];
-    if (this.steepest) {
-      entries.push([`linear-gradient(90deg, ${RAMP})`, `curvature 0 – ${this.steepest.toPrecision(2)} /m`, "ramp"]);
-    } else if (rodNames.length && rods <= RODS.length) {
-      rodNames.forEach((name, rod) => entries.push([rodColour(rod, rods), name]));
-    } else if (rods > 1) {
-      const ends = Array.from({ length: 6 }, (_, k) => rodColour(Math.round((k * (rods - 1)) / 5), rods));
-      entries.push([`linear-gradient(90deg, ${ends})`, `${rods} rods`, "ramp"]);
-    } else entries.push([rodColour(0, 1), "rod"]);
-    spheres.forEach(({ name }, k) => entries.push([SPHERES[k % SPHERES.length], name]));
-    const obstacles = new Map();
-    for (const { name } of cylinders) obstacles.set(name, (obstacles.get(name) || 0) + 1);
-    for (const [name, count] of obstacles) {
-      entries.push([CYLINDERS, count > 1 ? `${name} × ${count}` : name]);
+    const colours = `linear-gradient(90deg, ${ramp})`;
+    const entries = [...rodLegend, ...otherLegend];
+    const named = (words) => entries.splice(0, rodLegend.length, [colours, words, "ramp"]);
+    if (this.steepest) named(`curvature 0 – ${this.steepest.toPrecision(2)} /m`);
+    if (this.field) {
+      const [low, high] = this.field.range.map((x) =>
+        String(Number(x.toPrecision(3))).replace("-", "−"));
+      named(`${this.field.label} ${low} – ${high}`);
     }
     $("legend").replaceChildren(...entries.map(([fill, text, kind]) => {
       const item = document.createElement("li");
@@ -253,7 +267,7 @@ class Player {
     // A browser with many views open may take the graphics away and give them back.
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => {
-      this.renderer = new Renderer(this.canvas, this.tubes, this.sharpness);
+      this.renderer = this.newRenderer();
       this.invalidate();
     });
   }

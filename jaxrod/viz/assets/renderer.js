@@ -1,9 +1,9 @@
 // Draws tubes, balls and the floor with WebGL2. It knows nothing of time or rods.
 
-const NODE_FLOATS = 4; // x, y, z [m], radius [m]
+const NODE_FLOATS = 5; // x, y, z [m], radius [m], level of a field [1]
 
 class Renderer {
-  constructor(canvas, tubes, sharpness) {
+  constructor(canvas, tubes, bodies, sharpness) {
     const gl = canvas.getContext("webgl2", { antialias: true, stencil: true });
     if (!gl) throw new Error("This browser does not offer WebGL2, which the 3-D view needs.");
     this.canvas = canvas;
@@ -12,15 +12,17 @@ class Renderer {
     this.programs = {
       tube: this.program(TUBE_VERTEX, TUBE_FRAGMENT),
       trail: this.program(TUBE_VERTEX, TRAIL_FRAGMENT),
-      ball: this.program(BALL_VERTEX, BALL_FRAGMENT),
+      ball: this.program(BALL_VERTEX, SOLID_FRAGMENT),
+      body: this.program(BODY_VERTEX, SOLID_FRAGMENT),
       floor: this.program(FLOOR_VERTEX, FLOOR_FRAGMENT),
     };
     this.tube = this.mesh(...tubeMesh(sharpness.along, sharpness.around), 4);
     this.ball = this.mesh(...ballMesh(24, 36), 3);
     this.floor = this.mesh([-1, -1, 1, -1, -1, 1, 1, 1], [0, 1, 2, 2, 1, 3], 2);
+    this.bodies = bodies.map((body) => ({ ...body, array: this.soup(body.vertices) }));
     this.nodes = gl.createBuffer();
     gl.bindVertexArray(this.tube.array);
-    for (let k = 1; k <= 4; k++) {
+    for (let k = 1; k <= 6; k++) {
       gl.enableVertexAttribArray(k);
       gl.vertexAttribDivisor(k, 1);
     }
@@ -63,6 +65,21 @@ class Renderer {
     return { array, count: indices.length };
   }
 
+  // Triangles that share no corners: place and normal of each corner.
+  soup(vertices) {
+    const { gl } = this;
+    const array = gl.createVertexArray();
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.STATIC_DRAW);
+    for (const k of [0, 1]) {
+      gl.enableVertexAttribArray(k);
+      gl.vertexAttribPointer(k, 3, gl.FLOAT, false, 24, 12 * k);
+    }
+    gl.bindVertexArray(null);
+    return array;
+  }
+
   use({ program, places }, values) {
     const { gl } = this;
     gl.useProgram(program);
@@ -93,7 +110,7 @@ class Renderer {
     this.gl.viewport(0, 0, width, height);
   }
 
-  draw({ camera, eye, up, lamp, floor, balls, theme, steepest }) {
+  draw({ camera, eye, up, lamp, floor, balls, poses, theme, ramp, steepest, measured }) {
     const { gl } = this;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.nodes);
     gl.bufferData(gl.ARRAY_BUFFER, this.tubes.values, gl.DYNAMIC_DRAW);
@@ -112,29 +129,33 @@ class Renderer {
     const scene = { camera, eye, up, lamp };
     const shadow = {
       ...scene, flatten: [1, floor.height], colour: theme.shadow,
-      fade: [theme.shadowStrength, 0], flat_shading: 1, steepest: 0, rings: 0,
+      fade: [theme.shadowStrength, 0], flat_shading: 1, steepest: 0, measured: 0, rings: 0,
     };
     gl.enable(gl.STENCIL_TEST);
     gl.stencilFunc(gl.EQUAL, 0, 255);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
-    const casting = this.tubes.list.filter((t) => t.shadow);
+    const casting = this.tubes.list.filter((t) => t.shadow && t.visible);
     this.drawTubes(this.programs.tube, shadow, casting, () => {});
     this.drawBalls(shadow, balls, false);
+    this.drawBodies(shadow, poses, false);
     gl.disable(gl.STENCIL_TEST);
 
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);
     const solid = { ...scene, flatten: [0, 0], fade: [1, 0], flat_shading: 0 };
     const solids = this.tubes.list.filter((t) => !t.trail && t.visible);
-    const rampValues = theme.ramp.flat();
-    this.drawTubes(this.programs.tube, { ...solid, ramp: rampValues }, solids, (tube) => {
+    this.drawTubes(this.programs.tube, { ...solid, ramp }, solids, (tube) => {
       this.set("colour", tube.colour || theme[tube.themeColour]);
       this.set("flat_shading", tube.line ? 1 : 0);
       this.set("fade", [tube.line ? 0.55 : 1, 0]);
       this.set("rings", tube.rings ? theme.rings : 0);
-      this.set("steepest", tube.curved ? steepest : 0);
+      this.set("steepest", tube.rod ? steepest : 0);
+      this.set("measured", tube.rod && measured ? 1 : 0);
     });
     this.drawBalls(solid, balls, true);
+    gl.disable(gl.CULL_FACE); // a plane has two sides
+    this.drawBodies(solid, poses, true);
+    gl.enable(gl.CULL_FACE);
 
     gl.depthMask(false);
     const trails = this.tubes.list.filter((t) => t.trail && t.visible);
@@ -157,6 +178,10 @@ class Renderer {
       for (let k = 0; k < 4; k++) {
         gl.vertexAttribPointer(1 + k, 4, gl.FLOAT, false, stride, (tube.first + k) * stride);
       }
+      for (const k of [1, 2]) {
+        const at = (tube.first + k) * stride + 16;
+        gl.vertexAttribPointer(4 + k, 1, gl.FLOAT, false, stride, at);
+      }
       const segments = tube.count - 1;
       gl.drawElementsInstanced(gl.TRIANGLES, this.tube.count, gl.UNSIGNED_SHORT, 0, segments);
     }
@@ -171,6 +196,20 @@ class Renderer {
       if (coloured) this.set("colour", ball.colour);
       gl.drawElements(gl.TRIANGLES, this.ball.count, gl.UNSIGNED_SHORT, 0);
     }
+  }
+
+  drawBodies(shared, poses, coloured) {
+    const { gl } = this;
+    this.use(this.programs.body, shared);
+    this.bodies.forEach(({ array, corners, colour }, k) => {
+      gl.bindVertexArray(array);
+      if (coloured) this.set("colour", colour);
+      for (const { origin, turn } of poses[k]) {
+        this.set("origin", origin);
+        this.set("turn", turn);
+        gl.drawArrays(gl.TRIANGLES, 0, corners);
+      }
+    });
   }
 }
 
@@ -194,12 +233,13 @@ class Tubes {
     this.values = new Float32Array(this.size * NODE_FLOATS);
   }
 
-  setNode(tube, index, x, y, z, radius) {
+  setNode(tube, index, x, y, z, radius, level = -1) {
     const k = (tube.first + 1 + index) * NODE_FLOATS;
     this.values[k] = x;
     this.values[k + 1] = y;
     this.values[k + 2] = z;
     this.values[k + 3] = radius;
+    this.values[k + 4] = level;
   }
 
   close(tube) {
@@ -214,6 +254,19 @@ class Tubes {
             : 2 * at(1, axis) - at(2, axis);
       }
     }
+  }
+
+  // An arrow of four nodes; hidden where it has no length.
+  setArrow(tube, start, way, thickness) {
+    const size = length(way);
+    tube.visible = size > 0;
+    const head = Math.min(5 * thickness, 0.6 * size);
+    const neck = 1 - head / (size || 1);
+    const nodes = [[0, 1], [neck - 1e-3, 1], [neck, 2.4], [1, 0.02]];
+    nodes.forEach(([share, radius], k) => {
+      this.setNode(tube, k, ...add(start, scale(way, share)), radius * thickness);
+    });
+    this.close(tube);
   }
 
   setLine(tube, start, end, radius) {

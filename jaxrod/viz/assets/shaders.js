@@ -1,5 +1,5 @@
-// One tube program draws rods, cylinders, axes, trails and shadows; one draws spheres;
-// one draws the floor.
+// One tube program draws rods, cylinders, arrows, axes, trails and shadows; one draws
+// spheres, one bodies of triangles, one the floor.
 
 // What is lit how: a sky and a floor glow, a lamp over the reader's left shoulder, a
 // soft rim. Colours are linear until the last line; alpha is premultiplied.
@@ -26,11 +26,14 @@ layout(location = 1) in vec4 p0;
 layout(location = 2) in vec4 p1;
 layout(location = 3) in vec4 p2;
 layout(location = 4) in vec4 p3;
+// Level of a field at either end, 0 to 1, below zero where there is none.
+layout(location = 5) in float level1;
+layout(location = 6) in float level2;
 uniform mat4 camera;
 uniform vec3 up;
 uniform vec2 flatten;        // 1 and the floor's height for shadows, else 0
 out vec3 place, normal;
-out float along, extent, radius, bend, disc;
+out float along, extent, radius, bend, disc, level;
 
 float curvature(vec3 a, vec3 b, vec3 c) {
   vec3 e = b - a, f = c - b;
@@ -60,6 +63,7 @@ void main() {
   place = centre + radius * grid.z * outward;
   normal = grid.w == 0.0 ? outward : grid.w * tangent;
   along = u;
+  level = mix(level1, level2, u);
   disc = abs(grid.w);
   extent = length(chord);
   bend = mix(curvature(p0.xyz, p1.xyz, p2.xyz), curvature(p1.xyz, p2.xyz, p3.xyz), u);
@@ -70,10 +74,10 @@ void main() {
 const TUBE_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 place, normal;
-in float along, extent, radius, bend;
+in float along, extent, radius, bend, level;
 uniform vec3 colour;
 uniform vec2 fade;           // alpha = fade.x + fade.y * (position along the tube)
-uniform float rings, steepest;
+uniform float rings, steepest, measured;
 uniform vec3 ramp[5];
 uniform int flat_shading;
 ${LIGHTING}
@@ -81,10 +85,11 @@ out vec4 result;
 void main() {
   if (flat_shading == 1) { result = vec4(pow(colour, vec3(1.0 / 2.2)) * fade.x, fade.x); return; }
   vec3 base = colour;
-  if (steepest > 0.0) {
-    float level = 4.0 * clamp(bend / steepest, 0.0, 1.0);
-    int k = min(int(level), 3);
-    base = mix(ramp[k], ramp[k + 1], level - float(k));
+  float share = steepest > 0.0 ? bend / steepest : measured > 0.0 ? level : -1.0;
+  if (share >= 0.0) {
+    float stop = 4.0 * min(share, 1.0);
+    int k = min(int(stop), 3);
+    base = mix(ramp[k], ramp[k + 1], stop - float(k));
   }
   // A thin line where two elements meet.
   float edge = min(along, 1.0 - along) * extent;
@@ -121,7 +126,29 @@ void main() {
   gl_Position = camera * vec4(place, 1.0);
 }`;
 
-const BALL_FRAGMENT = `#version 300 es
+// A body: its corners turned by a quaternion (w, x, y, z) and moved.
+const BODY_VERTEX = `#version 300 es
+precision highp float;
+layout(location = 0) in vec3 corner;
+layout(location = 1) in vec3 outward;
+uniform vec3 origin;
+uniform vec4 turn;
+uniform mat4 camera;
+uniform vec3 up;
+uniform vec2 flatten;
+out vec3 place, normal;
+vec3 turned(vec3 v) {
+  vec3 t = 2.0 * cross(turn.yzw, v);
+  return v + turn.x * t + cross(turn.yzw, t);
+}
+void main() {
+  normal = turned(outward);
+  place = origin + turned(corner);
+  place -= flatten.x * up * (dot(place, up) - flatten.y);
+  gl_Position = camera * vec4(place, 1.0);
+}`;
+
+const SOLID_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 place, normal;
 uniform vec3 colour;
@@ -131,7 +158,7 @@ ${LIGHTING}
 out vec4 result;
 void main() {
   if (flat_shading == 1) { result = vec4(pow(colour, vec3(1.0 / 2.2)) * fade.x, fade.x); return; }
-  result = lit(colour, place, normal, fade.x);
+  result = lit(colour, place, gl_FrontFacing ? normal : -normal, fade.x);
 }`;
 
 const FLOOR_VERTEX = `#version 300 es

@@ -1,0 +1,1 @@
+"""Parts of tasks with animals: grounds, gaits, what they share."""

@@ -1,0 +1,190 @@
+r"""An octopus on the sea floor: a rigid head, eight soft arms, water and ground.
+
+The arms are one member of equal rods, attached to the lower side of the head, of soft
+silicone (an elastic modulus of 30 kPa). They and the head are a tenth heavier than the
+water and lie on the floor, with friction; the water drags on the arms. Muscles give
+every arm a curvature of its own (`jaxrod.ActiveShape`), sideways and upwards, evenly
+along the arm: an arm in free space would take it.
+
+Transverse rotary inertia of the arms is enlarged (`jaxrod.scale_inertia`), which slow
+motion in water does not feel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+import jaxrod
+from jaxrod import ActiveShape, HealthLimits, Ramp, RodState, Scene
+from jaxrod.structure import pytree
+from jaxrod.systems.assembly import SystemState
+from jaxrod.systems.system import System
+
+N_ARMS = 8
+LENGTH = 0.2
+"""Of an arm [m]."""
+RADII = (0.012, 0.006)
+"""Of an arm at the head and at its tip [m]."""
+HEAD = 0.03
+"""Radius of the head [m]."""
+DENSITY, WATER = 1100.0, 1000.0
+"""[kg/m^3]"""
+YOUNGS_MODULUS = 3e4
+"""[Pa]"""
+GRAVITY = 9.81
+"""[m/s^2]"""
+FRICTION = 0.6
+"""[1]"""
+MOST_CURVATURE = 15.0
+"""Of an arm by its muscles, about either axis: 3 rad over its length [1/m]."""
+
+
+@pytree
+class OctopusBody:
+    """Parameters of the octopus and of all that acts on it."""
+
+    system: System
+    """Members "arms" and "head"; the arms' last effect is their muscles."""
+    rest: dict[str, RodState | jaxrod.BodyState]
+    """All arms straight, parallel to the floor, and at rest."""
+    angles: Float[Array, "8"]
+    """Directions of the arms, from x towards y, at rest [rad]."""
+    most_curvature: Float[Array, ""]
+    """Curvature for a control value of one [1/m]."""
+    largest_change: Float[Array, ""]
+    """Largest change of a control value from one control step to the next [1]."""
+    limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
+    """Limits of health beyond which the octopus is frozen."""
+
+    @property
+    def arms(self) -> Scene:
+        """The arms, with a leading axis."""
+        arms = self.system.members["arms"]
+        assert isinstance(arms, Scene)
+        return arms
+
+    def advance(
+        self,
+        state: SystemState,
+        before: Float[Array, "8 2"],
+        after: Float[Array, "8 2"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[SystemState, Bool[Array, ""]]:
+        """Simulation steps of one control step.
+
+        Args:
+            state: The octopus.
+            before: Control values of every arm at the beginning, sideways (to the left
+                seen from the head) and upwards [1].
+            after: Control values at the end [1].
+            dt: Step [s].
+            n_steps: Number of steps, at least 1.
+
+        Returns:
+            The octopus, and whether a health flag rose; then it is what it was.
+        """
+        duration = n_steps * dt
+        curvature = Ramp(
+            first=self._curvatures(before),
+            last=self._curvatures(after),
+            start=jnp.zeros((N_ARMS,), dt.dtype),
+            duration=jnp.broadcast_to(duration, (N_ARMS,)),
+        )
+        acting = self._with_curvature(curvature)
+        moved = jaxrod.advance(acting, state, dt, n_steps)
+        still = self._with_curvature(curvature.last)
+        flagged = jaxrod.health(still, moved, dt, limits=self.limits).flagged
+        return jaxrod.freeze(flagged, state, moved), flagged
+
+    def _with_curvature(self, curvature: Array | Ramp) -> System:
+        """The system with muscles."""
+        muscles = ActiveShape(curvature=curvature, strain=None)
+        effects = (*self.arms.effects[:-1], muscles)
+        arms = dataclasses.replace(self.arms, effects=effects)
+        members = {**self.system.members, "arms": arms}
+        return dataclasses.replace(self.system, members=members)
+
+    def _curvatures(self, controls: Float[Array, "8 2"]) -> Float[Array, "8 3"]:
+        """About the vertical, about the axis across it, and no twist [1/m]."""
+        return self.most_curvature * jnp.pad(controls, ((0, 0), (0, 1)))
+
+
+def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
+    """The octopus at rest, in JAX's default precision.
+
+    Args:
+        n_elements: Elements of every arm.
+        largest_change: Of a control value in a control step [1].
+    """
+    angles = 2 * jnp.pi * (jnp.arange(N_ARMS) + 0.5) / N_ARMS
+    weight = jaxrod.gravity((0.0, 0.0, -GRAVITY * (1 - WATER / DENSITY)))
+    root = (HEAD**2 - (HEAD - RADII[0]) ** 2) ** 0.5
+
+    def arm(angle: Array) -> tuple[Scene, RodState]:
+        zero = jnp.zeros_like(angle)
+        outwards = jnp.stack([jnp.cos(angle), jnp.sin(angle), zero])
+        rod, state = jaxrod.straight_rod(
+            n_elements,
+            length=LENGTH,
+            radius=RADII,
+            density=DENSITY,
+            youngs_modulus=YOUNGS_MODULUS,
+            start=root * outwards + jnp.asarray([0.0, 0.0, RADII[0]]),
+            direction=outwards,
+            normal=(0.0, 0.0, 1.0),
+        )
+        floor = jaxrod.contact(
+            jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            stiffness=1000.0,
+            damping=8.0,
+            friction=FRICTION,
+            friction_drag=12.0,
+        )
+        effects = (
+            weight,
+            jaxrod.quadratic_drag(WATER, across=1.1, along=0.02),
+            floor,
+            jaxrod.active_shape(rod, curvature=jnp.zeros(3)),
+        )
+        return jaxrod.make_scene(rod, *effects), state
+
+    one, _ = arm(angles[0])
+    factors = jaxrod.scale_inertia(one).factors
+    arms, of_arms = jax.vmap(arm)(angles)
+    inertia = arms.rod.rotary_inertia.at[:, 0].multiply(factors[None, :])
+    arms = dataclasses.replace(
+        arms, rod=dataclasses.replace(arms.rod, rotary_inertia=inertia)
+    )
+    head, of_head = jaxrod.rigid_body(
+        jaxrod.sphere((0.0, 0.0, HEAD), HEAD),
+        density=DENSITY,
+        effects=(weight, jaxrod.exponential_damping(0.5, 0.5)),
+    )
+    rest: dict[str, RodState | jaxrod.BodyState] = {
+        "arms": of_arms,
+        "head": of_head,
+    }
+    roots = [("arms", k, "start") for k in range(N_ARMS)]
+    system = jaxrod.make_system(
+        {"arms": arms, "head": head},
+        jaxrod.attach(roots, ("head",), rest),
+        state=rest,
+    )
+    kind = angles.dtype
+
+    def number(value: float) -> Array:
+        return jnp.asarray(value, kind)
+
+    return OctopusBody(
+        system=system,
+        rest=rest,
+        angles=angles,
+        most_curvature=number(MOST_CURVATURE),
+        largest_change=number(largest_change),
+        limits=jax.tree.map(number, HealthLimits()),
+    )

@@ -1,0 +1,210 @@
+r"""The snake of Gazzola et al. (2018) as a rod on flat ground, and its muscles.
+
+Measures, moduli, friction and damping are those of PyElastica's continuum snake, at the
+Froude number 0.1. The muscles are moments at the joints about the vertical, shaped by a
+spline through a few control points. Within a control step they go in a straight line
+from what they were to what is commanded: moments that jump shake the body, and friction
+under a shaken body is less.
+
+Transverse rotary inertia is enlarged (`jaxrod.scale_inertia`), which the slow motion on
+the ground does not feel, and the couples of rotational damping are kept as they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxrod import (
+    ElementCouples,
+    ExponentialDamping,
+    HealthLimits,
+    Ramp,
+    Rod,
+    RodState,
+    Scene,
+    advance,
+    angular_velocities,
+    control_spline,
+    freeze,
+    health,
+    make_scene,
+    planar,
+    scale_inertia,
+    straight_rod,
+)
+from jaxrod.envs.animals.bending_viscosity import bending_viscosity
+from jaxrod.envs.animals.flat_ground import FlatGround
+from jaxrod.geometry import vectors
+from jaxrod.structure import pytree
+
+LENGTH = 0.35
+"""[m]"""
+RADIUS = 0.011 * LENGTH
+"""[m]"""
+DENSITY = 1000.0
+"""[kg/m^3]"""
+YOUNGS_MODULUS = 1e6
+"""[Pa]"""
+PERIOD = 2.0
+"""Of the published gait [s]."""
+GRAVITY = 9.80665
+"""[m/s^2]"""
+FROUDE = 0.1
+"""Froude number: forces of inertia over friction, at the published period [1]."""
+DAMPING = 2e-3
+"""PyElastica's damping of translation [1/s]; of rotation m/J as much."""
+RELAXATION_TIME = 0.05
+"""Viscous over elastic stiffness of bending [s]: the lowest free vibration, of 0.56 s,
+has a damping ratio of 0.28. PyElastica's snake has none, and a policy would find that
+it can be shaken."""
+DRAG_RATE = 1000.0
+"""Largest friction per mass and speed of slip [1/s]: it creeps at 1.7 mm/s or less."""
+
+
+@pytree
+class SnakeBody:
+    """Parameters of the snake and of all that acts on it."""
+
+    rod: Rod
+    """The snake, its head last; transverse rotary inertia enlarged."""
+    rest: RodState
+    """Straight along x, at rest, its middle at the origin."""
+    ground: FlatGround
+    """What it lies on."""
+    damping: ExponentialDamping
+    """Damping of translation and rotation."""
+    relaxation_time: Float[Array, ""]
+    """Viscous over elastic stiffness of bending [s]."""
+    basis: Float[Array, "n-1 controls"]
+    """Moment at each joint for a moment of one at each control point [1]."""
+    strongest: Float[Array, ""]
+    """Moment at a control point for a control value of one [N m]."""
+    largest_change: Float[Array, ""]
+    """Largest change of a control value from one control step to the next [1]."""
+    limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
+    """Limits of health beyond which the snake is frozen."""
+
+    def scene(self) -> Scene:
+        """The snake without its muscles and its viscosity, which limits no step."""
+        return Scene(self.rod, (self.ground, self.damping), planar("xy"))
+
+    def advance(
+        self,
+        state: RodState,
+        before: Float[Array, " controls"],
+        after: Float[Array, " controls"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[RodState, Bool[Array, ""]]:
+        """Simulation steps of one control step.
+
+        Args:
+            state: The snake.
+            before: Control values at the beginning [1].
+            after: Control values at the end [1].
+            dt: Step [s].
+            n_steps: Number of steps, at least 1.
+
+        Returns:
+            The snake, and whether a health flag rose; then it is what it was.
+        """
+        scene = self.scene()
+        couples = Ramp(
+            first=self.couples(before),
+            last=self.couples(after),
+            start=jnp.zeros_like(dt),
+            duration=n_steps * dt,
+        )
+        muscles = ElementCouples(couples)  # type: ignore[arg-type]
+        tissue = bending_viscosity(self.rod, self.relaxation_time, dt)
+        effects = (*scene.effects, tissue, muscles)
+        acting = dataclasses.replace(scene, effects=effects)
+        moved = advance(acting, state, dt, n_steps)
+        flagged = health(scene, moved, dt, limits=self.limits).flagged
+        return freeze(flagged, state, moved), flagged
+
+    def couples(self, controls: Float[Array, " controls"]) -> Float[Array, "3 n"]:
+        """Couples on the elements, opposite on both sides of every joint [N m]."""
+        moments = self.strongest * jnp.sum(self.basis * controls[None, :], axis=1)
+        about = vectors.pad(moments, 1, 0) - vectors.pad(moments, 0, 1)
+        return jnp.stack([about, jnp.zeros_like(about), jnp.zeros_like(about)])
+
+    def centre(self, state: RodState) -> Float[Array, "2"]:
+        """Centre of mass in the plane [m]."""
+        return _mean(self.rod.node_masses, state.positions[:2])
+
+    def centre_velocity(self, state: RodState) -> Float[Array, "2"]:
+        """Its velocity [m/s]."""
+        return _mean(self.rod.node_masses, state.velocities[:2])
+
+    def bends(self, state: RodState) -> Float[Array, " n-1"]:
+        """Angle between neighbouring elements, to the left if above 0 [rad]."""
+        x, y, _ = vectors.split(state.directors[2])
+        cross = x[:-1] * y[1:] - y[:-1] * x[1:]
+        return jnp.arctan2(cross, x[:-1] * x[1:] + y[:-1] * y[1:])
+
+    def bend_rates(self, state: RodState) -> Float[Array, " n-1"]:
+        """Rates of these angles [rad/s]."""
+        about = angular_velocities(self.rod, state)[0]
+        return about[1:] - about[:-1]
+
+
+def _mean(masses: Array, field: Float[Array, "2 n+1"]) -> Float[Array, "2"]:
+    return jnp.sum(masses[None, :] * field, axis=1) / jnp.sum(masses)
+
+
+def snake_body(
+    n_elements: int, n_controls: int, strongest: float, largest_change: float
+) -> SnakeBody:
+    """The snake at rest, in JAX's default precision.
+
+    Args:
+        n_elements: Elements, a multiple of `n_controls + 1`.
+        n_controls: Equidistant control points of the muscles.
+        strongest: Moment at a control point for a control value of one [N m].
+        largest_change: Of a control value in a control step [1].
+    """
+    rod, rest = straight_rod(
+        n_elements,
+        length=LENGTH,
+        radius=RADIUS,
+        density=DENSITY,
+        youngs_modulus=YOUNGS_MODULUS,
+        shear_modulus=YOUNGS_MODULUS / 1.5,
+        start=(-0.5 * LENGTH, 0.0, 0.0),
+        direction=(1.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+    )
+    line = rod.linear_density[0]
+    unit = LENGTH / (PERIOD**2 * GRAVITY * FROUDE)
+    ground = FlatGround(
+        weight=line * GRAVITY,
+        friction=unit * jnp.asarray([1.0, 1.5, 2.0], line.dtype),
+        friction_drag=DRAG_RATE * line,
+    )
+    scaled = scale_inertia(make_scene(rod, ground, method=planar("xy")))
+    spline = control_spline(n_controls, LENGTH)
+    joints = jnp.asarray(np.arange(1, n_elements) * (LENGTH / n_elements), line.dtype)
+
+    def number(value: float) -> Array:
+        return jnp.asarray(value, line.dtype)
+
+    return SnakeBody(
+        rod=scaled.scene.rod,
+        rest=rest,
+        ground=ground,
+        damping=ExponentialDamping(
+            translational_rate=number(DAMPING),
+            rotational_rate=4 * DAMPING / RADIUS**2 / jnp.mean(scaled.factors),
+        ),
+        relaxation_time=number(RELAXATION_TIME),
+        basis=spline.basis(joints),
+        strongest=number(strongest),
+        largest_change=number(largest_change),
+        limits=jax.tree.map(number, HealthLimits()),
+    )

@@ -1,0 +1,271 @@
+r"""An octopus crawls along the sea floor in a given direction, by its eight arms.
+
+Every arm has two control values: the curvature that its muscles give it sideways and
+upwards, up to 15/m, renewed every 0.1 s; between two control steps they change by 0.4
+at most, and in a straight line. The reward of a control step is the way of the head
+along the heading in it, in percent of an arm's length: the return of an episode is how
+far it got. An episode lasts 100 control steps (10 s).
+
+The octopus begins at rest with straight arms, the first at 22.5 degrees from x; the
+heading is along x, or with `turn` up to so much to either side. Observed, in this
+order, with x along the heading, z upwards and everything divided by the unit in
+brackets:
+
+| numbers | what |
+|---:|---|
+| 3 | velocity of the head [0.1 m/s] |
+| 3 | angular velocity of the head [1 rad/s] |
+| 4 | the head's own x, then its own z, both along the heading and to its left [1] |
+| 1 | height of the head's centre over that at the start [0.03 m] |
+| 24 | arm by arm, the tip's place from the head's centre [0.2 m] |
+| 16 | arm by arm, control values in force [1] |
+
+When a numerical health flag rises the octopus is frozen at its last sound state, the
+reward of the step is 0 and the episode is truncated. Arms do not touch each other nor
+the head.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod import limit_rate
+from jaxrod.envs.animals.octopus_body import (
+    HEAD,
+    LENGTH,
+    N_ARMS,
+    OctopusBody,
+    octopus_body,
+)
+from jaxrod.envs.arm.arm_task import check_variant
+from jaxrod.envs.snapshot import Snapshot
+from jaxrod.structure import pytree
+from jaxrod.systems.assembly import SystemState
+from jaxrod.validation import check_array, check_count
+
+Variant = Literal["clean"]
+VARIANTS: tuple[Variant, ...] = ("clean",)
+
+CONTROL_PERIOD = 0.1
+"""Time between actions [s]."""
+LARGEST_RATE = 4.0
+"""Of a control value [1/s]."""
+STEPS_PER_ELEMENT = 6
+"""Simulation steps of a control step, per element of an arm: about 0.8 of the stability
+bound."""
+SPEED = 0.1
+"""Unit of observed velocities [m/s]."""
+STROKE = (4.0, 1.0, 0.5)
+"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of
+24 that were tried, of 1 to 4 s."""
+
+
+@pytree
+class OctopusParams:
+    """Numbers of the task; every one a traced leaf."""
+
+    body: OctopusBody
+    """The octopus and all that acts on it."""
+    dt: Float[Array, ""]
+    """Step of the simulation [s]."""
+    turn: Float[Array, ""]
+    """Largest angle of the heading from x, either way [rad]."""
+    stroke: Float[Array, "3"]
+    """Of the scripted baseline: period [s], sizes sideways and upwards [1]."""
+
+
+@pytree
+class OctopusState:
+    """State of an episode."""
+
+    body: SystemState
+    """The octopus."""
+    controls: Float[Array, "8 2"]
+    """Control values in force [1]."""
+    heading: Float[Array, "2"]
+    """Unit vector along which it should go."""
+    steps: Int[Array, ""]
+    """Control steps since reset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Octopus:
+    """The octopus; see the module. Make one with `octopus`."""
+
+    n_elements: int
+    substeps: int
+    episode_length: int = 100
+    turn: float = 0.0
+    variant: Variant = "clean"
+    name: str = "octopus"
+
+    @property
+    def observation_size(self) -> int:
+        """How the head moves and turns, tips, control values: 51 numbers."""
+        return 3 + 3 + 4 + 1 + 3 * N_ARMS + 2 * N_ARMS
+
+    @property
+    def action_size(self) -> int:
+        """Curvature sideways and upwards of every arm: 16 numbers."""
+        return 2 * N_ARMS
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+        return CONTROL_PERIOD
+
+    def default_params(self) -> OctopusParams:
+        """The task's numbers; in JAX's default precision."""
+        body = octopus_body(self.n_elements, LARGEST_RATE * CONTROL_PERIOD)
+        kind = body.angles.dtype
+        return OctopusParams(
+            body=body,
+            dt=jnp.asarray(CONTROL_PERIOD / self.substeps, kind),
+            turn=jnp.asarray(self.turn, kind),
+            stroke=jnp.asarray(STROKE, kind),
+        )
+
+    def reset(
+        self, key: Key[Array, ""], params: OctopusParams
+    ) -> tuple[Float[Array, " observation"], OctopusState]:
+        """The octopus at rest, and where it should go."""
+        angle = params.turn * jax.random.uniform(key, (), params.dt.dtype, -1.0)
+        state = OctopusState(
+            body=params.body.rest,
+            controls=jnp.zeros((N_ARMS, 2), params.dt.dtype),
+            heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)]),
+            steps=jnp.zeros((), jnp.int32),
+        )
+        return self.observe(state), state
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: OctopusState,
+        action: Float[Array, " action"],
+        params: OctopusParams,
+    ) -> tuple[
+        Float[Array, " observation"],
+        OctopusState,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """One control period: muscles go to the action, as far as they may."""
+        wanted = jnp.reshape(jnp.clip(action, -1, 1), (N_ARMS, 2))
+        controls = limit_rate(state.controls, wanted, params.body.largest_change)
+        body, flagged = params.body.advance(
+            state.body, state.controls, controls, params.dt, self.substeps
+        )
+        way = body["head"].positions[:2, 0] - state.body["head"].positions[:2, 0]
+        forward = jnp.sum(way * state.heading)
+        steps = state.steps + 1
+        state = OctopusState(body, controls, state.heading, steps)
+        info = {
+            "distance": jnp.sum(body["head"].positions[:2, 0] * state.heading),
+            "speed": forward / (self.substeps * params.dt),
+            "flagged": flagged,
+        }
+        return (
+            self.observe(state),
+            state,
+            jnp.where(flagged, 0, 100 / LENGTH * forward),
+            jnp.zeros((), bool),
+            (steps >= self.episode_length) | flagged,
+            info,
+        )
+
+    def snapshot(self, state: OctopusState, params: OctopusParams) -> Snapshot:
+        """The arms and the head."""
+        place = state.body["head"].positions[:, 0]
+        way = jnp.sum(place[:2] * state.heading)
+        return Snapshot(
+            positions=state.body["arms"].positions,
+            radii=params.body.arms.rod.radii,
+            spheres=((place, HEAD),),
+            readouts={"way along the heading [m]": way},
+            up="z",
+        )
+
+    def observe(self, state: OctopusState) -> Float[Array, " observation"]:
+        """What the module's table lists."""
+        head, arms, heading = state.body["head"], state.body["arms"], state.heading
+        place, axes = head.positions[:, 0], head.directors[..., 0]
+        tips = (arms.positions[:, :, -1] - place[None, :]).T
+        return jnp.concatenate(
+            [
+                _turned(head.velocities[:, 0], heading) / SPEED,
+                _turned(head.angular_velocities[:, 0], heading),
+                _turned(axes[0], heading)[:2],
+                _turned(axes[2], heading)[:2],
+                place[2:] / HEAD - 1,
+                jnp.ravel(_turned(tips, heading).T) / LENGTH,
+                jnp.ravel(state.controls),
+            ]
+        )
+
+    def scripted_action(
+        self, state: OctopusState, params: OctopusParams
+    ) -> Float[Array, " action"]:
+        """Rowing: arms beside the head sweep backwards on the floor, forwards above it.
+
+        The baseline to compare with: all arms with one period, each sideways in
+        proportion to how far it points to the side, straight ahead only.
+
+        Args:
+            state: Of the moment; only its clock and its heading are looked at.
+            params: Traced parameters.
+        """
+        period, sideways, upwards = params.stroke
+        along, left = state.heading
+        angles = params.body.angles
+        to_left = along * jnp.sin(angles) - left * jnp.cos(angles)
+        phase = 2 * jnp.pi * (state.steps + 1) * (CONTROL_PERIOD / period)
+        sweep = sideways * to_left * jnp.sin(phase)
+        lift = -upwards * jnp.cos(phase) * jnp.ones_like(angles)
+        return jnp.ravel(jnp.stack([sweep, lift], axis=1))
+
+
+def _turned(vector: Array, heading: Float[Array, "2"]) -> Array:
+    """A vector's parts along the heading, to its left and upwards; or of several."""
+    x, y, z = vector
+    along, left = heading
+    return jnp.stack([x * along + y * left, y * along - x * left, z])
+
+
+def octopus(
+    variant: Variant = "clean",
+    *,
+    n_elements: int = 6,
+    substeps: int | None = None,
+    episode_length: int = 100,
+    turn: float = 0.0,
+) -> Octopus:
+    """Makes the octopus.
+
+    Args:
+        variant: "clean", the only one: the library's own physics.
+        n_elements: Elements of every arm, at least 3.
+        substeps: Simulation steps per control step of 0.1 s; by default 6 per element.
+        episode_length: Control steps per episode.
+        turn: Largest angle of the heading from x, either way, up to pi [rad].
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    check_count("n_elements", n_elements, 3)
+    steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
+    check_count("substeps", steps, 1)
+    check_count("episode_length", episode_length, 1)
+    angle = float(check_array("turn", turn, [()], "rad", non_negative=True))
+    if angle > math.pi:
+        raise ValueError(f"turn must be at most pi rad, got {angle:g} rad")
+    return Octopus(n_elements, steps, episode_length, angle)

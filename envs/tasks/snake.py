@@ -1,0 +1,281 @@
+r"""A snake crawls as fast as it can in a given direction, by muscles along its body.
+
+The snake lies on ground on which it slides more easily forward than backward, and
+hardest sideways: friction coefficients in the ratio 1 : 1.5 : 2, as its scales make it.
+Six control values, at equidistant points along the body, are moments of its muscles
+about the vertical, up to 4 mN m, and are renewed every 50 ms; between two control steps
+they change by 0.2 at most, and in a straight line. The reward of a control step is the
+way of the centre of mass along the heading in it, in percent of the body's length: the
+return of an episode is how far it got. An episode lasts 200 control steps (10 s), five
+periods of the gait that Gazzola et al. (R. Soc. Open Sci. 5 (2018) 171628) found by
+optimising travelling waves of moments, which is `scripted_action` here.
+
+The snake begins straight and at rest, along x; the heading is along x too, or with
+`turn` up to so much to either side. Observed, in this order, with x along the heading
+and everything divided by the unit in brackets:
+
+| numbers | what |
+|---:|---|
+| 2 | velocity of the centre of mass along the heading and to its left [0.175 m/s] |
+| 2 | cosine and sine of the angle from the heading to the line from tail to head [1] |
+| 1 | turning rate of the body, the mean of its elements' [1 rad/s] |
+| 6 | curvature at the control points, to the left [10/m] |
+| 6 | its rate [31.4/(m s)] |
+| 6 | control values in force [1] |
+
+When a numerical health flag rises the snake is frozen at its last sound state, the
+reward of the step is 0 and the episode is truncated. There is no contact of the snake
+with itself: where its body crosses itself the episode is terminated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod import RodState, angular_velocities, limit_rate
+from jaxrod.actuation.b_spline import b_spline_basis
+from jaxrod.envs.animals.crossing import crosses_itself
+from jaxrod.envs.animals.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
+from jaxrod.envs.arm.arm_task import check_variant
+from jaxrod.envs.snapshot import Snapshot
+from jaxrod.structure import pytree
+from jaxrod.validation import check_array, check_count
+
+Variant = Literal["clean"]
+VARIANTS: tuple[Variant, ...] = ("clean",)
+
+CONTROL_PERIOD = 0.05
+"""Time between actions [s]."""
+N_CONTROLS = 6
+STRONGEST = 4e-3
+"""Moment of the muscles at a control point for a control value of one [N m]."""
+LARGEST_RATE = 4.0
+"""Of a control value [1/s]."""
+STEPS_PER_ELEMENT = 7
+"""Simulation steps of a control step, per element: about 0.8 of the stability bound."""
+SPEED = LENGTH / PERIOD
+"""Unit of the observed velocity [m/s]."""
+BEND = 10.0
+"""Unit of the observed curvature [1/m]."""
+BEND_RATE = 2 * math.pi / PERIOD * BEND
+"""Unit of its observed rate [1/(m s)]."""
+GAIT = (3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3)
+"""Coefficients of the B-spline of the published gait's moments, from the head [N m]."""
+
+
+@pytree
+class SnakeParams:
+    """Numbers of the task; every one a traced leaf."""
+
+    body: SnakeBody
+    """The snake and all that acts on it."""
+    dt: Float[Array, ""]
+    """Step of the simulation [s]."""
+    turn: Float[Array, ""]
+    """Largest angle of the heading from the body at the start, either way [rad]."""
+
+
+@pytree
+class SnakeState:
+    """State of an episode."""
+
+    body: RodState
+    """The snake."""
+    controls: Float[Array, "6"]
+    """Control values in force [1]."""
+    heading: Float[Array, "2"]
+    """Unit vector along which it should go."""
+    steps: Int[Array, ""]
+    """Control steps since reset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Snake:
+    """The snake; see the module. Make one with `snake`."""
+
+    n_elements: int
+    substeps: int
+    episode_length: int = 200
+    turn: float = 0.0
+    variant: Variant = "clean"
+    name: str = "snake"
+
+    @property
+    def observation_size(self) -> int:
+        """How it moves, how it is bent, and its control values: 23 numbers."""
+        return 2 + 2 + 1 + 3 * N_CONTROLS
+
+    @property
+    def action_size(self) -> int:
+        """A control value at each control point, from tail to head."""
+        return N_CONTROLS
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+        return CONTROL_PERIOD
+
+    def default_params(self) -> SnakeParams:
+        """The task's numbers; in JAX's default precision."""
+        change = LARGEST_RATE * CONTROL_PERIOD
+        body = snake_body(self.n_elements, N_CONTROLS, STRONGEST, change)
+        kind = body.rod.radii.dtype
+        return SnakeParams(
+            body=body,
+            dt=jnp.asarray(CONTROL_PERIOD / self.substeps, kind),
+            turn=jnp.asarray(self.turn, kind),
+        )
+
+    def reset(
+        self, key: Key[Array, ""], params: SnakeParams
+    ) -> tuple[Float[Array, " observation"], SnakeState]:
+        """The snake straight and at rest, and where it should go."""
+        angle = params.turn * jax.random.uniform(key, (), params.dt.dtype, -1.0)
+        state = SnakeState(
+            body=params.body.rest,
+            controls=jnp.zeros(N_CONTROLS, params.dt.dtype),
+            heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)]),
+            steps=jnp.zeros((), jnp.int32),
+        )
+        return self.observe(state, params), state
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: SnakeState,
+        action: Float[Array, " action"],
+        params: SnakeParams,
+    ) -> tuple[
+        Float[Array, " observation"],
+        SnakeState,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """One control period: muscles go to the action, as far as they may."""
+        snake = params.body
+        controls = limit_rate(
+            state.controls, jnp.clip(action, -1, 1), snake.largest_change
+        )
+        body, flagged = snake.advance(
+            state.body, state.controls, controls, params.dt, self.substeps
+        )
+        way = snake.centre(body) - snake.centre(state.body)
+        forward = jnp.sum(way * state.heading)
+        steps = state.steps + 1
+        state = SnakeState(body, controls, state.heading, steps)
+        info = {
+            "distance": jnp.sum(snake.centre(body) * state.heading),
+            "speed": forward / (self.substeps * params.dt),
+            "flagged": flagged,
+        }
+        return (
+            self.observe(state, params),
+            state,
+            jnp.where(flagged, 0, 100 / snake.rod.length * forward),
+            crosses_itself(body.positions[:2]) & ~flagged,
+            (steps >= self.episode_length) | flagged,
+            info,
+        )
+
+    def snapshot(self, state: SnakeState, params: SnakeParams) -> Snapshot:
+        """The snake."""
+        way = jnp.sum(params.body.centre(state.body) * state.heading)
+        return Snapshot(
+            positions=state.body.positions,
+            radii=params.body.rod.radii,
+            readouts={"way along the heading [m]": way},
+            up="z",
+        )
+
+    def observe(
+        self, state: SnakeState, params: SnakeParams
+    ) -> Float[Array, " observation"]:
+        """What the module's table lists."""
+        snake, body = params.body, state.body
+        along = body.positions[:2, -1] - body.positions[:2, 0]
+        # Head and tail may touch: the line between them is then of no direction.
+        length = jnp.sqrt(jnp.maximum(jnp.sum(along**2), (1e-3 * LENGTH) ** 2))
+        length_of_joint = snake.rod.rest_lengths[0]
+        every = self.n_elements // (N_CONTROLS + 1)
+        spin = jnp.mean(angular_velocities(snake.rod, body)[0])
+        bends = snake.bends(body) / BEND, snake.bend_rates(body) / BEND_RATE
+        return jnp.concatenate(
+            [
+                _turned(snake.centre_velocity(body), state.heading) / SPEED,
+                _turned(along, state.heading) / length,
+                spin[None],
+                *(bend[every - 1 :: every] / length_of_joint for bend in bends),
+                state.controls,
+            ]
+        )
+
+    def scripted_action(
+        self, state: SnakeState, params: SnakeParams
+    ) -> Float[Array, " action"]:
+        """The published gait, straight ahead: the baseline to compare with.
+
+        A wave of moments of the snake's length and a period of two seconds runs from
+        head to tail, its size along the body the published B-spline; it grows in the
+        first period.
+
+        Args:
+            state: Of the moment; only its clock is looked at.
+            params: Traced parameters.
+        """
+        from_head = 1 - np.arange(1, N_CONTROLS + 1) / (N_CONTROLS + 1)
+        sizes = b_spline_basis(len(GAIT), from_head) @ np.asarray(GAIT)
+        # Muscles get where they are told to by the end of the control step.
+        periods = (state.steps + 1) * (CONTROL_PERIOD / PERIOD)
+        wave = jnp.sin(2 * jnp.pi * (periods - jnp.asarray(from_head)))
+        share = jnp.clip(periods, 0, 1) / params.body.strongest
+        return (share * jnp.asarray(sizes) * wave).astype(params.dt.dtype)
+
+
+def _turned(vector: Float[Array, "2"], heading: Float[Array, "2"]) -> Float[Array, "2"]:
+    """A vector's parts along the heading and to its left."""
+    x, y = vector
+    along, left = heading
+    return jnp.stack([x * along + y * left, y * along - x * left])
+
+
+def snake(
+    variant: Variant = "clean",
+    *,
+    n_elements: int = 21,
+    substeps: int | None = None,
+    episode_length: int = 200,
+    turn: float = 0.0,
+) -> Snake:
+    """Makes the snake.
+
+    Args:
+        variant: "clean", the only one: the library's own physics.
+        n_elements: Elements, a multiple of 7.
+        substeps: Simulation steps per control step of 50 ms; by default 7 per element.
+        episode_length: Control steps per episode.
+        turn: Largest angle of the heading from the body at the start, either way, up
+            to pi [rad].
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    check_count("n_elements", n_elements, N_CONTROLS + 1)
+    if n_elements % (N_CONTROLS + 1):
+        raise ValueError(f"n_elements must be a multiple of 7, got {n_elements}")
+    steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
+    check_count("substeps", steps, 1)
+    check_count("episode_length", episode_length, 1)
+    angle = float(check_array("turn", turn, [()], "rad", non_negative=True))
+    if angle > math.pi:
+        raise ValueError(f"turn must be at most pi rad, got {angle:g} rad")
+    return Snake(n_elements, steps, episode_length, angle)

@@ -1,0 +1,74 @@
+"""An arm that four tendons lead along a figure eight.
+
+One tendon of tension T at the offset a from the middle bends an arm everywhere by
+T a / EI, which the four share out by direction. Run it with
+`python examples/tendon_arm.py`.
+"""
+
+import gallery
+import jax.numpy as jnp
+
+import jaxrod
+
+N, LENGTH, RADIUS, YOUNG = 20, 0.25, 0.008, 1e6  # [1], [m], [m], [Pa]
+OFFSET, PULL, HELD, LOOP = 0.007, 2.5, 1.5, 4.0  # [m], [N], [s], [s]
+NUMBER = "turn of the tip under one tendon in rad, and T a L / EI"
+LOOK = {"frame": (60, 75, 90, 105), "azimuth": -55, "elevation": 20}
+
+
+def tensions():
+    """Of the four tendons over time: one is pulled and held, then the loop."""
+    phase = jnp.linspace(0.0, 2 * jnp.pi, 121)
+    way = PULL * jnp.stack([jnp.cos(phase), jnp.sin(2 * phase)])
+    first = jnp.asarray([[0.0, PULL, PULL], [0.0, 0.0, 0.0]])
+    both = jnp.concatenate([first, way], axis=1)
+    four = jnp.clip(jnp.stack([both[0], both[1], -both[0], -both[1]]), 0, None)
+    times = jnp.concatenate(
+        [
+            jnp.asarray([0.0, 0.7]),
+            jnp.asarray([HELD]),
+            1e-3 + HELD + LOOP * phase / 6.2832,
+        ]
+    )
+    return jaxrod.table(times, four.T)
+
+
+def build():
+    """The arm, its state and the time step."""
+    rod, state = jaxrod.straight_rod(
+        N,
+        length=LENGTH,
+        radius=RADIUS,
+        density=1100.0,
+        youngs_modulus=YOUNG,
+        direction=(0.0, 0.0, 1.0),
+        normal=(1.0, 0.0, 0.0),
+    )
+    sides = OFFSET * jnp.asarray([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    tendons = jaxrod.tendon(rod, sides, tension=tensions())
+    effects = jaxrod.clamp(state), tendons, jaxrod.exponential_damping(12.0)
+    scene = jaxrod.make_scene(rod, *effects)
+    return scene, state, 0.9 * float(jaxrod.stable_dt(scene).dt)
+
+
+def run(share=1.0):
+    """A replay, the turn of the tip under one tendon, and T a L / EI."""
+    scene, state, dt = build()
+    every = int((HELD + LOOP) / dt / 160)
+    n = int(160 * share) * every
+    states = jaxrod.rollout(scene, state, dt, n, every)
+    times = jaxrod.rollout_times(dt, n, every)
+    replay = jaxrod.viz.Replay.from_states(scene, states, times, title="Tendon arm")
+    path = jnp.broadcast_to(states.tip.T, (len(times), 3, len(times)))
+    trace = jaxrod.viz.Replay.from_rollout(path, 1e-3, times, name="way of the tip")
+    replay = replay.together(trace)
+    held = min(int(HELD / dt / every), len(times) - 1)
+    orientation = states.orientations[held, :, -1]
+    turn = 2 * jnp.arctan2(jnp.linalg.norm(orientation[1:]), jnp.abs(orientation[0]))
+    stiffness = YOUNG * jnp.pi * RADIUS**4 / 4
+    # Tendons reach from the middle of the first element to that of the last.
+    return replay, float(turn), float(PULL * OFFSET / stiffness * LENGTH * (1 - 1 / N))
+
+
+if __name__ == "__main__":
+    gallery.show(__file__, run, NUMBER, LOOK)

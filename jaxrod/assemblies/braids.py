@@ -1,0 +1,130 @@
+r"""Braids: strands wound both ways around a tube, between two end plates.
+
+A strand of length $b$ that winds $N$ times around a tube of radius $R$ and length $L$
+has $b^2 = L^2 + (2\pi N R)^2$: a braid that grows wider grows shorter, as the sleeve of
+a McKibben muscle does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxrod.assemblies.groups import rods_along, scenes
+from jaxrod.contacts.bodies import cylinder
+from jaxrod.effects.base import Effect
+from jaxrod.systems.rigid_bodies import rigid_body
+from jaxrod.systems.system import System, make_system
+from jaxrod.systems.ties import tie
+from jaxrod.systems.welds import attach
+from jaxrod.validation import as_array, check_count
+
+
+def braid(
+    strands: int,
+    n_elements: int,
+    *,
+    radius: float,
+    length: float,
+    turns: float,
+    thickness: float,
+    joined: Literal["pinned", "free"] = "pinned",
+    plate_density: float = 1000.0,
+    effects: Sequence[Effect] = (),
+    **rod: Any,
+) -> tuple[System, dict[str, Any]]:
+    """Strands wound to the left and as many to the right around the axis z.
+
+    Its members are "left" and "right", equal rods each, and "bottom" and "top", discs
+    of which their ends are part. Where strands cross at nodes of both they are pinned
+    to one another (`joined="pinned"`): then the braid is a trellis, whose strands turn
+    against each other and cannot slide. "free" leaves them apart radially by their
+    thickness, for contact to be added (`jaxrod.rod_contact("left", "right", ...)`).
+
+    Args:
+        strands: To each side, at least 2.
+        n_elements: Elements of each. To be pinned they cross at nodes: a multiple of
+            `2 * strands * turns`, which has to be whole.
+        radius: Of the tube to the middles of the strands [m].
+        length: Of the tube [m].
+        turns: By which each strand winds around it [1].
+        thickness: Radius of the strands [m].
+        joined: "pinned" or "free".
+        plate_density: Of the plates [kg/m^3].
+        effects: On every strand.
+        **rod: Material, as of `jaxrod.straight_rod`.
+
+    Returns:
+        The system and its state at rest, the strands curved as they are.
+
+    Raises:
+        ValueError: If an argument is out of range, or strands do not cross at nodes.
+    """
+    check_count("strands", strands, 2, 1000)
+    check_count("n_elements", n_elements, 4, 100_000)
+    wide = float(as_array("radius", radius, "m", positive=True))
+    extent = float(as_array("length", length, "m", positive=True))
+    wound = float(as_array("turns", turns, "", positive=True))
+    thick = float(
+        as_array("thickness", thickness, "m", positive=True, at_most=wide / 4)
+    )
+    if joined not in ("pinned", "free"):
+        raise ValueError(f'joined must be "pinned" or "free", got {joined!r}')
+    # A strand meets all of the others 2 N times: in so many parts they cut it.
+    parts = 2 * strands * wound
+    pinned = joined == "pinned"
+    if pinned and (abs(parts - round(parts)) > 1e-9 or n_elements % round(parts)):
+        raise ValueError(
+            f"strands that are pinned cross at nodes: n_elements must be a multiple of "
+            f"2 strands turns = {parts:g}, a whole number, got {n_elements}"
+        )
+    share = np.linspace(0, 1, n_elements + 1)
+    state: dict[str, Any] = {}
+    members: dict[str, Any] = {}
+    for name, sign in (("left", 1), ("right", -1)):
+        curves = []
+        for k in range(strands):
+            angle = 2 * np.pi * (sign * wound * share + k / strands)
+            size = wide + 0 * angle
+            if not pinned:
+                # Over and under in turn, so that crossings are a diameter apart.
+                waves = np.cos(np.pi * (parts * share + (sign > 0)))
+                size = wide + 1.1 * thick * waves
+            curves.append(
+                np.stack([size * np.cos(angle), size * np.sin(angle), extent * share])
+            )
+        rods, states = rods_along(curves, radius=thick, **rod)
+        members[name], state[name] = scenes(rods, states, effects), states
+    dtype = state["left"].positions.dtype
+    couplings: list[Any] = []
+    for plate, height in (("bottom", 0.0), ("top", extent)):
+        out = -1.0 if plate == "bottom" else 1.0
+        disc = cylinder((0, 0, height), (0, 0, height + out * 4 * thick), wide + thick)
+        members[plate], state[plate] = rigid_body(
+            disc, density=plate_density, dtype=dtype
+        )
+        end = "start" if plate == "bottom" else "finish"
+        for name in ("left", "right"):
+            ends = [(name, k, end) for k in range(strands)]
+            couplings.append(attach(ends, (plate,), state, turning=True))
+    if pinned:
+        couplings.append(_pins(strands, n_elements, round(parts), state))
+    return make_system(members, *couplings, state=state), state
+
+
+def _pins(strands: int, n_elements: int, parts: int, state: dict[str, Any]) -> Any:
+    """Ties where strands cross between the plates."""
+    per = n_elements // parts
+    first, second = [], []
+    left, right = (np.asarray(state[name].positions) for name in ("left", "right"))
+    for part in range(1, parts):
+        node = part * per
+        for k in range(strands):
+            apart = np.linalg.norm(right[:, :, node] - left[k, :, node], axis=1)
+            other = int(np.argmin(apart))
+            if apart[other] < 1e-6 * np.linalg.norm(left[k, :, 1] - left[k, :, 0]):
+                first.append(("left", k, node))
+                second.append(("right", other, node))
+    return tie(first, second, state)

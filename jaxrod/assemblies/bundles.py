@@ -1,0 +1,122 @@
+"""Bundles: parallel rods glued to their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxrod.assemblies.groups import equal_rods, scenes
+from jaxrod.effects.base import Effect
+from jaxrod.rods.factories import straight_rod
+from jaxrod.systems.glue import glue
+from jaxrod.systems.system import System, make_system
+from jaxrod.validation import Numbers, as_array, check_count, numeric
+
+TOUCHING = 1.05
+"""Distance over the sum of radii up to which rods are neighbours."""
+
+
+def hexagonal_places(rings: int, spacing: float) -> np.ndarray:
+    """Places of rods in a hexagonal bundle: one, 7, 19, 37 of them.
+
+    Args:
+        rings: Rings about the one in the middle.
+        spacing: Distance of neighbours [m].
+
+    Returns:
+        Across the bundle `(2, k)` [m].
+    """
+    check_count("rings", rings, 0, 100)
+    around = range(-rings, rings + 1)
+    found = [
+        (i + 0.5 * j, 0.75**0.5 * j)
+        for i in around
+        for j in around
+        if abs(i + j) <= rings
+    ]
+    return float(as_array("spacing", spacing, "m", positive=True)) * np.array(found).T
+
+
+def bundle(
+    places: Numbers,
+    n_elements: int,
+    *,
+    length: float,
+    radius: float,
+    stiffness: Numbers,
+    turning_stiffness: Numbers | None = None,
+    damping: Numbers | None = None,
+    turning_damping: Numbers | None = None,
+    clamped: bool = True,
+    effects: Sequence[Effect] = (),
+    **rod: Any,
+) -> tuple[System, dict[str, Any]]:
+    """Parallel rods along x, each glued to those that it touches: one member, "rods".
+
+    Args:
+        places: Of the rods, across the bundle: y and z `(2, k)` [m], as from
+            `hexagonal_places`.
+        n_elements: Elements of each rod.
+        length: Of the rods [m].
+        radius: Of the rods [m].
+        stiffness: Force of the glue per its length and distance [N/m^2].
+        turning_stiffness: Couple of the glue per length and angle [N].
+        damping: Force of the glue per length and relative speed [kg/(m s)].
+        turning_damping: Couple per length and relative angular velocity [N s].
+        clamped: Whether all rods are clamped at their start.
+        effects: On every rod.
+        **rod: Material, as of `jaxrod.straight_rod`.
+
+    Returns:
+        The system and its state at rest.
+
+    Raises:
+        ValueError: If a number is out of range, rods overlap, or none touch.
+    """
+    across = np.asarray(numeric("places", places, "m"))
+    if across.ndim != 2 or across.shape[0] != 2 or across.shape[1] < 2:
+        raise ValueError(
+            f"places must have shape (2, k) [m], k > 1, got {across.shape}"
+        )
+    as_array("radius", radius, "m", positive=True)
+    apart = np.linalg.norm(across[:, :, None] - across[:, None, :], axis=0)
+    one, two = np.triu_indices(across.shape[1], 1)
+    near = apart[one, two]
+    if np.min(near) < 2 * radius * (1 - 1e-6):
+        raise ValueError(
+            f"rods of radius {radius:g} m overlap: places are {np.min(near):.3g} m "
+            "apart"
+        )
+    touching = near <= TOUCHING * 2 * radius
+    if not np.any(touching):
+        raise ValueError(
+            f"no rods of radius {radius:g} m touch: the nearest places are "
+            f"{np.min(near):.3g} m apart"
+        )
+    starts = np.concatenate([np.zeros((1, across.shape[1])), across]).T
+
+    def made(start: Any) -> Any:
+        return straight_rod(
+            n_elements,
+            length=length,
+            radius=radius,
+            start=start,
+            direction=(1.0, 0.0, 0.0),
+            **rod,
+        )
+
+    rods, states = equal_rods(made, starts)
+    state = {"rods": states}
+    bond = glue(
+        [("rods", int(k)) for k in one[touching]],
+        [("rods", int(k)) for k in two[touching]],
+        state,
+        stiffness=stiffness,
+        turning_stiffness=turning_stiffness,
+        damping=damping,
+        turning_damping=turning_damping,
+    )
+    members = {"rods": scenes(rods, states, effects, clamped=clamped)}
+    return make_system(members, bond, state=state), state

@@ -1,0 +1,53 @@
+"""Equal rods in one leaf, each with the same effects: the members of assemblies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.composition import make_scene
+from jaxrod.effects.base import Effect
+from jaxrod.effects.clamps import clamp
+from jaxrod.rods.factories import rod_along
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.scene import Scene
+
+MOST_RODS = 100_000
+"""More are taken for a mistake."""
+
+Made = tuple[Rod, RodState]
+
+
+def equal_rods(make: Callable[[Any], Made], each: Any) -> Made:
+    """Equal rods with a leading axis.
+
+    Args:
+        make: From one entry of `each` to a rod and its state.
+        each: Arrays with a leading axis, one entry for each rod.
+    """
+    made: Made = jax.vmap(make)(jax.tree.map(jnp.asarray, each))
+    return made
+
+
+def rods_along(curves: Sequence[np.ndarray], **rod: Any) -> Made:
+    """Rods of as many elements along curves `(3, n + 1)` [m], with a leading axis."""
+    made = [rod_along(curve, **rod) for curve in curves]
+    stacked: Made = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
+    return stacked
+
+
+def scenes(
+    rods: Rod, states: RodState, effects: Sequence[Effect], *, clamped: bool = False
+) -> Scene:
+    """The same effects on each of equal rods, which may be clamped at their start."""
+
+    def one(rod: Rod, state: RodState) -> Scene:
+        held = (clamp(state),) if clamped else ()
+        return make_scene(rod, *held, *effects)
+
+    made: Scene = jax.vmap(one)(rods, states)
+    return made

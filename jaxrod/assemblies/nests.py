@@ -1,0 +1,124 @@
+"""Nests: rods poured into a pot, that hold each other by contact and friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.assemblies.groups import MOST_RODS, equal_rods, scenes
+from jaxrod.contacts.bodies import plane, signed_distance
+from jaxrod.contacts.factories import contact
+from jaxrod.effects.base import Effect
+from jaxrod.rods.factories import straight_rod
+from jaxrod.systems.rod_contact import rod_contact
+from jaxrod.systems.system import System, make_system
+from jaxrod.validation import Numbers, as_array, check_count, check_seed
+
+
+def inside_of_pot(point: Array, radius: Array) -> Array:
+    """Distance from the wall of an upright round pot, positive inside [m].
+
+    Args:
+        point: `(3,)` [m].
+        radius: Of the pot [m].
+    """
+    x, y = point[0], point[1]
+    # Rounded at the axis, where there is no direction to the wall.
+    return radius - jnp.sqrt(x * x + y * y + (1e-6 * radius) ** 2)
+
+
+def nest(
+    n_rods: int,
+    n_elements: int,
+    *,
+    length: float,
+    radius: float,
+    pot_radius: float,
+    stiffness: Numbers,
+    damping: Numbers,
+    friction: Numbers | None = None,
+    seed: int = 0,
+    points_per_element: int | None = None,
+    partners: int = 6,
+    effects: Sequence[Effect] = (),
+    **rod: Any,
+) -> tuple[System, dict[str, Any]]:
+    """Straight rods above one another in an upright pot, at random angles.
+
+    They lie level without touching, and fall on one another with `jaxrod.gravity()`
+    among the effects. One member, "rods".
+
+    Args:
+        n_rods: How many.
+        n_elements: Elements of each.
+        length: Of the rods; at most the width of the pot [m].
+        radius: Of the rods [m].
+        pot_radius: Of the pot, whose floor is the plane z = 0 and whose axis is that of
+            z [m].
+        stiffness: Of all contacts, force per length and penetration [N/m^2].
+        damping: Of all contacts [kg/(m s)].
+        friction: Coefficient of Coulomb friction [1].
+        seed: Of the random angles and places.
+        points_per_element: Contact points, as of `jaxrod.rod_contact`.
+        partners: Rods that may touch one place at a time, for `stable_dt`.
+        effects: On every rod besides contact with the pot.
+        **rod: Material, as of `jaxrod.straight_rod`.
+
+    Returns:
+        The system and its state.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    check_count("n_rods", n_rods, 2, MOST_RODS)
+    extent = float(as_array("length", length, "m", positive=True))
+    thick = float(as_array("radius", radius, "m", positive=True))
+    wide = float(as_array("pot_radius", pot_radius, "m", positive=True))
+    room = (wide - 1.1 * thick) ** 2 - (0.5 * extent) ** 2
+    if room <= 0:
+        raise ValueError(
+            "length must be below the width of the pot, "
+            f"{2 * wide - 2.2 * thick:.3g} m, got {extent:g} m"
+        )
+    random = np.random.default_rng(check_seed(seed))
+    angles = random.uniform(0, np.pi, n_rods)
+    ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    # The middle lies off the axis across the rod, as far as both ends allow.
+    off = random.uniform(-1, 1, n_rods) * (room**0.5)
+    off = np.clip(off, -0.5 * wide, 0.5 * wide)
+    half = np.sqrt((wide - 1.1 * thick) ** 2 - off**2) - 0.5 * extent
+    along = random.uniform(-1, 1, n_rods) * np.maximum(half, 0)
+    middles = off[:, None] * np.cross([0, 0, 1.0], ways) + along[:, None] * ways
+    middles[:, 2] = thick * (1.2 + 2.2 * np.arange(n_rods))
+    starts = middles - 0.5 * extent * ways
+
+    def made(each: Any) -> Any:
+        start, way = each
+        return straight_rod(
+            n_elements,
+            length=extent,
+            radius=thick,
+            start=start,
+            direction=way,
+            normal=(0.0, 0.0, 1.0),
+            **rod,
+        )
+
+    rods, states = equal_rods(made, (starts, ways))
+    law: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
+    if friction is not None:
+        law["friction"] = friction
+    pot = [
+        contact(body, points_per_element=2, **law)
+        for body in (plane(), signed_distance(inside_of_pot, wide))
+    ]
+    members = {"rods": scenes(rods, states, [*effects, *pot])}
+    touch = rod_contact(
+        "rods", points_per_element=points_per_element, partners=partners, **law
+    )
+    state = {"rods": states}
+    return make_system(members, touch, state=state), state

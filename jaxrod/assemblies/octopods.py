@@ -1,0 +1,85 @@
+"""An octopus: soft tapered arms around a rigid head."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxrod.assemblies.groups import equal_rods, scenes
+from jaxrod.contacts.bodies import sphere
+from jaxrod.effects.base import Effect
+from jaxrod.rods.factories import straight_rod
+from jaxrod.systems.rigid_bodies import rigid_body
+from jaxrod.systems.system import System, make_system
+from jaxrod.systems.welds import attach
+from jaxrod.validation import Numbers, as_array, check_count
+
+
+def octopus(
+    arms: int = 8,
+    n_elements: int = 12,
+    *,
+    length: float = 0.2,
+    radius: Numbers = (0.012, 0.003),
+    head_radius: float = 0.03,
+    density: float = 1050.0,
+    youngs_modulus: float = 2e4,
+    effects: Sequence[Effect] = (),
+    head_effects: Sequence[Effect] = (),
+    **rod: Any,
+) -> tuple[System, dict[str, Any]]:
+    """Arms that leave a round head sideways, at equal angles in the plane z = 0.
+
+    Its members are "arms", equal rods of which d1 points upwards, and "head", of which
+    their first nodes are part.
+
+    Args:
+        arms: How many.
+        n_elements: Elements of each.
+        length: Of the arms [m].
+        radius: Of the arms at base and tip, or one number [m].
+        head_radius: Of the head [m].
+        density: Of both [kg/m^3].
+        youngs_modulus: Of the arms [Pa].
+        effects: On every arm.
+        head_effects: On the head: `gravity()`, `exponential_damping`.
+        **rod: More about the arms, as of `jaxrod.straight_rod`.
+
+    Returns:
+        The system and its state at rest.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    check_count("arms", arms, 1, 1000)
+    size = float(as_array("head_radius", head_radius, "m", positive=True))
+    angles = 2 * np.pi * np.arange(arms) / arms
+    outwards = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+
+    def made(way: Any) -> Any:
+        return straight_rod(
+            n_elements,
+            length=length,
+            radius=radius,
+            density=density,
+            youngs_modulus=youngs_modulus,
+            start=size * way,
+            direction=way,
+            normal=(0.0, 0.0, 1.0),
+            **rod,
+        )
+
+    rods, states = equal_rods(made, outwards)
+    head, of_head = rigid_body(
+        sphere((0.0, 0.0, 0.0), size),
+        density=density,
+        effects=tuple(head_effects),
+        dtype=states.positions.dtype,
+    )
+    state = {"arms": states, "head": of_head}
+    roots = [("arms", k, "start") for k in range(arms)]
+    together = attach(roots, ("head",), state)
+    members: dict[str, Any] = {"arms": scenes(rods, states, effects), "head": head}
+    return make_system(members, together, state=state), state

@@ -1,0 +1,112 @@
+"""Trees: a trunk, and branches welded to the ends of branches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxrod.assemblies.groups import MOST_RODS, equal_rods, scenes
+from jaxrod.composition import make_scene
+from jaxrod.effects.base import Effect
+from jaxrod.effects.clamps import clamp
+from jaxrod.rods.factories import straight_rod
+from jaxrod.systems.system import System, make_system
+from jaxrod.systems.welds import weld
+from jaxrod.validation import as_array, check_count
+
+
+def tree(
+    levels: int,
+    branches: int = 2,
+    n_elements: int = 6,
+    *,
+    length: float,
+    radius: float,
+    angle: float = 0.5,
+    length_ratio: float = 0.7,
+    radius_ratio: float | None = None,
+    effects: Sequence[Effect] = (),
+    **rod: Any,
+) -> tuple[System, dict[str, Any]]:
+    """A trunk that is clamped at the ground, and levels of branches.
+
+    Its members are "trunk" and "level 1", "level 2", ...: equal rods, of which number
+    `k` grows from number `k // branches` of the level before. All are welded.
+
+    Args:
+        levels: Levels of branches.
+        branches: At the end of the trunk and of every branch but the last.
+        n_elements: Elements of each rod.
+        length: Of the trunk [m].
+        radius: Of the trunk [m].
+        angle: Between a branch and that from which it grows [rad].
+        length_ratio: Length of a branch over that of the one before [1].
+        radius_ratio: Radius over that of the one before [1]; by default such that the
+            sections of all branches are that of the one before (Leonardo's rule).
+        effects: On every rod.
+        **rod: Material, as of `jaxrod.straight_rod`.
+
+    Returns:
+        The system and its state at rest.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    check_count("levels", levels, 1, 20)
+    check_count("branches", branches, 1, 100)
+    if branches**levels > MOST_RODS:
+        raise ValueError(
+            f"branches ** levels must be at most {MOST_RODS}, got {branches**levels}"
+        )
+    lean = float(as_array("angle", angle, "rad", non_negative=True))
+    shorter = float(as_array("length_ratio", length_ratio, "", positive=True))
+    thinner = branches**-0.5
+    if radius_ratio is not None:
+        thinner = float(as_array("radius_ratio", radius_ratio, "", positive=True))
+    trunk, of_trunk = straight_rod(
+        n_elements, length=length, radius=radius, normal=(1.0, 0.0, 0.0), **rod
+    )
+    members: dict[str, Any] = {"trunk": make_scene(trunk, clamp(of_trunk), *effects)}
+    state: dict[str, Any] = {"trunk": of_trunk}
+    tips, frames = np.array([[0.0, 0.0, length]]), np.eye(3)[None]
+    joints, before, extent, thick = [], "trunk", float(length), float(radius)
+    for level in range(1, levels + 1):
+        extent, thick = extent * shorter, thick * thinner
+        starts, axes, normals, roots = [], [], [], []
+        for parent, (tip, frame) in enumerate(zip(tips, frames, strict=True)):
+            for k in range(branches):
+                turn = 2 * np.pi * k / branches
+                side = np.cos(turn) * frame[0] + np.sin(turn) * frame[1]
+                axes.append(np.cos(lean) * frame[2] + np.sin(lean) * side)
+                # Branches of the next level are in a plane across this one.
+                normals.append(np.cross(frame[2], side))
+                starts.append(tip)
+                roots.append(parent)
+        name = f"level {level}"
+
+        def made(each: Any, extent: float = extent, thick: float = thick) -> Any:
+            start, axis, normal = each
+            return straight_rod(
+                n_elements,
+                length=extent,
+                radius=thick,
+                start=start,
+                direction=axis,
+                normal=normal,
+                **rod,
+            )
+
+        rods, states = equal_rods(made, tuple(map(np.array, (starts, axes, normals))))
+        members[name], state[name] = scenes(rods, states, effects), states
+        ends = [
+            (before, "finish") if before == "trunk" else (before, parent, "finish")
+            for parent in roots
+        ]
+        own = [(name, k, "start") for k in range(len(starts))]
+        joints.append(weld(ends, own, state))
+        tips = np.array(starts) + extent * np.array(axes)
+        frames = np.stack([normals, np.cross(axes, normals), axes], axis=1)
+        before = name
+    return make_system(members, *joints, state=state), state

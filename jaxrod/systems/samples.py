@@ -1,0 +1,231 @@
+r"""Samples: balls on a rigid body, which look for contact with the surface of another.
+
+Each is a place in the body's own frame and a radius. Of a sphere there is one, its
+centre, and nothing else is needed; of a capsule there are several along its axis, of a
+box its corners. A cylinder has balls along its axis, as a capsule, and points on its
+two rims, of which the first is always the lowest: so it rolls, and stands, without
+knocking.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import singledispatch
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.bodies import Body, Box, Capsule, Cylinder, Sphere
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    normalise,
+    split_quaternion,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree, static
+from jaxrod.validation import is_traced
+
+RIM_POINTS = 4
+"""Points on a rim: three would hold a cylinder up, four do so alike to all sides."""
+MOST_BALLS = 100
+"""Balls along an axis."""
+
+
+@pytree
+class Samples:
+    """Balls on one body, in its own frame."""
+
+    offsets: Float[Array, "3 balls"]
+    """Centres of the balls, or of the rims on which points are [m]."""
+    radii: Float[Array, " balls"]
+    """Radii of the balls, zero for points [m]."""
+    rim_radii: Float[Array, " balls"] | None = None
+    """Radii of the rims, zero for what is on none [m]; `None` without rims."""
+    axis: Float[Array, "3"] | None = None
+    """Unit vector about which the rims are, own frame."""
+    angles: tuple[float, ...] = static(default=())
+    """Angle of each point along its rim from the lowest [rad]."""
+    is_round: bool = static(default=False)
+    """Whether the balls together are the whole body: no corner, no edge."""
+    at_once: int | None = static(default=None)
+    """Balls that touch a convex body at a time at most; `None`: all."""
+
+    @property
+    def count(self) -> int:
+        """Number of balls."""
+        return self.offsets.shape[1]
+
+    @property
+    def reach(self) -> Array:
+        """Largest lever arm of a force along the normal [m]."""
+        arms = vectors.safe_norm(vectors.split(self.offsets))
+        if self.rim_radii is not None:
+            arms = jnp.sqrt(arms * arms + self.rim_radii * self.rim_radii)
+        return jnp.max(arms)
+
+    def places(self, downwards: Vec3) -> Vec3:
+        """Centres of the balls, own frame [m].
+
+        Args:
+            downwards: Towards the other surface, own frame, of any length: of every
+                ball.
+        """
+        offsets = vectors.split(self.offsets)
+        if self.rim_radii is None:
+            return offsets
+        assert self.axis is not None
+        axis = vectors.split(self.axis)
+        along = vectors.dot(downwards, axis)
+        x, y, z = vectors.subtract(downwards, vectors.scale(along, axis))
+        square = x * x + y * y + z * z
+        # Upright every point of a rim is the lowest: take one and stay there.
+        upright = square < float(jnp.finfo(square.dtype).eps)
+        shrink = 1 / jnp.sqrt(jnp.where(upright, 1, square))
+        a, b, c = _beside(axis)
+        lowest = (
+            jnp.where(upright, a, x * shrink),
+            jnp.where(upright, b, y * shrink),
+            jnp.where(upright, c, z * shrink),
+        )
+        cosine = self.rim_radii * jnp.asarray(np.cos(self.angles), self.axis.dtype)
+        sine = self.rim_radii * jnp.asarray(np.sin(self.angles), self.axis.dtype)
+        way = vectors.add(
+            vectors.scale(cosine, lowest),
+            vectors.scale(sine, vectors.cross(axis, lowest)),
+        )
+        return vectors.add(offsets, way)
+
+
+def _beside(axis: Vec3) -> Vec3:
+    """A unit vector at right angles to another."""
+    x, y, z = axis
+    flat = jnp.abs(z) < 0.9
+    p, q, r = jnp.where(flat, y, 0), jnp.where(flat, -x, z), jnp.where(flat, 0, -y)
+    size = 1 / jnp.sqrt(p * p + q * q + r * r)
+    return p * size, q * size, r * size
+
+
+@singledispatch
+def samples_of(shape: Body, balls: int, points_per_edge: int) -> Samples | None:
+    """The balls of a shape in its own frame; `None` if only its surface is known.
+
+    Args:
+        shape: The shape.
+        balls: How many along the axis of a capsule or cylinder, from `balls_needed`.
+        points_per_edge: Points on every edge of a box, corners included.
+    """
+    return None
+
+
+@samples_of.register
+def _(shape: Sphere, balls: int, points_per_edge: int) -> Samples:
+    return Samples(shape.centre[:, None], shape.radius[None], is_round=True)
+
+
+@samples_of.register
+def _(shape: Capsule, balls: int, points_per_edge: int) -> Samples:
+    offsets = _line(shape.start, shape.end, balls)
+    return Samples(offsets, jnp.broadcast_to(shape.radius, (balls,)), is_round=True)
+
+
+@samples_of.register
+def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
+    angles = tuple(2 * math.pi * k / RIM_POINTS for k in range(RIM_POINTS))
+    rims = [
+        jnp.repeat(p[:, None], RIM_POINTS, axis=1) for p in (shape.start, shape.end)
+    ]
+    inner = [_line(*_inner_axis(shape), balls)] if balls else []
+    dtype = shape.radius.dtype
+    none, some = jnp.zeros(2 * RIM_POINTS, dtype), jnp.ones(balls, dtype)
+    return Samples(
+        offsets=jnp.concatenate([*rims, *inner], axis=1),
+        radii=jnp.concatenate([none, shape.radius * some]),
+        rim_radii=jnp.concatenate([shape.radius * (1 + none), 0 * some]),
+        axis=_direction(shape.end - shape.start),
+        angles=(*angles, *angles, *([0.0] * balls)),
+        # Standing, or lying.
+        at_once=max(RIM_POINTS, 2 + balls),
+    )
+
+
+@samples_of.register
+def _(shape: Box, balls: int, points_per_edge: int) -> Samples:
+    inner = np.linspace(-1, 1, points_per_edge)[1:-1]
+    signs = (-1.0, 1.0)
+    places = [(a, b, c) for a in signs for b in signs for c in signs]
+    for axis in range(3):
+        for a in signs:
+            for b in signs:
+                for t in inner:
+                    place = [a, b]
+                    place.insert(axis, float(t))
+                    places.append((place[0], place[1], place[2]))
+    units = jnp.asarray(np.array(places).T, shape.half_lengths.dtype)
+    own = vectors.split(shape.half_lengths[:, None] * units)
+    frame = directors(normalise(split_quaternion(shape.orientation)))
+    return Samples(
+        shape.centre[:, None] + vectors.join(to_world(frame, own)),
+        jnp.zeros(len(places), shape.half_lengths.dtype),
+        # Those of a face.
+        at_once=4 * (points_per_edge - 1),
+    )
+
+
+def given_samples(points: Array) -> Samples:
+    """Points on the surface of a body, own frame [m]."""
+    return Samples(points, jnp.zeros_like(points[0]))
+
+
+def balls_needed(name: str, shape: Body) -> int:
+    """Balls along the axis of a shape such that neighbours are a radius apart at most.
+
+    Args:
+        name: Of the body, for messages.
+        shape: The shape.
+
+    Raises:
+        ValueError: If they are very many, or the size is traced.
+    """
+    if isinstance(shape, Capsule):
+        start, end = shape.start, shape.end
+    elif isinstance(shape, Cylinder):
+        start, end = _inner_axis(shape)
+    else:
+        return 0
+    if is_traced(start, end, shape.radius):
+        raise ValueError(
+            f"rigid_contact: the size of {name} is traced: give balls_per_axis"
+        )
+    length = float(np.linalg.norm(np.asarray(end) - np.asarray(start)))
+    if length == 0:
+        return 0
+    count = 1 + max(1, math.ceil(length / float(shape.radius) - 1e-6))
+    if count > MOST_BALLS:
+        raise ValueError(
+            f"rigid_contact: {name}, {length:.3g} m long and of radius "
+            f"{float(shape.radius):.3g} m, would be {count} balls in a row, more than "
+            f"{MOST_BALLS}: give balls_per_axis, or make it a rod"
+        )
+    return count
+
+
+def _inner_axis(shape: Cylinder) -> tuple[Array, Array]:
+    """Where balls in a cylinder have their centres: a radius from its ends."""
+    middle = 0.5 * (shape.start + shape.end)
+    axis = shape.end - shape.start
+    length = jnp.sqrt(jnp.sum(axis * axis))
+    way = jnp.maximum(0.5 - shape.radius / length, 0) * axis
+    return middle - way, middle + way
+
+
+def _direction(vector: Array) -> Array:
+    return vector / jnp.sqrt(jnp.sum(vector * vector))
+
+
+def _line(start: Array, end: Array, count: int) -> Array:
+    """Places from one end to another."""
+    share = jnp.asarray(np.linspace(0, 1, count), start.dtype)
+    return start[:, None] + (end - start)[:, None] * share[None, :]

@@ -1,0 +1,131 @@
+"""Triangles of the bodies that rods touch and that move with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.contacts.bodies import Body, Box, Capsule, Cylinder, Plane, Sphere
+from jaxrod.systems.rigid_bodies import RigidBodies
+from jaxrod.systems.solids import solid_of
+from jaxrod.viz import surfaces
+from jaxrod.viz.colours import FIXED
+from jaxrod.viz.meshes import Mesh
+from jaxrod.viz.surfaces import Triangles
+
+_DOUBLINGS = 6
+
+
+def mesh_of(bodies: RigidBodies) -> Triangles:
+    """The surface of rigid bodies in their own frame.
+
+    Of a body that is given by its signed distance alone, it is looked for in a cube
+    about the ellipsoid with its mass and inertia, and in larger ones until it fits.
+
+    Raises:
+        ValueError: no surface is found.
+    """
+    assert bodies.shape is not None
+    known = _centred(bodies.shape)
+    if known is not None:
+        return known
+    mass = float(bodies.masses[0])
+    a, b, c = (float(x) for x in bodies.principal_inertias[:, 0])
+    axes = [2.5 * (p + q - r) / mass for p, q, r in ((b, c, a), (a, c, b), (a, b, c))]
+    half = 1.2 * max(axes) ** 0.5
+    for _ in range(_DOUBLINGS):
+        cube = np.full(3, half)
+        if not _touches(bodies.shape, half):
+            return surfaces.of_distance(_surface(bodies.shape), -cube, cube)
+        half *= 2
+    raise ValueError("the surface of a rigid body must be closed to be drawn")
+
+
+def _touches(shape: Body, half: float) -> bool:
+    """Whether a cube's faces are somewhere inside a body."""
+    side = np.linspace(-half, half, 41)
+    u, v = (x.ravel() for x in np.meshgrid(side, side))
+    w = np.full_like(u, half)
+    faces = [
+        s * np.roll(np.stack([w, u, v]), k, axis=0) for k in range(3) for s in (1, -1)
+    ]
+    distance, _ = _surface(shape)(np.concatenate(faces, axis=1).T)
+    return bool(np.any(np.asarray(distance) <= 0))
+
+
+def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
+    """A fixed body where it is; of an unbounded one what lies in a box."""
+    known = _centred(body)
+    if known is not None:
+        solid = solid_of(body)
+        centre, turn = np.asarray(solid.centre), np.asarray(solid.orientation)
+        return Mesh(*known, centre, turn, "obstacle", FIXED)
+    margin = 0.25 * float(np.max(high - low))
+    vertices, faces = surfaces.of_distance(
+        _surface(body), low - margin, high + margin, cells=64
+    )
+    return Mesh(vertices, faces, name="obstacle", colour=FIXED)
+
+
+def leaning_plane(body: Plane, low: np.ndarray, high: np.ndarray) -> Mesh | None:
+    """What lies in a box of a plane that is not level; `None` if nothing does."""
+    normal = np.asarray(body.normal, float)
+    normal = normal / np.linalg.norm(normal)
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    middle = (low + high) / 2
+    centre = middle - ((middle - np.asarray(body.point)) @ normal) * normal
+    reach = 2 * float(np.linalg.norm(high - low))
+    square = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = [centre + reach * (a * first + b * second) for a, b in square]
+    for axis in range(3):
+        for sign, bound in ((1, high[axis]), (-1, -low[axis])):
+            corners = _cut(corners, axis, sign, bound)
+    if len(corners) < 3:
+        return None
+    faces = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
+    return Mesh(np.array(corners), np.array(faces), name="plane", colour=FIXED)
+
+
+def _cut(
+    corners: list[np.ndarray], axis: int, sign: int, bound: float
+) -> list[np.ndarray]:
+    """The part of a flat polygon where `sign` times a coordinate is below a bound."""
+    kept = []
+    for here, after in zip(corners, corners[1:] + corners[:1], strict=True):
+        a, b = sign * here[axis] - bound, sign * after[axis] - bound
+        if a <= 0:
+            kept.append(here)
+        if a * b < 0:
+            kept.append(here + a / (a - b) * (after - here))
+    return kept
+
+
+def _centred(shape: Body) -> Triangles | None:
+    """Triangles about the centre of mass of a shape whose geometry is known."""
+    solid: Any = None
+    if isinstance(shape, Sphere | Capsule | Cylinder | Box):
+        solid = solid_of(shape).shape
+    if isinstance(solid, Sphere):
+        return surfaces.ball(float(solid.radius))
+    if isinstance(solid, Box):
+        return surfaces.box(np.asarray(solid.half_lengths))
+    if isinstance(solid, Capsule):
+        return surfaces.capsule(float(solid.end[2]), float(solid.radius))
+    if isinstance(solid, Cylinder):
+        return surfaces.cylinder(float(solid.end[2]), float(solid.radius))
+    return None
+
+
+def _surface(body: Body) -> Any:
+    """Distance and normals at points (N, 3)."""
+
+    def at(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y, z = jnp.asarray(points).T
+        distance, normal = body.surface((x, y, z))
+        return np.asarray(distance), np.stack([np.asarray(n) for n in normal], axis=-1)
+
+    return at

@@ -1,0 +1,322 @@
+"""Light on a frame: the camera, shadows, shading, the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from jaxrod.viz.colours import linear
+from jaxrod.viz.geometry import Triangles
+from jaxrod.viz.raster import nearest, shares_at
+
+_LENS = np.tan(np.radians(14.0))
+"""Half the height of the picture over the distance."""
+_TAPS = 16
+"""Looks at that map for the soft edge of a shadow."""
+_SKY, _GROUND = linear("#f8fafc"), linear("#dfe5ee")
+_GRID = linear("#8b98ab")
+_SHADE = np.array([0.95, 0.88, 0.74], np.float32)
+"""What a full shadow takes of red, green and blue, over one half."""
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Where the reader stands."""
+
+    right: np.ndarray
+    above: np.ndarray
+    backward: np.ndarray
+    eye: np.ndarray
+    up: int
+    """The upward axis, 0 to 2."""
+
+    @property
+    def frame(self) -> np.ndarray:
+        """The three directions as rows."""
+        return np.stack([self.right, self.above, self.backward])
+
+    def seen(self, points: np.ndarray) -> np.ndarray:
+        """Points to the right, above and in front of the reader [m]."""
+        own = (points - self.eye) @ self.frame.T
+        return own * np.array([1, 1, -1])
+
+    @property
+    def lamp(self) -> np.ndarray:
+        """Direction towards the lamp, over the reader's left shoulder."""
+        up = np.eye(3)[self.up]
+        way = 0.95 * up - 0.5 * self.right + 0.42 * self.backward
+        return way / np.linalg.norm(way)
+
+
+def view_of(
+    points: np.ndarray,
+    up: int,
+    azimuth: float,
+    elevation: float,
+    shape: tuple[float, float],
+    zoom: float,
+) -> View:
+    """A view that holds all points.
+
+    Args:
+        points: to be seen [m], (N, 3).
+        up: the upward axis.
+        azimuth: around it [degrees].
+        elevation: above the ground [degrees].
+        shape: shares of the height that may be used to either side and up or down.
+        zoom: above one, nearer.
+    """
+    a, e = np.radians([azimuth, elevation])
+    axes = np.roll(np.eye(3), -(up + 1), axis=0)  # first x second = up
+    level = np.cos(a) * axes[0] + np.sin(a) * axes[1]
+    backward = np.cos(e) * level + np.sin(e) * axes[2]
+    right = np.cross(axes[2], level)
+    above = np.cross(backward, right)
+    frame = np.stack([right, above, backward])
+    own = points @ frame.T
+    wide, tall = _LENS * np.array(shape)
+    low, high = own.min(axis=0), own.max(axis=0)
+    middle = (low + high) / 2
+    # Nearer parts look larger: a few rounds put what is seen into the middle.
+    for _ in range(6):
+        x, y, z = (own - middle).T
+        distance = np.max(z + np.maximum(np.abs(x) / wide, np.abs(y) / tall)) + 1e-9
+        far = np.maximum(distance - z, 1e-9)
+        for axis, part in ((0, x), (1, y)):
+            shift = ((part / far).max() + (part / far).min()) / 2 * distance
+            middle[axis] += 0.8 * shift
+    distance /= zoom
+    eye = (middle + np.array([0, 0, distance])) @ frame
+    return View(right, above, backward, eye, up)
+
+
+def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
+    """Linear light of a picture, (height, width, 3).
+
+    Args:
+        triangles: what is there.
+        ground: what is behind and below it, and where the reader stands.
+        fine: 2 draws solids at twice the size and averages, which smooths their edges
+            and darkens crevices; 1 does not, and takes a third of the time.
+    """
+    (width, height), view = ground.size, ground.view
+    lamp = _Lamp(triangles.corners, view, int((0.6 if fine == 1 else 1.4) * width))
+    picture = ground.light(lamp)
+    if fine == 2:
+        picture = np.repeat(np.repeat(picture, 2, axis=0), 2, axis=1)
+    width, height = fine * width, fine * height
+    picture = picture.reshape(-1, 3)
+    screen = _on_screen(view, triangles.corners, (width, height))
+    front, depth = nearest(screen, width, height)
+    drawn = np.flatnonzero(front >= 0)
+    y, x = np.divmod(drawn, width)
+    spots = np.stack([x, y], axis=-1)
+    falling = _rays(spots, (width, height)) @ view.frame[:, view.up]
+    above = -1 / depth[drawn] <= _ground_distance(view, ground.floor, falling)
+    drawn, spots = drawn[above], spots[above]
+    if drawn.size:
+        light = _lit(triangles, screen, front[drawn], spots, view, lamp)
+        if fine == 2:
+            near = np.full(len(picture), np.nan, np.float32)
+            near[drawn] = depth[drawn]
+            dark = _crevices(near.reshape(height, width)[::2, ::2])
+            light *= dark[spots[:, 1] // 2, spots[:, 0] // 2, None]
+        picture[drawn] = light
+    picture = picture.reshape(height, width, 3)
+    if fine == 1:
+        return picture
+    return picture.reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3))
+
+
+def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Corners in pixels, with minus the nearness as depth; NaN behind the reader."""
+    width, height = size
+    focal = 0.5 * height / _LENS
+    right, above, ahead = np.moveaxis(view.seen(corners), -1, 0)
+    behind = np.any(ahead <= 1e-9, axis=1)
+    ahead = np.where(ahead <= 1e-9, 1, ahead)
+    x, y = 0.5 * width + focal * right / ahead, 0.5 * height - focal * above / ahead
+    screen = np.stack([x, y, -1 / ahead], axis=-1)
+    screen[behind] = np.nan
+    return screen
+
+
+def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Ways through pixels in the reader's own directions, one ahead, (N, 3)."""
+    width, height = size
+    focal = 0.5 * height / _LENS
+    x, y = np.asarray(spots, np.float32).T
+    x, y = (x + 0.5 - width / 2) / focal, (height / 2 - y - 0.5) / focal
+    return np.stack([x, y, -np.ones_like(x)], axis=-1)
+
+
+def _ground_distance(view: View, floor: float, rays: np.ndarray) -> np.ndarray:
+    """How far ahead the ground is [m], infinite where it is not."""
+    with np.errstate(divide="ignore"):
+        away = (floor - view.eye[view.up]) / rays
+    return np.where(away > 0, away, np.inf)
+
+
+class Ground:
+    """The sky and the ground with its lines, the same in all frames but for shadows."""
+
+    def __init__(
+        self,
+        view: View,
+        floor: float,
+        step: float,
+        size: tuple[int, int],
+        centre: np.ndarray,
+        span: float,
+    ) -> None:
+        """Draws it without shadows.
+
+        Args:
+            view: where the reader stands.
+            floor: height of the ground [m].
+            step: distance of the lines on it [m].
+            size: width and height of the picture [pixels].
+            centre: where the lines are clearest [m], (3,).
+            span: how far around they are [m].
+        """
+        self.view, self.floor, self.size = view, floor, size
+        width, height = size
+        share = (np.linspace(0, 1, height) ** 1.2).astype(np.float32)[:, None, None]
+        sky = np.broadcast_to(_SKY * (1 - share) + _GROUND * share, (height, width, 3))
+        self.picture = sky.reshape(-1, 3).astype(np.float32)
+        y, x = np.divmod(np.arange(width * height), width)
+        rays = _rays(np.stack([x, y], axis=-1), size) @ view.frame.astype(np.float32)
+        away = _ground_distance(view, floor, rays[:, view.up])
+        self.seen = np.flatnonzero(np.isfinite(away))
+        away = away[self.seen, None]
+        self.places = (view.eye + away * rays[self.seen]).astype(np.float32)
+        axes = [k for k in range(3) if k != view.up]
+        flat, pixel = self.places[:, axes], away[:, 0] * 2 * _LENS / height
+        reach = np.linalg.norm(flat - centre[axes], axis=1) / (1.1 * span)
+        strength = np.zeros(len(flat))
+        for spacing, weight in ((step / 5, 0.20), (step, 0.42)):
+            off = np.abs(flat / spacing - np.rint(flat / spacing))
+            thick = np.maximum(1.1 * pixel / spacing, 0.004)[:, None]
+            line = np.clip(1 - off / thick, 0, 1).max(axis=1)
+            fine = np.clip(spacing / (6 * pixel) - 0.5, 0, 1)
+            strength = np.maximum(strength, weight * line * fine)
+        strength = (strength * np.clip(1.6 - reach, 0, 1))[:, None]
+        self.picture[self.seen] += strength * (_GRID - self.picture[self.seen])
+
+    def light(self, lamp: _Lamp) -> np.ndarray:
+        """With shadows, (height, width, 3)."""
+        picture = self.picture.copy()
+        dark = 0.50 * (1 - lamp.reaches(self.places, 0.012 * lamp.span))
+        some = np.flatnonzero(dark)
+        picture[self.seen[some]] *= 1 - dark[some, None] * _SHADE
+        return picture.reshape(self.size[1], self.size[0], 3)
+
+
+class _Lamp:
+    """What the lamp sees, which is all that is not in shadow."""
+
+    def __init__(self, corners: np.ndarray, view: View, side: int) -> None:
+        """Draws a map of it, `side` pixels wide and high."""
+        lamp = view.lamp
+        first = np.cross(lamp, np.eye(3)[np.argmin(np.abs(lamp))])
+        first /= np.linalg.norm(first)
+        self.frame = np.stack([first, np.cross(lamp, first), lamp])
+        own = corners @ self.frame.T
+        flat = own.reshape(-1, 3) if len(corners) else np.zeros((1, 3))
+        self.low = flat.min(axis=0)
+        span = float(np.max(np.ptp(flat, axis=0)[:2])) or 1.0
+        self.side = side
+        self.scale = 0.86 * side / span
+        map_corners = np.concatenate(
+            [(own[..., :2] - self.low[:2]) * self.scale + 0.07 * side, -own[..., 2:]],
+            axis=-1,
+        )
+        _, self.depth = nearest(map_corners, side, side)
+        self.span = span
+
+    def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
+        """Share of the lamp's light that reaches places, its edge `blur` wide [m]."""
+        own = places @ self.frame.T.astype(places.dtype)
+        spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side
+        reach = blur * self.scale
+        light = np.ones(len(places), np.float32)
+        mapped = np.flatnonzero(
+            np.all((spots > reach) & (spots < self.side - reach), 1)
+        )
+        spots = spots[mapped].astype(np.float32)
+        deep = (-own[mapped, 2] - 2.5 / self.scale).astype(np.float32)
+        angles = 2.39996 * np.arange(_TAPS)
+        away = reach * np.sqrt((np.arange(_TAPS) + 0.5) / _TAPS)
+        lit = np.zeros(len(mapped), np.float32)
+        for dx, dy in zip(away * np.cos(angles), away * np.sin(angles), strict=True):
+            x = np.minimum(
+                (spots[:, 0] + np.float32(dx)).astype(np.int32), self.side - 1
+            )
+            y = np.minimum(
+                (spots[:, 1] + np.float32(dy)).astype(np.int32), self.side - 1
+            )
+            lit += self.depth[y * self.side + x] >= deep
+        light[mapped] = lit / _TAPS
+        return light
+
+
+def _lit(
+    triangles: Triangles,
+    screen: np.ndarray,
+    front: np.ndarray,
+    pixels: np.ndarray,
+    view: View,
+    lamp: _Lamp,
+) -> np.ndarray:
+    shares = shares_at(screen[front], pixels + 0.5)
+    # Straight on the screen is not straight in space: weights by nearness.
+    shares = shares * -screen[front][:, :, 2]
+    shares = (shares / shares.sum(axis=1, keepdims=True))[..., None]
+    blend = lambda table: np.sum(table[front] * shares, axis=1)
+    place, normal = blend(triangles.corners), blend(triangles.normals)
+    base = blend(triangles.colours)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    towards = view.eye - place
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    facing = np.sum(normal * towards, axis=1)
+    normal = np.where(facing[:, None] < 0, -normal, normal)
+    facing = np.abs(facing)
+    half = towards + view.lamp
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    reach = lamp.reaches(place + normal * (3 / lamp.scale), 0.004 * lamp.span)
+    sky = (0.5 + 0.5 * normal[:, view.up])[:, None]
+    key = 0.66 * (np.clip(normal @ view.lamp, 0, 1) * reach)[:, None]
+    gloss = 0.20 * (np.clip(np.sum(normal * half, axis=1), 0, 1) ** 42 * reach)[:, None]
+    rim = 0.10 * ((1 - facing) ** 3)[:, None] * sky
+    glow = np.array([0.22, 0.23, 0.27]) * (1 - sky) + np.array([0.44, 0.46, 0.50]) * sky
+    return base * (glow + key) + gloss + rim
+
+
+def _crevices(near: np.ndarray) -> np.ndarray:
+    """Share of light where nearer things are around: dark in crevices and contacts.
+
+    Args:
+        near: a depth that is smaller in front, NaN where nothing is.
+    """
+    reach = max(2, near.shape[0] // 70)
+    there = np.isfinite(near)
+    depth = np.where(there, near, 0)
+    share = _blurred(_blurred(there.astype(float), reach), reach)
+    around = _blurred(_blurred(depth, reach), reach) / np.maximum(share, 1e-3)
+    scale = max(float(np.ptp(near[there])), 1e-12)
+    return 1 - 0.40 * np.clip((depth - around) / (0.10 * scale), 0, 1)
+
+
+def _blurred(values: np.ndarray, reach: int) -> np.ndarray:
+    """Means over squares of 2 reach + 1 pixels."""
+    for axis in (0, 1):
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (reach + 1, reach)
+        total = np.cumsum(np.pad(values, pad, mode="edge"), axis=axis)
+        side = 2 * reach + 1
+        ends = [slice(None), slice(None)]
+        starts = [slice(None), slice(None)]
+        ends[axis], starts[axis] = slice(side, None), slice(None, -side)
+        values = (total[tuple(ends)] - total[tuple(starts)]) / side
+    return values

@@ -1,0 +1,236 @@
+"""A replay of a scene or a system: what its states look like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.contacts.bodies import Body, Plane
+from jaxrod.contacts.contact import Contact
+from jaxrod.rods.motion import motion_of
+from jaxrod.scene import Scene
+from jaxrod.systems.body_contact import BodyContact
+from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.parts import in_rows
+from jaxrod.systems.rigid_bodies import RigidBodies
+from jaxrod.systems.rod_contact import RodContact
+from jaxrod.systems.system import System
+from jaxrod.viz.arrows import Arrows, checked_arrows
+from jaxrod.viz.bodies import leaning_plane, mesh_of, solid_mesh
+from jaxrod.viz.extent import extent
+from jaxrod.viz.meshes import Mesh, checked_mesh
+from jaxrod.viz.rods import Rods, checked_rods
+
+_ONLY = "rod"
+"""Name of the rod of a scene."""
+
+
+class Recorded(NamedTuple):
+    """What there is to see of a scene or a system."""
+
+    rods: tuple[Rods, ...]
+    meshes: tuple[Mesh, ...]
+    arrows: tuple[Arrows, ...]
+    floor: float | None
+    """Height of a level plane which a rod may touch [m]."""
+
+
+def recorded(
+    model: Scene | System,
+    states: Any,
+    times: np.ndarray,
+    fields: Mapping[str, Any],
+    forces: bool,
+    colours: Mapping[str, str],
+    up: str,
+) -> Recorded:
+    """Members of a scene or a system as they are drawn; see `Replay.from_states`.
+
+    Raises:
+        ValueError: an argument has the wrong shape or an impossible value.
+        TypeError: `model` is neither.
+    """
+    if isinstance(model, Scene):
+        system, by_member = System({_ONLY: model}), {_ONLY: states}
+    elif isinstance(model, System):
+        system, by_member = model, dict(states)
+        if set(by_member) != set(system.members):
+            raise ValueError(
+                f"states must have the members {sorted(system.members)}, got "
+                f"{sorted(by_member)}"
+            )
+    else:
+        raise TypeError(
+            f"model must be a scene or a system, got {type(model).__name__}"
+        )
+    values = _field_values(system, by_member, times, fields)
+    rods: list[Rods] = []
+    meshes: list[Mesh] = []
+    for name, own in by_member.items():
+        member, colour = system.members[name], colours.get(name, "")
+        if not isinstance(member, RigidBodies):
+            rods.append(
+                checked_rods(
+                    np.moveaxis(np.asarray(own.positions), -2, -1),
+                    np.asarray(member.rod.radii),
+                    times,
+                    name="" if isinstance(model, Scene) else name,
+                    colour=colour,
+                    fields=values[name],
+                )
+            )
+        elif member.shape is not None:
+            mesh = _of_bodies(name, member, own, colour)
+            meshes.append(checked_mesh(len(meshes), mesh, times))
+    fixed, floor = _ground(system, *extent(rods, meshes), up)
+    meshes += [checked_mesh(k, mesh, times) for k, mesh in enumerate(fixed)]
+    arrows = _contact_forces(system, by_member, times) if forces else ()
+    return Recorded(tuple(rods), tuple(meshes), arrows, floor)
+
+
+def _of_bodies(name: str, bodies: RigidBodies, states: Any, colour: str) -> Mesh:
+    return Mesh(
+        *mesh_of(bodies),
+        np.moveaxis(np.asarray(states.positions), -2, -1),
+        np.moveaxis(np.asarray(states.orientations), -2, -1),
+        name,
+        colour,
+    )
+
+
+def _field_values(
+    system: System, states: dict[str, Any], times: np.ndarray, fields: Mapping[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Of each member and label numbers by frame, rod and place along it."""
+    rods = {k: m for k, m in system.members.items() if isinstance(m, Scene)}
+    values: dict[str, dict[str, Any]] = {name: {} for name in rods}
+    for label, given in fields.items():
+        each = given if isinstance(given, Mapping) else dict.fromkeys(rods, given)
+        unknown = set(each) - set(rods)
+        if unknown:
+            raise ValueError(
+                f"fields[{label!r}] names {sorted(unknown)}, which are no rods of it: "
+                f"those are {sorted(rods)}"
+            )
+        for name, field in each.items():
+            if callable(field):
+                field = _measured(system, states, times, name, field)
+            values[name][label] = field
+    return values
+
+
+def _measured(
+    system: System,
+    states: dict[str, Any],
+    times: np.ndarray,
+    name: str,
+    field: Callable[[Any, Any], Any],
+) -> np.ndarray:
+    group = jnp.ndim(system.members[name].rod.rest_lengths) > 1  # type: ignore[union-attr]
+
+    def at_frame(frame: tuple[Any, Any]) -> Any:
+        state, time = frame
+        member = system.at(time).recalling(state).members[name]
+        measure = jax.vmap(field) if group else field
+        return jnp.asarray(measure(member, state[name]))
+
+    clock = jnp.asarray(times, system.dtype)
+    measured = np.asarray(jax.jit(lambda x: jax.lax.map(at_frame, x))((states, clock)))
+    # One number for all of a rod.
+    return measured[..., None] if measured.ndim == 1 + group else measured
+
+
+def _ground(
+    system: System, low: np.ndarray, high: np.ndarray, up: str
+) -> tuple[list[Mesh], float | None]:
+    """The fixed bodies that rods may touch; of a level plane its height [m]."""
+    fixed: dict[Any, Body] = {}
+    for member in system.members.values():
+        if isinstance(member, Scene):
+            group = member.rod.rest_lengths.ndim > 1
+            for effect in member.effects:
+                if isinstance(effect, Contact):
+                    for body in _single(effect.body, effect.n_bodies, group):
+                        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(body)]
+                        key = (type(body), *(leaf.tobytes() for leaf in leaves))
+                        fixed.setdefault(key, body)
+    meshes: list[Mesh] = []
+    floor, axis = None, "xyz".find(up)
+    for body in fixed.values():
+        if not isinstance(body, Plane):
+            meshes.append(solid_mesh(body, low, high))
+            continue
+        normal = np.asarray(body.normal, float)
+        if normal[axis] > 0.9999 * np.linalg.norm(normal):
+            floor = float(body.point[axis])
+        else:
+            leaning = leaning_plane(body, low, high)
+            meshes += [] if leaning is None else [leaning]
+    return meshes, floor
+
+
+def _single(body: Body, count: int | None, group: bool) -> list[Body]:
+    """Bodies one by one, of one rod or of equal rods."""
+    axes = int(group) + int(count is not None)
+    bodies = [body]
+    for _ in range(axes):
+        bodies = [
+            jax.tree.map(lambda leaf, k=k: leaf[k], one)
+            for one in bodies
+            for k in range(jax.tree.leaves(one)[0].shape[0])
+        ]
+    return bodies
+
+
+def _contact_forces(
+    system: System, states: dict[str, Any], times: np.ndarray
+) -> tuple[Arrows, ...]:
+    """Forces of contact at the nodes of all rods [N]."""
+    rods = [k for k, m in system.members.items() if isinstance(m, Scene)]
+
+    def at_frame(frame: tuple[Any, Any]) -> dict[str, Any]:
+        state, time = frame
+        now = system.at(time).recalling(state)
+        assert isinstance(now, System)
+        total = {name: jnp.zeros_like(state[name].positions) for name in rods}
+        for name in rods:
+            member = now.members[name]
+            assert isinstance(member, Scene)
+            one = _on_rod
+            if member.rod.rest_lengths.ndim > 1:
+                total[name] = total[name] + jax.vmap(one)(member, state[name])
+            else:
+                total[name] = total[name] + one(member, state[name])
+        seen, couplings = seen_at_rest(now, state)
+        for coupling in couplings:
+            if isinstance(coupling, BodyContact | RodContact):
+                for name, loads in coupling.loads(seen).items():
+                    if name in rods and loads.forces is not None:
+                        force = jnp.stack(loads.forces)
+                        if total[name].ndim == 3:
+                            force = in_rows(force, total[name].shape[0])
+                        total[name] = total[name] + force
+        return total
+
+    clock = jnp.asarray(times, system.dtype)
+    found = jax.jit(lambda x: jax.lax.map(at_frame, x))((states, clock))
+    flat = lambda x: np.moveaxis(np.asarray(x), -2, -1).reshape(len(times), -1, 3)
+    origins = np.concatenate([flat(states[name].positions) for name in rods], axis=1)
+    vectors = np.concatenate([flat(found[name]) for name in rods], axis=1)
+    arrows = Arrows(origins, vectors, "contact force [N]")
+    return (checked_arrows(0, arrows, times),)
+
+
+def _on_rod(scene: Scene, state: Any) -> Any:
+    """Forces of contact with fixed bodies on a rod's nodes."""
+    total = jnp.zeros_like(state.positions)
+    for effect in scene.effects:
+        if isinstance(effect, Contact):
+            forces = effect.loads(scene.rod, motion_of(state)).forces
+            if forces is not None:
+                total = total + jnp.stack(forces)
+    return total

@@ -1,0 +1,137 @@
+"""Surfaces of bodies as triangles: balls, capsules, cylinders, boxes, any distance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+_AROUND = 40
+
+Triangles = tuple[np.ndarray, np.ndarray]
+"""Corners (V, 3) [m] and faces (F, 3)."""
+
+
+def ball(radius: float) -> Triangles:
+    """A ball about the origin."""
+    polar = np.linspace(0, np.pi, _AROUND // 2 + 1)
+    return turned(radius * np.sin(polar), -radius * np.cos(polar))
+
+
+def capsule(half: float, radius: float) -> Triangles:
+    """A capsule about the origin along z, of a line from -half to half."""
+    polar = np.linspace(0, np.pi / 2, _AROUND // 4 + 1)
+    across = radius * np.sin(polar)
+    up = half + radius * np.cos(polar)
+    return turned(np.r_[across, across[::-1]], np.r_[-up, up[::-1]])
+
+
+def cylinder(half: float, radius: float) -> Triangles:
+    """A cylinder with flat ends about the origin along z."""
+    return turned(
+        np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half])
+    )
+
+
+def box(half_lengths: np.ndarray) -> Triangles:
+    """A block about the origin."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)]
+    quads.append((1, 5, 7, 3))
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return signs * np.asarray(half_lengths, float), np.array(faces)
+
+
+def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
+    """The surface that a line in the plane of z sweeps as it turns about z.
+
+    Args:
+        across: distances from the axis [m], from the lowest point to the highest.
+        along: heights [m].
+    """
+    angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AROUND)], axis=-1)
+    rings = across[:, None, None] * circle + along[:, None, None] * np.array(
+        [0, 0, 1.0]
+    )
+    first = np.arange(_AROUND)
+    nexts = (first + 1) % _AROUND
+    faces = []
+    for k in range(len(across) - 1):
+        a, b = k * _AROUND + first, k * _AROUND + nexts
+        c, d = a + _AROUND, b + _AROUND
+        faces += [np.stack([a, b, d], -1), np.stack([a, d, c], -1)]
+    return _merged(rings.reshape(-1, 3), np.concatenate(faces))
+
+
+def _merged(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    """Corners at one place made one; faces that lost their area left out."""
+    size = np.ptp(vertices, axis=0).max()
+    _, first, where = np.unique(
+        np.round(vertices / (1e-7 * size)).astype(np.int64),
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
+    faces = np.ravel(where)[faces]
+    whole = np.all(faces != np.roll(faces, 1, axis=1), axis=1)
+    return vertices[first], faces[whole]
+
+
+def of_distance(
+    surface: Callable[[np.ndarray], tuple[Any, Any]],
+    low: np.ndarray,
+    high: np.ndarray,
+    cells: int = 36,
+) -> Triangles:
+    """The surface where a signed distance is zero, by surface nets.
+
+    Every cell of a grid that the surface crosses gets a corner, moved onto the surface
+    along the normal; cells around an edge that it crosses make a face.
+
+    Args:
+        surface: distance [m] and outward normal at points (N, 3).
+        low: lowest corner of the box to look in [m].
+        high: its highest corner [m].
+        cells: cells along its longest side.
+
+    Raises:
+        ValueError: the surface does not cross the box.
+    """
+    step = float(np.max(high - low)) / cells
+    counts = np.maximum(np.ceil((high - low) / step).astype(int), 1) + 1
+    axes = [low[k] + step * np.arange(counts[k]) for k in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    inside = np.asarray(surface(grid.reshape(-1, 3))[0]).reshape(counts) < 0
+    eight = [
+        inside[i : i + counts[0] - 1, j : j + counts[1] - 1, k : k + counts[2] - 1]
+        for i in (0, 1)
+        for j in (0, 1)
+        for k in (0, 1)
+    ]
+    number = np.sum(eight, axis=0)
+    crossed = (number > 0) & (number < 8)
+    if not crossed.any():
+        raise ValueError(f"no surface between {low.tolist()} and {high.tolist()} m")
+    names = np.full(crossed.shape, -1)
+    names[crossed] = np.arange(crossed.sum())
+    vertices = (np.argwhere(crossed) + 0.5) * step + low
+    for _ in range(4):
+        distance, normal = surface(vertices)
+        move = np.asarray(distance)[:, None] * np.asarray(normal)
+        vertices = vertices - np.clip(move, -step, step)
+    faces = []
+    for axis in range(3):
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        here = np.moveaxis(inside, (axis, b, c), (0, 1, 2))
+        cell = np.moveaxis(names, (axis, b, c), (0, 1, 2))
+        first, second = here[:-1, 1:-1, 1:-1], here[1:, 1:-1, 1:-1]
+        for leaving in (True, False):
+            edges = np.argwhere((first != second) & (first == leaving))
+            i, j, k = edges.T
+            quad = [cell[i, j, k], cell[i, j + 1, k], cell[i, j + 1, k + 1]]
+            quad.append(cell[i, j, k + 1])
+            four = np.stack(quad if leaving else quad[::-1], axis=-1)
+            faces += [four[:, [0, 1, 2]], four[:, [0, 2, 3]]]
+    return vertices, np.concatenate(faces)

@@ -1,0 +1,54 @@
+"""The scenes of the gallery: each runs, shows itself and comes near its number."""
+
+import math
+
+import numpy as np
+import pytest
+
+from examples.loading import FOLDER, load
+from jaxrod.viz import html
+
+SCENES = load("gallery").SCENES
+DOCS = FOLDER.parent / "docs"
+# How far from what it should be a scene may be that ran to its end, relatively; the
+# octopus' is nothing, and is measured in lengths.
+WHOLE = {
+    "octopus": 1e-6,
+    "snake": 0.02,
+    "plectoneme": 1e-3,
+    "flagella": 0.03,
+    "cilia": 0.01,
+    "tendon_arm": 0.04,
+    "pneumatic_arm": 5e-3,
+}
+
+
+def test_every_scene_has_its_picture_and_its_part_of_the_page():
+    page = (DOCS / "gallery.md").read_text()
+    assert set(WHOLE) == set(SCENES)
+    for name in SCENES:
+        assert f"python examples/{name}.py" in page
+        picture = DOCS / "gallery" / f"{name}.png"
+        assert 10_000 < picture.stat().st_size < 150_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_runs_shortly_and_shows_itself(name):
+    scene = load(name)
+    replay, measured, reference = scene.run(0.5)
+    assert math.isfinite(measured) and math.isfinite(reference)
+    for rods in replay.rods:
+        moved = np.ptp(rods.positions, axis=0).max()
+        # All but the drawn way of a tip.
+        still = rods.name == "way of the tip"
+        assert still or moved > 0.02 * np.ptp(rods.positions[0], axis=(0, 1)).max()
+    assert scene.LOOK.get("field") in {None, *replay.fields}
+    assert len(html(replay)) > 50_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_a_whole_scene_comes_near_its_number(name):
+    _, measured, reference = load(name).run()
+    assert abs(measured - reference) <= WHOLE[name] * (abs(reference) or 1)

@@ -1,0 +1,383 @@
+"""Random systems in float32: nothing blows up, and energy is where it was or less.
+
+    PYTHONPATH=tests python tests/systems/random_systems.py --structures 50 --each 20
+
+Two to six rods and bodies in a random tree of joints of all kinds, which move, fall,
+hit each other, and have drag and dashpots or not. All systems of a structure, whose
+numbers are drawn one by one, run as one batch for 400 steps of the length that
+`stable_dt` gives, and as long at half of it. Exits with 1 if one system fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+
+ROD_JOINTS = ("tie", "weld", "ball", "hinge", "rigid", "spring")
+BODY_JOINTS = ("attach", "attach turning", "ball", "hinge", "rigid", "spring")
+SHAPES = ("sphere", "box", "capsule", "cylinder")
+LOSSES = ("none", "damping", "stokes", "quadratic", "internal")
+SAMPLES = 40
+"""Moments at which energy is looked at."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """All of a random system that is not a number."""
+
+    kinds: tuple[Any, ...]
+    """Of each member: a rod's number of elements, or the shape of a body."""
+    parents: tuple[int, ...]
+    """Of every member but the first: the rod that it is joined to."""
+    nodes: tuple[int, ...]
+    """And the node."""
+    joints: tuple[str, ...]
+    losses: tuple[str, ...]
+    """Of each member."""
+    dashpots: bool
+    touches: bool
+    rubs: bool
+    held: bool
+    falls: bool
+
+    @property
+    def loses(self) -> bool:
+        """Whether anything takes energy away."""
+        return self.dashpots or any(loss != "none" for loss in self.losses)
+
+
+def random_structure(random: np.random.Generator) -> Structure:
+    """Structure of a system of two to six members, the first of them a rod."""
+    count = int(random.integers(2, 7))
+    kinds: list[Any] = [int(random.integers(3, 7))]
+    parents, nodes, joints = [], [], []
+    lossy = random.random() < 0.5
+    for _ in range(count - 1):
+        taken = set(zip(parents, nodes, strict=True))
+        free = [
+            (k, node)
+            for k, kind in enumerate(kinds)
+            for node in range(1, kind + 1 if isinstance(kind, int) else 1)
+            if (k, node) not in taken
+        ]
+        if not free:
+            break
+        parent, node = free[random.integers(len(free))]
+        parents.append(parent)
+        nodes.append(node)
+        is_rod = random.random() < 0.6
+        kinds.append(int(random.integers(3, 7)) if is_rod else random.choice(SHAPES))
+        joints.append(str(random.choice(ROD_JOINTS if is_rod else BODY_JOINTS)))
+    losses = [
+        str(random.choice(LOSSES if isinstance(kind, int) else LOSSES[:2]))
+        if lossy
+        else "none"
+        for kind in kinds
+    ]
+    touches = sum(isinstance(kind, int) for kind in kinds) > 1
+    return Structure(
+        tuple(kinds),
+        tuple(parents),
+        tuple(nodes),
+        tuple(joints),
+        tuple(losses),
+        dashpots=lossy and random.random() < 0.5,
+        touches=touches and random.random() < 0.7,
+        rubs=lossy and random.random() < 0.5,
+        held=random.random() < 0.4,
+        falls=random.random() < 0.6,
+    )
+
+
+def unit(random: np.random.Generator) -> np.ndarray:
+    """A direction, all alike likely."""
+    vector = random.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def loss_of(kind: str, random: np.random.Generator) -> list[Any]:
+    """The effect that takes energy from a member."""
+    size = 10 ** random.uniform(-1, 1)
+    return {
+        "none": lambda: [],
+        "damping": lambda: [jaxrod.exponential_damping(size)],
+        "stokes": lambda: [jaxrod.stokes_drag(0.3 * size, size, 1e-4 * size)],
+        "quadratic": lambda: [jaxrod.quadratic_drag(100.0 * size)],
+        "internal": lambda: [jaxrod.internal_damping(1e-3 * size)],
+    }[kind]()
+
+
+def places(
+    structure: Structure, random: np.random.Generator
+) -> tuple[list[np.ndarray], list[np.ndarray], list[float]]:
+    """Starts, directions and lengths of members that are clear of each other.
+
+    Raises:
+        RuntimeError: If none are found.
+    """
+    for _ in range(1000):
+        starts, ways, lengths = [np.zeros(3)], [unit(random)], []
+        lengths.append(random.uniform(0.3, 0.6))
+        for parent, node in zip(structure.parents, structure.nodes, strict=True):
+            along = lengths[parent] * node / structure.kinds[parent]
+            starts.append(starts[parent] + along * ways[parent])
+            ways.append(unit(random))
+            lengths.append(random.uniform(0.3, 0.6))
+        if _clear(structure, starts, ways, lengths):
+            return starts, ways, lengths
+    raise RuntimeError("no room for these members")
+
+
+def _clear(structure: Structure, starts: Any, ways: Any, lengths: Any) -> bool:
+    """Whether no two members are near each other but at their joints."""
+    share = np.linspace(0, 1, 25)[:, None]
+    lines = [
+        s + share * (length if isinstance(kind, int) else 0.12) * w
+        for s, w, length, kind in zip(
+            starts, ways, lengths, structure.kinds, strict=True
+        )
+    ]
+    for a in range(len(lines)):
+        for b in range(a):
+            own, one = lines[a], lines[b]
+            apart = np.linalg.norm(own[:, None] - one[None], axis=2)
+            if structure.parents[a - 1] == b:
+                # Members that share a joint part from it at an angle.
+                far = [np.linalg.norm(x - starts[a], axis=1) > 0.1 for x in (own, one)]
+                if np.min(apart[far[0]][:, far[1]], initial=1) < 0.07:
+                    return False
+            elif np.min(apart) < 0.045:
+                return False
+    return True
+
+
+def shape_at(kind: str, start: np.ndarray, way: np.ndarray) -> Any:
+    """A body of some 5 cm that begins at a point and extends in a direction."""
+    centre = start + 0.04 * way
+    if kind == "sphere":
+        return jaxrod.sphere(centre, 0.04)
+    if kind == "box":
+        return jaxrod.box(centre, (0.04, 0.03, 0.02))
+    make = jaxrod.capsule if kind == "capsule" else jaxrod.cylinder
+    return make(start, start + 0.08 * way, 0.025)
+
+
+def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
+    """A system of a structure, with random numbers, and its state."""
+    starts, ways, lengths = places(structure, random)
+    names = [f"m{k}" for k in range(len(starts))]
+    members: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    moving: dict[str, Any] = {}
+    for k, name in enumerate(names):
+        kind = structure.kinds[k]
+        effects = loss_of(structure.losses[k], random)
+        if structure.falls:
+            effects.append(jaxrod.gravity((0.0, 0.0, -9.81)))
+        if isinstance(kind, int):
+            rod, state = jaxrod.straight_rod(
+                kind,
+                length=lengths[k],
+                radius=random.uniform(0.008, 0.02),
+                density=10 ** random.uniform(2.5, 3.5),
+                youngs_modulus=10 ** random.uniform(5.5, 7),
+                start=starts[k],
+                direction=ways[k],
+            )
+            if k == 0 and structure.held:
+                effects.append(jaxrod.clamp(state))
+            members[name] = jaxrod.make_scene(rod, *effects)
+            along = np.linspace(0, 2, kind + 1)[None, :]
+            a, b = random.normal(size=(2, 3, 1)) * 0.3
+            speeds = jnp.asarray(a * np.sin(along) + b * np.cos(along), jnp.float32)
+            moving[name] = replace(state, velocities=speeds)
+        else:
+            members[name], state = jaxrod.rigid_body(
+                shape_at(kind, starts[k], ways[k]),
+                density=10 ** random.uniform(2.5, 3.5),
+                effects=tuple(effects),
+                velocity=0.3 * random.normal(size=3),
+                angular_velocity=3 * random.normal(size=3),
+            )
+            moving[name] = state
+        rest[name] = state
+    couplings = [
+        joint_of(structure, k, names, rest, starts, random)
+        for k in range(len(structure.joints))
+    ]
+    couplings += contacts_of(structure, names, random)
+    system = jaxrod.make_system(members, *couplings, state=rest)
+    # A step of no length: what is tied has one velocity from then on.
+    return system, jaxrod.advance(system, moving, 1e-9, 1)
+
+
+def joint_of(
+    structure: Structure,
+    k: int,
+    names: list[str],
+    state: Any,
+    starts: Any,
+    random: np.random.Generator,
+) -> Any:
+    """The joint between the member after the k-th and its parent."""
+    parent, kind = structure.kinds[structure.parents[k]], structure.kinds[k + 1]
+    a = (names[structure.parents[k]], structure.nodes[k])
+    is_rod = isinstance(kind, int)
+    b: Any = (names[k + 1], "start") if is_rod else (names[k + 1],)
+    assert parent >= structure.nodes[k]
+    stiff = 10 ** random.uniform(2, 3.5)
+    turn = 10 ** random.uniform(-1, 0.5)
+    drag = {"damping": 0.3 * stiff**0.5 * 0.1} if structure.dashpots else {}
+    turning = {"turning_damping": 1e-3 * turn} if structure.dashpots else {}
+    kinds = {
+        "tie": lambda: jaxrod.tie(a, b, state),
+        "weld": lambda: jaxrod.weld(a, b, state),
+        "attach": lambda: jaxrod.attach(a, b, state),
+        "attach turning": lambda: jaxrod.attach(a, b, state, turning=True),
+        "ball": lambda: jaxrod.ball_joint(a, b, state, stiffness=stiff, **drag),
+        "hinge": lambda: jaxrod.hinge_joint(
+            a,
+            b,
+            state,
+            axis=unit(random),
+            stiffness=stiff,
+            axis_stiffness=turn,
+            at=starts[k + 1],
+            **drag,
+        ),
+        "rigid": lambda: jaxrod.rigid_joint(
+            a, b, state, stiffness=stiff, turning_stiffness=turn, **drag, **turning
+        ),
+        "spring": lambda: jaxrod.spring(
+            a,
+            b,
+            state,
+            stiffness=stiff,
+            at=(starts[k + 1], starts[k + 1] + 0.03 * unit(random)),
+            **drag,
+        ),
+    }
+    return kinds[structure.joints[k]]()
+
+
+def contacts_of(
+    structure: Structure, names: list[str], random: np.random.Generator
+) -> list[Any]:
+    """Contact of all rods, and of rods with bodies that they are not joined to."""
+    if not structure.touches:
+        return []
+    given: dict[str, Any] = {"stiffness": 10 ** random.uniform(3, 4.5)}
+    if structure.rubs:
+        given |= {"damping": 1.0, "friction": random.uniform(0.1, 1.0)}
+    rods = [k for k, kind in enumerate(structure.kinds) if isinstance(kind, int)]
+    made = [
+        jaxrod.rod_contact(*(names[k] for k in rods), points_per_element=6, **given)
+    ]
+    for k, kind in enumerate(structure.kinds):
+        others = [rod for rod in rods if k > 0 and rod != structure.parents[k - 1]]
+        if not isinstance(kind, int) and others:
+            made.append(
+                jaxrod.body_contact(
+                    names[others[0]], names[k], points_per_element=6, **given
+                )
+            )
+    return made
+
+
+@jax.jit
+def _limits(systems: Any) -> Any:
+    return jax.vmap(lambda system: jaxrod.stable_dt(system).dt)(systems)
+
+
+def energies(system: Any, state: Any) -> Any:
+    """Kinetic and total energy [J]."""
+    return system.kinetic_energy(state), jaxrod.total_energy(system, state)
+
+
+def run(systems: Any, states: Any, dt: Any, every: int) -> Any:
+    """Energies [J] of a batch of systems, kinetic and total, `(systems, samples)`."""
+
+    @jax.jit
+    @jax.vmap
+    def one(system: Any, state: Any, dt: Any) -> Any:
+        def step(state: Any, _: None) -> Any:
+            after = jaxrod.advance(system, state, dt, every)
+            return after, (
+                system.kinetic_energy(after),
+                jaxrod.total_energy(system, after),
+            )
+
+        first = energies(system, state)
+        _, rest = jax.lax.scan(step, state, None, SAMPLES)
+        return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), first, rest)
+
+    return one(systems, states, dt)
+
+
+def examined(structure: Structure, each: int, seed: int) -> dict[str, np.ndarray]:
+    """What becomes of systems of a structure.
+
+    Returns:
+        Of each system: `finite`, `drift` of the energy over the largest kinetic energy
+        at the step of `stable_dt`, `finer` at half of it, `gain` of energy where it
+        must fall.
+    """
+    random = np.random.default_rng(seed)
+    made = [build(structure, random) for _ in range(each)]
+    systems, states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
+    dt = _limits(systems)
+    found = {}
+    for name, share in (("drift", 1), ("finer", 2)):
+        kinetic, total = map(np.asarray, run(systems, states, dt / share, 10 * share))
+        size = np.max(kinetic, axis=1)
+        found[f"finite at {name}"] = np.all(np.isfinite(total), axis=1)
+        rise = np.maximum.accumulate(total[:, ::-1], axis=1)[:, ::-1] - total
+        found[f"{name} gain"] = np.max(rise, axis=1) / size
+        found[name] = np.max(np.abs(total - total[:, :1]), axis=1) / size
+    return found
+
+
+def main() -> int:
+    """Draws structures and examines systems of each; prints and counts failures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--structures", type=int, default=50)
+    parser.add_argument("--each", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    failures, systems, worst = 0, 0, []
+    for k in range(options.structures):
+        structure = random_structure(np.random.default_rng([options.seed, k]))
+        try:
+            found = examined(structure, options.each, k)
+        except RuntimeError as crowded:
+            print(f"{k}: {crowded}")
+            continue
+        figure = "finer gain" if structure.loses else "finer"
+        bad = ~(found["finite at drift"] & found["finite at finer"])
+        failures += int(np.sum(bad))
+        systems += len(bad)
+        worst.append(float(np.max(found[figure])))
+        print(
+            f"{k}: {int(np.sum(bad))} of {options.each} not finite; {figure} "
+            f"{np.median(found[figure]):.1e}, at most {worst[-1]:.1e}; at the step of "
+            f"stable_dt at most {np.max(found[figure.replace('finer', 'drift')]):.1e}; "
+            f"{structure}",
+            flush=True,
+        )
+    print(
+        f"{systems} systems, {failures} not finite, energy "
+        f"off by at most {max(worst):.1e} of the largest kinetic energy"
+    )
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

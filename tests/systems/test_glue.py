@@ -1,0 +1,232 @@
+"""Rods glued side by side: the composite beam, momenta, energy, the bound."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.systems.energies import seen_at_rest
+from systems.members import rod, stirred
+
+RADIUS, YOUNG, LENGTH = 0.02, 1e7, 1.0
+
+
+def two(n=20, gap=2 * RADIUS, effects=None, **law):
+    """Two equal rods side by side along x, the second above the first."""
+    one, of_one = rod(n, LENGTH, youngs_modulus=YOUNG)
+    other, of_other = rod(n, LENGTH, (0, 0, gap), youngs_modulus=YOUNG)
+    state = {"low": of_one, "high": of_other}
+    listed = (lambda state: ()) if effects is None else effects
+    system = jaxrod.make_system(
+        {
+            "low": jaxrod.make_scene(one, *listed(of_one)),
+            "high": jaxrod.make_scene(other, *listed(of_other)),
+        },
+        jaxrod.glue("low", "high", state, **{"stiffness": 1e5} | law),
+    )
+    return system, state
+
+
+def moving(state):
+    return {
+        "low": stirred(state["low"], 1, 0.2),
+        "high": stirred(state["high"], 2, 0.2),
+    }
+
+
+def deflection(load, bending, axial, gap, stiffness):
+    """Of a cantilever of two rods with a shear bond, loaded at its end.
+
+    N'' = a^2 N - k d M / B, a^2 = k (d^2 / B + 2 / S): N the axial force between the
+    two, B the sum of their bending stiffnesses, S the axial one of each.
+    """
+    apart = 2 * bending
+    together = apart + axial * gap**2 / 2
+    square = stiffness * (gap**2 / apart + 2 / axial)
+    a = np.sqrt(square)
+    share = (gap / apart) / (gap**2 / apart + 2 / axial)
+    slip = gap * share / (apart * a**3) * (a * LENGTH - np.tanh(a * LENGTH))
+    return load * (LENGTH**3 / (3 * together) + slip), (apart, together)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [2e4, 1e5, 1e7])
+def test_two_glued_rods_bend_as_a_composite_beam(stiffness, record):
+    load = 0.05
+
+    def effects(state):
+        return (
+            jaxrod.clamp(state),
+            jaxrod.end_load((0.0, 0.0, -0.5 * load)),
+            jaxrod.exponential_damping(12.0),
+        )
+
+    system, state = two(20, effects=effects, stiffness=stiffness)
+    dt = float(jaxrod.stable_dt(system).dt)
+    # Overdamped at about the slowest frequency.
+    after = jaxrod.advance(system, state, dt, int(6.0 / dt))
+    assert jaxrod.kinetic_energy(system, after) < 1e-12
+    beam = system.members["low"].rod
+    wanted, (apart, together) = deflection(
+        load,
+        float(beam.bend_twist_stiffness[0, 0]),
+        float(beam.shear_stretch_stiffness[2, 0]),
+        2 * RADIUS,
+        stiffness,
+    )
+    found = float(state["low"].tip[2] - after["low"].tip[2])
+    assert load / (3 * together) < wanted < load / (3 * apart)
+    record(
+        f"two glued rods, {stiffness:g} N/m^2: deflection",
+        "composite beam with a shear bond",
+        abs(found / wanted - 1),
+        at_most=0.01,
+    )
+
+
+@pytest.mark.slow
+def test_glue_keeps_momenta(record):
+    system, rest = two(
+        8, stiffness=1e5, damping=50.0, turning_stiffness=20.0, turning_damping=0.01
+    )
+    state = moving(rest)
+    dt = 0.5 * float(jaxrod.stable_dt(system).dt)
+    after = jaxrod.advance(system, state, dt, 400)
+    assert jaxrod.total_energy(system, after) < jaxrod.total_energy(system, state)
+    mass = 2 * float(jnp.sum(system.members["low"].rod.node_masses))
+    for function, bar in ((jaxrod.momentum, 1e-14), (jaxrod.angular_momentum, 1e-13)):
+        change = np.linalg.norm(function(system, after) - function(system, state))
+        record(
+            f"glued rods with dashpots: {function.__name__.replace('_', ' ')}",
+            "as before",
+            float(change) / (mass * 0.2),
+            at_most=bar,
+        )
+
+
+@pytest.mark.slow
+def test_loads_are_minus_the_gradient_of_the_energy():
+    system, rest = two(4, turning_stiffness=30.0)
+    state = jaxrod.advance(system, moving(rest), 1e-4, 60)
+
+    @jax.jit
+    def both(state):
+        def energy(places):
+            moved = {
+                name: replace(own, positions=places[name])
+                for name, own in state.items()
+            }
+            seen, (bond,) = seen_at_rest(system, moved)
+            return bond.energy(seen)
+
+        seen, (bond,) = seen_at_rest(system, state)
+        places = {name: own.positions for name, own in state.items()}
+        return jax.grad(energy)(places), bond.loads(seen)
+
+    slopes, loads = both(state)
+    for name, slope in slopes.items():
+        assert np.max(np.abs(slope)) > 1e-2
+        np.testing.assert_allclose(
+            np.stack(loads[name].forces), -slope, atol=1e-12 * np.abs(slope).max()
+        )
+
+
+@pytest.mark.slow
+def test_energy_is_kept_to_second_order():
+    system, rest = two(8, turning_stiffness=30.0)
+    state = moving(rest)
+    before = float(jaxrod.total_energy(system, state))
+    dt = 0.5 * float(jaxrod.stable_dt(system).dt)
+    drifts = []
+    for parts in (1, 2):
+        path = jaxrod.rollout(system, state, dt / parts, 400 * parts, 10 * parts)
+        energies = jax.vmap(lambda s: jaxrod.total_energy(system, s))(path)
+        drifts.append(float(jnp.max(jnp.abs(energies - before))) / before)
+    assert drifts[0] < 0.03
+    assert 3.0 < drifts[0] / drifts[1] < 5.5
+
+
+@pytest.mark.slow
+def test_the_bound_is_safe_and_not_far_off(record):
+    """Of glue much stiffer than the rods."""
+    system, rest = two(6, stiffness=1e8, turning_stiffness=1e4)
+    state = moving(rest)
+    bound = float(jaxrod.stable_dt(system, 1.0).dt)
+
+    @jax.jit
+    def is_stable(dt):
+        after = jaxrod.advance(system, state, dt, 2000)
+        return jaxrod.kinetic_energy(system, after) < 1.0
+
+    ratios = 0.99 + 0.05 * np.arange(42)
+    fine = [bool(is_stable(bound * ratio)) for ratio in ratios]
+    assert fine[0]
+    record(
+        "glue: largest stable step over the bound",
+        "safe, and sharp within a factor of 2",
+        ratios[fine.index(False) - 1],
+        between=(0.99, 2.0),
+    )
+
+
+@pytest.mark.slow
+def test_gradients_match_differences():
+    system, rest = two(4, turning_stiffness=30.0, damping=5.0)
+    state = moving(rest)
+    dt = 0.5 * float(jaxrod.stable_dt(system).dt)
+
+    def reach(scales):
+        (bond,) = system.couplings
+        bond = replace(
+            bond,
+            stiffness=scales[0] * bond.stiffness,
+            turning_stiffness=scales[1] * bond.turning_stiffness,
+            damping=scales[2] * bond.damping,
+        )
+        after = jaxrod.advance(replace(system, couplings=(bond,)), state, dt, 40)
+        return jnp.sum(after["high"].tip)
+
+    here, h = jnp.ones(3), 1e-4
+    gradient = jax.jit(jax.grad(reach))(here)
+    function = jax.jit(reach)
+    differences = np.array(
+        [
+            (function(here.at[k].add(h)) - function(here.at[k].add(-h))) / (2 * h)
+            for k in range(3)
+        ]
+    )
+    size = np.abs(differences).max()
+    np.testing.assert_allclose(gradient, differences, atol=1e-6 * size)
+    assert np.all(np.abs(differences) > 1e-5 * size)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "words"),
+    [
+        (("low", "none"), {}, "no member is called 'none'"),
+        (("low", "ball"), {}, "'ball' is rigid"),
+        (("low", "short"), {}, "4 and 3 elements: say which"),
+        (("low", "high"), {"elements": ([0], [0, 1])}, "as many of both, got 1 and 2"),
+        (
+            ("low", "high"),
+            {"elements": ([4], [0])},
+            "elements of .*low.* must be at most",
+        ),
+        (("low", "low"), {}, "glued to itself"),
+        (
+            ("low", "high"),
+            {"stiffness": 0.0},
+            r"stiffness must be positive, got 0 N/m\^2",
+        ),
+    ],
+)
+def test_bad_input(names, options, words):
+    _, state = two(4)
+    _, short = rod(3, 0.5)
+    _, ball = jaxrod.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)
+    state = {**state, "short": short, "ball": ball}
+    with pytest.raises(ValueError, match=words):
+        jaxrod.glue(*names, state, **{"stiffness": 1.0} | options)

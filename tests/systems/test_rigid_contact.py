@@ -1,0 +1,493 @@
+"""Contact of rigid bodies with one another, with the ground and with walls."""
+
+import itertools
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod.geometry.rotations import (
+    directors,
+    join_quaternion,
+    multiply_quaternions,
+    rotation_exp,
+    split_quaternion,
+    to_world,
+)
+from jaxrod.systems.energies import seen_at_rest
+
+G = 9.81
+SHAPES = {
+    "sphere": lambda: jaxrod.sphere((0, 0, 0), 0.1),
+    "capsule": lambda: jaxrod.capsule((0, 0, -0.1), (0, 0, 0.1), 0.07),
+    "cylinder": lambda: jaxrod.cylinder((0, 0, -0.12), (0, 0, 0.12), 0.08),
+    "box": lambda: jaxrod.box((0, 0, 0), (0.1, 0.07, 0.12)),
+}
+
+
+def body(shape, **options):
+    return jaxrod.rigid_body(
+        shape, **{"density": 500.0, "dtype": jnp.float64} | options
+    )
+
+
+def alone(shape, fixed=None, slope=0.0, body_options=(), **law):
+    """One body on the ground, which may slope downwards along x; and its state."""
+    down = (G * np.sin(slope), 0.0, -G * np.cos(slope))
+    one, state = body(shape, effects=(jaxrod.gravity(down),), **dict(body_options))
+    law = {"stiffness": 1e5, "damping": 100.0, "onset": 1e-4} | law
+    ground = jaxrod.plane() if fixed is None else fixed
+    system = jaxrod.make_system(
+        {"body": one}, jaxrod.rigid_contact("body", fixed=ground, **law)
+    )
+    return system, {"body": state}
+
+
+def moved(state, **fields):
+    return {"body": replace(state["body"], **fields)}
+
+
+def pressed(system, state, slope=0.0, contacts=1):
+    """A state on the ground where contact carries the weight."""
+    mass, law = system.members["body"].masses[0], system.couplings[0]
+    depth = mass * G * np.cos(slope) / law.stiffness / contacts
+    down = state["body"].positions.at[2].add(-depth)
+    return moved(state, positions=down)
+
+
+def pair(one, two, **law):
+    (a, of_a), (b, of_b) = one, two
+    system = jaxrod.make_system(
+        {"a": a, "b": b}, jaxrod.rigid_contact("a", "b", **{"stiffness": 2e4} | law)
+    )
+    return system, {"a": of_a, "b": of_b}
+
+
+def thrown(first, second):
+    """Two bodies, turning, of which the second flies at the first."""
+    rng = np.random.default_rng(3)
+    made = []
+    for kind, place in ((first, (0, 0, 0)), (second, (0.2, 0.02, 0.01))):
+        made.append(
+            body(
+                SHAPES[kind](),
+                position=place,
+                orientation=rng.normal(size=4),
+                velocity=0.3 * rng.normal(size=3),
+                angular_velocity=2 * rng.normal(size=3),
+            )
+        )
+    two, of_two = made[1]
+    fast = of_two.velocities - jnp.array([[2.0], [0.0], [0.0]])
+    return made[0], (two, replace(of_two, velocities=fast))
+
+
+def changes(system, before, after):
+    return [
+        float(np.linalg.norm(function(system, after) - function(system, before)))
+        for function in (jaxrod.momentum, jaxrod.angular_momentum)
+    ]
+
+
+@pytest.mark.slow
+def test_a_ball_at_rest_sinks_in_by_its_weight(record):
+    system, state = alone(jaxrod.sphere((0, 0, 0.1), 0.1), stiffness=2e4)
+    dt = jaxrod.stable_dt(system).dt
+    after = jaxrod.advance(system, state, dt, 2000)["body"]
+    mass = float(system.members["body"].masses[0])
+    depth = 0.1 - float(after.positions[2, 0])
+    record(
+        "ball at rest on the ground: penetration",
+        "m g / k",
+        abs(depth / (mass * G / 2e4) - 1),
+        at_most=1e-9,
+    )
+    assert not jaxrod.health(system, {"body": after}, dt).flagged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("slope", "friction", "rolls"),
+    [(0.3, 0.5, True), (0.55, 0.2, True), (0.65, 0.2, False)],
+)
+def test_a_ball_on_a_slope_rolls_or_slips(slope, friction, rolls, record):
+    """It slips where the slope's tangent is above 7/2 of the friction: 0.611 rad."""
+    system, state = alone(
+        jaxrod.sphere((0, 0, 0.1), 0.1),
+        slope=slope,
+        stiffness=1e6,
+        friction=friction,
+        friction_drag=4e3,
+    )
+    assert rolls == (np.tan(slope) < 3.5 * friction)
+    state = pressed(system, state, slope)
+    dt = jaxrod.stable_dt(system).dt
+    steps = int(0.3 / dt)
+    half = jaxrod.advance(system, state, dt, steps)
+    after = jaxrod.advance(system, half, dt, steps)["body"]
+    gained = (after.velocities - half["body"].velocities)[0, 0] / (steps * float(dt))
+    expected = 5 / 7 * G * np.sin(slope)
+    if not rolls:
+        expected = G * (np.sin(slope) - friction * np.cos(slope))
+    record(
+        f"ball on a slope of {slope:g} rad with friction {friction:g}: acceleration",
+        "5/7 g sin a" if rolls else "g (sin a - mu cos a)",
+        abs(float(gained) / expected - 1),
+        at_most=0.01,
+    )
+    slip = float(after.velocities[0, 0] - 0.1 * after.angular_velocities[1, 0])
+    assert (slip < 0.02) == rolls
+
+
+def test_equal_balls_exchange_their_velocities(record):
+    system, state = pair(
+        body(SHAPES["sphere"](), position=(0, 0, 0)),
+        body(SHAPES["sphere"](), position=(0.21, 0, 0), velocity=(-1.0, 0, 0)),
+    )
+    dt = 0.02 * float(jaxrod.stable_dt(system).dt)
+    after = jaxrod.advance(system, state, dt, int(0.06 / dt))
+    left = abs(float(after["b"].velocities[0, 0]))
+    record("head-on collision of equal balls", "all is passed on", left, at_most=1e-4)
+    assert after["a"].velocities[0, 0] == pytest.approx(-1, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_ball_that_strikes_at_an_angle_is_slowed_by_friction(record):
+    """It slips all along: along the wall it loses mu times what it gets across."""
+    friction = 0.1
+    system, state = alone(
+        jaxrod.sphere((0, 0, 0.101), 0.1),
+        stiffness=1e6,
+        damping=None,
+        friction=friction,
+        friction_drag=1e4,
+    )
+    mass = float(system.members["body"].masses[0])
+    bare = replace(system.members["body"], effects=())
+    system = jaxrod.make_system({"body": bare}, *system.couplings)
+    state = moved(state, velocities=jnp.array([[3.0], [0.0], [-1.0]]))
+    dt = 0.03 * float(jaxrod.stable_dt(system).dt)
+    after = jaxrod.advance(system, state, dt, int(0.01 / dt))["body"]
+    across = float(after.velocities[2, 0]) + 1
+    along = 3 - float(after.velocities[0, 0])
+    assert across == pytest.approx(2, rel=1e-3)
+    record(
+        "oblique collision: impulse along the wall",
+        "friction times that across",
+        abs(along / (friction * across) - 1),
+        at_most=5e-3,
+    )
+    turned = 0.4 * mass * 0.1**2 * float(after.angular_velocities[1, 0])
+    assert turned == pytest.approx(mass * 0.1 * along, rel=1e-2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shape", "expected", "options"),
+    [
+        ("box", "mu g", {}),
+        ("cylinder", "mu g", {}),
+        ("cylinder", "2/3 g sin a", {"orientation": (1.0, 1.0, 0.0, 0.0)}),
+        ("capsule", "rolls", {"orientation": (1.0, 1.0, 0.0, 0.0)}),
+    ],
+)
+def test_boxes_slide_and_cylinders_roll(shape, expected, options, record):
+    height = {"box": 0.12, "cylinder": 0.12, "capsule": 0.07}[shape]
+    lying = bool(options)
+    slope = 0.2 if lying else 0.0
+    if lying and shape == "cylinder":
+        height = 0.08
+    system, state = alone(
+        SHAPES[shape](),
+        slope=slope,
+        stiffness=1e6,
+        friction=0.3,
+        friction_drag=1e4,
+        body_options={"position": (0, 0, height), **options},
+    )
+    bodies = system.members["body"]
+    contacts = {"box": 4, "cylinder": 4, "capsule": 4}[shape]
+    if lying and shape == "cylinder":
+        contacts = 2 + 2
+    state = pressed(system, state, slope, contacts)
+    if not lying:
+        state = moved(state, velocities=jnp.array([[1.0], [0.0], [0.0]]))
+    dt = jaxrod.stable_dt(system).dt
+    steps = int(0.1 / dt)
+    half = jaxrod.advance(system, state, dt, steps)
+    after = jaxrod.advance(system, half, dt, steps)["body"]
+    gained = (after.velocities - half["body"].velocities)[0, 0] / (steps * float(dt))
+    wanted = -0.3 * G
+    if lying:
+        # About the axis, which lies across the slope.
+        inertia = float(bodies.principal_inertias[2, 0])
+        ratio = inertia / float(bodies.masses[0]) / height**2
+        wanted = G * np.sin(slope) / (1 + ratio)
+        if shape == "cylinder":
+            assert wanted == pytest.approx(2 / 3 * G * np.sin(slope))
+    record(
+        f"{shape} that {'rolls' if lying else 'slides'}: acceleration",
+        expected if expected != "rolls" else "g sin a / (1 + J / m r^2)",
+        abs(float(gained) / wanted - 1),
+        at_most=0.01,
+    )
+
+
+PAIRS = list(itertools.combinations_with_replacement(SHAPES, 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_collisions_keep_momenta_and_make_no_energy(first, second, record):
+    system, state = pair(*thrown(first, second), damping=20.0, friction=0.5)
+    dt = 1e-4
+    assert dt < jaxrod.stable_dt(system).dt
+    path = jaxrod.rollout(system, state, dt, 1500, 50)
+    energies = np.asarray(jax.vmap(lambda s: jaxrod.total_energy(system, s))(path))
+    started = float(jaxrod.total_energy(system, state))
+    assert np.max(np.diff(np.append(started, energies))) < 1e-4 * started
+    assert energies[-1] < 0.95 * started
+    after = jax.tree.map(lambda leaf: leaf[-1], path)
+    mass = float(system.members["b"].masses[0])
+    for change, bar, name in zip(
+        changes(system, state, after),
+        (1e-14, 1e-13),
+        ("momentum", "angular momentum"),
+        strict=True,
+    ):
+        size = 2.0 * mass * (1 if name == "momentum" else 0.2)
+        record(
+            f"collision of {first} and {second}, friction and damping: {name}",
+            "as before",
+            change / size,
+            at_most=bar,
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("sphere", "box"), ("capsule", "cylinder"), ("cylinder", "box"), ("box", "box")],
+)
+def test_loads_are_minus_the_gradient_of_the_energy(first, second):
+    system, state = pair(*thrown(first, second))
+    near = state["b"].positions - jnp.array([[0.06], [0.0], [0.0]])
+    state = {**state, "b": replace(state["b"], positions=near)}
+
+    def energy(way, turn):
+        own = state["a"]
+        turned = multiply_quaternions(
+            rotation_exp((turn[0], turn[1], turn[2])),
+            split_quaternion(own.orientations),
+        )
+        own = replace(
+            own,
+            positions=own.positions + way,
+            orientations=join_quaternion(turned),
+        )
+        seen, (contact,) = seen_at_rest(system, {**state, "a": own})
+        return contact.energy(seen)
+
+    none = jnp.zeros((3, 1))
+    force, couple = jax.jit(jax.grad(energy, (0, 1)))(none, none)
+    seen, (contact,) = seen_at_rest(system, state)
+    loads = contact.loads(seen)["a"]
+    own = np.stack(to_world(directors(seen["a"].motion.orientation), loads.couples))
+    size = np.abs(force).max()
+    assert size > 10
+    np.testing.assert_allclose(np.stack(loads.forces), -force, atol=1e-12 * size)
+    np.testing.assert_allclose(own, -couple, atol=1e-13 * size)
+
+
+@pytest.mark.slow
+def test_balls_settle_in_a_corner():
+    """Five balls fall into a pit, come to rest, and the pit carries them."""
+    rng = np.random.default_rng(0)
+    balls, of_balls = jaxrod.stacked_bodies(
+        *(
+            body(
+                jaxrod.sphere((*rng.uniform(0.12, 0.24, 2), 0.12 + 0.21 * k), 0.1),
+                effects=(jaxrod.gravity((0, 0, -G)),),
+            )
+            for k in range(5)
+        )
+    )
+    walls = [
+        jaxrod.plane((0, 0, 0), normal) for normal in ((0, 0, 1), (1, 0, 0), (0, 1, 0))
+    ] + [jaxrod.plane((0.36, 0.36, 0), normal) for normal in ((-1, 0, 0), (0, -1, 0))]
+    contact = jaxrod.rigid_contact(
+        "balls",
+        fixed=walls,
+        stiffness=2e4,
+        damping=60.0,
+        friction=0.4,
+        partners=12,
+    )
+    system = jaxrod.make_system({"balls": balls}, contact)
+    state = {"balls": of_balls}
+    dt = jaxrod.stable_dt(system).dt
+    after = jaxrod.advance(system, state, dt, int(4 / dt))
+    assert jaxrod.kinetic_energy(system, after) < 1e-6
+    assert not jaxrod.health(system, after, dt).flagged
+    assert np.all(after["balls"].positions[:2] > 0.09)
+    assert np.all(after["balls"].positions[:2] < 0.27)
+    places = np.asarray(after["balls"].positions)
+    for i, j in itertools.combinations(range(5), 2):
+        assert np.linalg.norm(places[:, i] - places[:, j]) > 0.195
+    seen, (prepared,) = seen_at_rest(system, after)
+    forces = np.stack(prepared.loads(seen)["balls"].forces)
+    weights = np.zeros((3, 5))
+    weights[2] = G * np.asarray(balls.masses)
+    np.testing.assert_allclose(forces, weights, atol=1e-3 * weights[2, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["sphere", "box"])
+def test_the_stability_bound_is_safe_and_not_far_off(shape, record):
+    """Bodies pressed so hard to the ground that they never leave it."""
+    system, state = alone(
+        SHAPES[shape](),
+        damping=None,
+        stiffness=2e4,
+        body_options={"position": (0, 0, 0.1 if shape == "sphere" else 0.12)},
+    )
+    heavy = replace(
+        system.members["body"], effects=(jaxrod.gravity((0.0, 0.0, -5 * G)),)
+    )
+    system = jaxrod.make_system({"body": heavy}, *system.couplings)
+    contacts = 1 if shape == "sphere" else 4
+    depth = 5 * G * float(heavy.masses[0]) / 2e4 / contacts
+    down = state["body"].positions.at[2].add(-1.001 * depth)
+    spin = jnp.array([[0.01], [0.02], [0.0]])
+    state = moved(state, positions=down, angular_velocities=spin)
+    bound = float(jaxrod.stable_dt(system, 1.0).dt)
+
+    @jax.jit
+    def is_stable(dt):
+        quiet = jaxrod.advance(system, state, dt, 3000)
+        moves = jnp.sum(quiet["body"].velocities ** 2)
+        return moves + jnp.sum(0.01 * quiet["body"].angular_velocities ** 2) < 1e-3
+
+    # A traced step is not warned about.
+    ratios = 0.99 + 0.05 * np.arange(42)
+    fine = [bool(is_stable(bound * ratio)) for ratio in ratios]
+    assert fine[0]
+    limit = ratios[fine.index(False) - 1]
+    record(
+        f"{shape} on the ground: largest stable step over the bound",
+        "safe, and not far off",
+        limit,
+        between=(0.99, 3.0),
+    )
+
+
+@pytest.mark.slow
+def test_bodies_of_any_shape_touch_with_given_points():
+    def round_one(point, radius):
+        return jnp.sqrt(jnp.sum(point * point) + 1e-12) - radius
+
+    shape = jaxrod.signed_distance(round_one, 0.1)
+    way = np.random.default_rng(0).normal(size=(3, 400))
+    way[:, 0] = (0, 0, -1)
+    points = 0.1 * way / np.linalg.norm(way, axis=0)
+    rock, of_rock = jaxrod.rigid_body(
+        shape,
+        mass=2.0,
+        inertia=(0.008, 0.008, 0.008),
+        position=(0, 0, 0.0995),
+        dtype=jnp.float64,
+    )
+    on_ground = jaxrod.rigid_contact(
+        "rock", fixed=jaxrod.plane(), stiffness=2e4, points={"rock": points}
+    )
+    system = jaxrod.make_system({"rock": rock}, on_ground)
+    seen, (contact,) = seen_at_rest(system, {"rock": of_rock})
+    deep = np.sum(np.clip(0.0005 - (points[2] + 0.1), 0, None))
+    assert float(contact.loads(seen)["rock"].forces[2][0]) == pytest.approx(
+        2e4 * deep, rel=0.3
+    )
+    with pytest.raises(ValueError, match=r"cannot see where 'rock' and fixed\[0\]"):
+        jaxrod.make_system(
+            {"rock": rock},
+            jaxrod.rigid_contact("rock", fixed=jaxrod.plane(), stiffness=2e4),
+        )
+
+
+@pytest.mark.slow
+def test_gradients_and_batches():
+    """Of a ball that strikes a box on the ground, by where it comes from."""
+    ball, of_ball = body(
+        jaxrod.sphere((-0.25, 0.01, 0.15), 0.05), velocity=(2.0, 0.0, -0.1)
+    )
+    crate, of_crate = body(jaxrod.box((0, 0, 0.0995), (0.1, 0.1, 0.1)))
+    system = jaxrod.make_system(
+        {"ball": ball, "crate": crate},
+        jaxrod.rigid_contact(
+            "ball",
+            "crate",
+            fixed=jaxrod.plane(),
+            stiffness=2e4,
+            damping=20.0,
+            friction=0.4,
+        ),
+    )
+    dt = 0.3 * float(jaxrod.stable_dt(system).dt)
+
+    def after(push):
+        start = replace(of_ball, velocities=of_ball.velocities.at[:, 0].add(push))
+        state = jaxrod.advance(
+            system, {"ball": start, "crate": of_crate}, dt, int(0.12 / dt)
+        )
+        crate = state["crate"]
+        return crate.velocities[0, 0] + 0.1 * crate.angular_velocities[1, 0]
+
+    function = jax.jit(after)
+    none, h = jnp.zeros(3), 1e-6
+    gradient = np.asarray(jax.jit(jax.grad(after))(none))
+    steps = h * np.eye(3)
+    differences = np.array([(function(s) - function(-s)) / (2 * h) for s in steps])
+    size = np.abs(differences).max()
+    assert size > 0.1
+    np.testing.assert_allclose(gradient, differences, atol=1e-6 * size)
+    batch = jax.jit(jax.vmap(after))(jnp.asarray(1e3 * steps))
+    np.testing.assert_allclose(batch, [function(1e3 * s) for s in steps], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "words"),
+    [
+        (("ball", "none"), {}, "no member is called 'none'"),
+        (("ball", "rod"), {}, "'rod' is a rod: use body_contact"),
+        (("ball", "point"), {}, "'point' has no shape"),
+        (("ball",), {}, "nothing to touch"),
+        (("ball", "ball"), {}, "named once each"),
+        (("ball", "pole"), {}, r"'pole', 8 m long.*balls_per_axis"),
+        (("ball",), {"stiffness": -1.0}, "stiffness must be positive, got -1 N/m"),
+        (("ball",), {"friction": 0.3}, "friction needs friction_drag > 0 kg/s"),
+        (("ball",), {"points": {"box": [[0], [0], [0]]}}, "not among the members"),
+        (("ball",), {"points": {"ball": [0, 0, 1]}}, r"'ball' must have shape \(3, k"),
+        (("ball",), {"points_per_edge": 1}, "points_per_edge must be at least 2"),
+    ],
+)
+def test_bad_input(names, options, words):
+    thread, _ = jaxrod.straight_rod(
+        4,
+        length=0.3,
+        radius=0.02,
+        density=1e3,
+        youngs_modulus=1e6,
+        dtype=jnp.float64,
+    )
+    members = {
+        "rod": jaxrod.make_scene(thread),
+        "ball": body(SHAPES["sphere"]())[0],
+        "point": jaxrod.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)[0],
+        "pole": body(jaxrod.capsule((0, 0, 0), (0, 0, 8), 0.02))[0],
+    }
+    with pytest.raises(ValueError, match=words):
+        jaxrod.make_system(
+            members, jaxrod.rigid_contact(*names, **{"stiffness": 1.0} | options)
+        )
