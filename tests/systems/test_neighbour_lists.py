@@ -200,7 +200,7 @@ def test_nothing_is_missed_by_the_grid():
                 )
             )
         )
-    assert len(sets[0]) > 100
+    assert len(sets[0]) > 50
     assert any(15 <= a < 20 and 25 <= b < 30 for a, b in sets[0])
     assert sets[0] == sets[1]
 
@@ -260,7 +260,7 @@ def test_moved_away_from_the_origin_all_is_the_same():
     scenes, state = heap(6, seed=3)
     system = system_of(scenes, state, lists=jaxrod.neighbour_lists(refresh_every=5))
     dt = 0.3 * jaxrod.stable_dt(system).dt
-    shift = jnp.array([[3.0], [-2.0], [5.0]])
+    shift = jnp.array([[[3.0], [-2.0], [5.0]]])
     away = replace(state, positions=state.positions + shift)
     here = jaxrod.advance(system, {"rods": state}, dt, 100)["rods"]
     there = jaxrod.advance(system, {"rods": away}, dt, 100)["rods"]
