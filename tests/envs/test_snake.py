@@ -100,6 +100,7 @@ def test_the_ground_is_that_of_contact_under_the_whole_weight():
     assert np.abs(found[0]).max() > 1e-4 and np.abs(found[2]).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_steps_are_stable_and_the_body_is_the_published_one():
     for n in (14, 21, 42):
         env = make("snake", n_elements=n)

@@ -12,6 +12,7 @@ import jaxrod
 from systems.members import free_system, rod
 
 
+@pytest.mark.slow
 def test_momenta_with_joints_and_dashpots(record):
     system, state = free_system()
     dt = 0.5 * jaxrod.stable_dt(system).dt
