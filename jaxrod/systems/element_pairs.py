@@ -52,6 +52,8 @@ class Elements:
     """Radius at the first node of each; `None` where points do not matter [m]."""
     first_lengths: Array | None = None
     """Rest length that the contact point there stands for [m]."""
+    last_lengths: Array | None = None
+    """Likewise of the last node of a rod, at its last element; zero before [m]."""
 
     @property
     def ends(self) -> Array:
@@ -100,6 +102,7 @@ def elements_at(
         rest_lengths=strand.rest_lengths if placed else None,
         first_radii=strand.first_radii if dotted else None,
         first_lengths=strand.first_lengths if dotted else None,
+        last_lengths=strand.last_lengths if dotted else None,
     )
 
 

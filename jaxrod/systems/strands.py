@@ -69,6 +69,12 @@ class Strands:
         return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
 
     @property
+    def last_lengths(self) -> Array:
+        """Rest length that the point at the end of a rod has, at its last segment."""
+        ends = self._rods(self.lengths)[:, -1:]
+        return jnp.pad(ends, ((0, 0), (self.n_elements - 1, 0))).reshape(-1)
+
+    @property
     def node_places(self) -> Array:
         """Rest arc length of each node along its rod [m]."""
         return self._rods(self.places)[:, :: self.per_element].reshape(-1)

@@ -94,8 +94,12 @@ def test_runs_are_those_without_lists(law, record):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["line", "crossing"])
-def test_loads_of_rods_on_themselves_and_tied_together(law):
-    """Near along rods and near ties nothing touches, from lists as without."""
+@pytest.mark.parametrize("end", ["start", "finish"])
+def test_loads_of_rods_on_themselves_and_tied_together(law, end):
+    """Near along rods and near ties nothing touches, from lists as without.
+
+    Tied at two starts, and where one rod goes on in the other, under a third.
+    """
     arc = np.linspace(0, np.pi, 9)
     r = 0.9 * RADIUS
     legs = np.linspace(0.15, 0, 6)[:-1]
@@ -105,14 +109,20 @@ def test_loads_of_rods_on_themselves_and_tied_together(law):
     hairpin, bent = jaxrod.rod_along(
         nodes, radius=RADIUS, density=1e3, youngs_modulus=1e6, dtype=jnp.float64
     )
-    other, straight = rod(6, 0.3, (0.15, r, 0.0), (-0.2, 1.0, 0.3))
-    state = {"one": bent, "two": straight}
-    members = {"one": jaxrod.make_scene(hairpin), "two": jaxrod.make_scene(other)}
+    side = r if end == "start" else -r
+    other, straight = rod(6, 0.3, (0.15, side, 0.0), (0.2, side / r, 0.3))
+    third, across = rod(5, 0.3, (0.16, -0.1, 0.036), (0, 1, 0))
+    state = {"one": bent, "two": straight, "three": across}
+    members = {
+        "one": jaxrod.make_scene(hairpin),
+        "two": jaxrod.make_scene(other),
+        "three": jaxrod.make_scene(third),
+    }
     factory, numbers = LAWS[law]
-    tie = jaxrod.tie(("one", "start"), ("two", "start"), state)
+    tie = jaxrod.tie(("one", end), ("two", "start"), state)
     found = []
     for lists in (None, jaxrod.neighbour_lists()):
-        contact = factory("one", "two", **numbers, itself=True, lists=lists)
+        contact = factory(*members, **numbers, itself=True, lists=lists)
         system = jaxrod.make_system(members, contact, tie, state=state)
         seen, couplings = jax.jit(seen_at_rest)(system, state)
         found.append(jax.jit(lambda c, s: c.loads(s))(couplings[0], seen))
