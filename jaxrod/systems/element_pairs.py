@@ -35,7 +35,7 @@ class Elements:
     radii: Array
     """Radii [m]."""
     follows: Array
-    """One where another element follows on the same rod, zero at its end [1]."""
+    """One where another element follows, on this rod or one tied to it, or zero [1]."""
     first_velocity: Vec3 | None = None
     """Of the first nodes [m/s]; `None` where nothing is damped."""
     velocity_change: Vec3 | None = None
@@ -52,8 +52,8 @@ class Elements:
     """Radius at the first node of each; `None` where points do not matter [m]."""
     first_lengths: Array | None = None
     """Rest length that the contact point there stands for [m]."""
-    last_lengths: Array | None = None
-    """Likewise of the last node of a rod, at its last element; zero before [m]."""
+    last: Array | None = None
+    """One where an element is the last of its rod, or zero [1]."""
 
     @property
     def ends(self) -> Array:
@@ -93,7 +93,7 @@ def elements_at(
         first=first,
         edge=vectors.subtract(following, first),
         radii=strand.radii,
-        follows=jnp.asarray(~strand.is_last, dtype),
+        follows=jnp.asarray(~strand.is_end, dtype),
         first_velocity=velocity,
         velocity_change=change,
         spin=seen.angular_velocities if spins else None,
@@ -102,7 +102,7 @@ def elements_at(
         rest_lengths=strand.rest_lengths if placed else None,
         first_radii=strand.first_radii if dotted else None,
         first_lengths=strand.first_lengths if dotted else None,
-        last_lengths=strand.last_lengths if dotted else None,
+        last=jnp.asarray(strand.is_last, dtype) if dotted else None,
     )
 
 

@@ -32,12 +32,13 @@ class ElementPoints:
 def points_on(own: Elements, per_element: int) -> ElementPoints:
     """The points of elements with an axis for points before."""
     assert own.first_radii is not None and own.first_lengths is not None
-    assert own.last_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
+    assert own.last is not None
     counts = np.arange(per_element + 1).reshape(-1, *[1] * (own.radii.ndim - 1))
     fractions = jnp.asarray(counts / per_element, own.radii.dtype)
     spacing = own.rest_lengths / per_element
-    within = jnp.where(counts == per_element, own.last_lengths, spacing)
+    at_end = 0.5 * own.last * spacing
+    within = jnp.where(counts == per_element, at_end, spacing)
     return ElementPoints(
         fractions=fractions,
         lengths=jnp.where(counts == 0, own.first_lengths, within),

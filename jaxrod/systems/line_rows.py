@@ -94,7 +94,7 @@ def _near(
 ) -> Iterator[Nearness]:
     one, other = (contact.strands[k] for k in which)
     radii = other.radii, one.point_radii
-    return nearnesses(points, segments, weights, other.is_last, radii, contact.onset)
+    return nearnesses(points, segments, weights, other.is_end, radii, contact.onset)
 
 
 def _pair_loads(

@@ -110,7 +110,7 @@ def nearnesses(
     points: ContactPoints,
     segments: Segments,
     weights: Array,
-    is_last: np.ndarray,
+    is_end: np.ndarray,
     radii: tuple[Array, Array],
     onset: Array,
 ) -> Iterator[Nearness]:
@@ -122,7 +122,7 @@ def nearnesses(
         points: The points.
         segments: The segments.
         weights: Rest length for which each pair counts [m].
-        is_last: Whether each segment is the last of its rod, and nothing follows.
+        is_end: Whether each segment is the last of its rod, and nothing follows.
         radii: Of the segments and at the points [m].
         onset: Width of the onset over the mean of the radii [1].
     """
@@ -134,7 +134,7 @@ def nearnesses(
     own, other = radii[0][:, None], radii[1][None, :]
     together = own + other
     rounded = (_ROUNDED * together) * (_ROUNDED * together)
-    follows = jnp.asarray(np.where(is_last, 0, -1), share.dtype)[:, None]
+    follows = jnp.asarray(np.where(is_end, 0, -1), share.dtype)[:, None]
     for fraction, weight in (
         (share, weights),
         (jnp.ones_like(share), follows * weights),

@@ -69,22 +69,19 @@ class Strands:
         return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
 
     @property
-    def last_lengths(self) -> Array:
-        """Rest length that the point at the end of a rod has, at its last segment."""
-        ends = self._rods(self.lengths)[:, -1:]
-        return jnp.pad(ends, ((0, 0), (self.n_elements - 1, 0))).reshape(-1)
-
-    @property
     def node_places(self) -> Array:
         """Rest arc length of each node along its rod [m]."""
         return self._rods(self.places)[:, :: self.per_element].reshape(-1)
 
     @property
     def is_last(self) -> np.ndarray:
+        """Whether each segment is the last of its rod."""
+        return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)
+
+    @property
+    def is_end(self) -> np.ndarray:
         """Whether each segment is the last of its rod, and no other rod goes on."""
-        segments = np.arange(self.n_elements * self.count)
-        last = segments % self.n_elements == self.n_elements - 1
-        return last & ~np.isin(segments, self.continued)
+        return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
 
     def _rods(self, row: Array) -> Array:
         """A row as one row for each rod."""

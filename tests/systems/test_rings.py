@@ -1,5 +1,6 @@
 """Closed rods against closed forms of rings."""
 
+import functools
 from dataclasses import replace
 
 import jax
@@ -284,9 +285,18 @@ def test_a_ring_has_the_link_that_was_put_in():
     assert float(joint.energy(seen)) == pytest.approx(stored / 24, rel=1e-9)
 
 
+LISTS = {"lists": jaxrod.neighbour_lists(refresh_every=8)}
+
+
 @pytest.mark.slow
-def test_contact_counts_the_place_where_a_ring_is_closed_once():
+@pytest.mark.parametrize("options", [{}, LISTS], ids=["all", "lists"])
+@pytest.mark.parametrize("law", ["line", "crossing"])
+def test_contact_counts_the_place_where_a_ring_is_closed_once(law, options):
     """A rod across it presses as across any other node."""
+    contact = {
+        "line": functools.partial(jaxrod.rod_contact, points_per_element=9),
+        "crossing": jaxrod.crossing_contact,
+    }[law]
     n = 12
     ring, of_ring, closure = made(n, thick=0.02)
     found = []
@@ -306,7 +316,7 @@ def test_contact_counts_the_place_where_a_ring_is_closed_once():
         system = jaxrod.make_system(
             {"ring": jaxrod.make_scene(ring), "rod": jaxrod.make_scene(other)},
             closure,
-            jaxrod.rod_contact("ring", "rod", stiffness=1e4, points_per_element=9),
+            contact("ring", "rod", stiffness=1e4, **options),
             state=state,
         )
         found.append(float(jaxrod.potential_energy(system, state)))
