@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -60,6 +60,8 @@ from jaxrod.validation import Numbers
 class CrossingContact(TouchingRods):
     """Contact between all rods of some members; see `crossing_contact`."""
 
+    once: ClassVar[bool] = True
+
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
         """With what is tied and so does not touch."""
         fitted: Any = self.with_ties(parts, tied)
@@ -88,15 +90,9 @@ class CrossingContact(TouchingRods):
         return self.strands[a].radii
 
     def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
-        """Of one member every two elements once, and what is not near along a rod."""
-        may = None
+        """What is not of one rod, or not near along it."""
         share = self._share(a, b, own.elements, other.elements)
-        if share is not None:
-            may = share > 0
-        if a == b:
-            once = own.numbers < other.numbers
-            may = once if may is None else may & once
-        return may
+        return None if share is None else share > 0
 
     def _share(self, a: int, b: int, own: Elements, other: Elements) -> Array | None:
         """Share that counts of pairs of elements; `None`: all of it."""

@@ -96,6 +96,8 @@ def found_by(
     views: Sequence[tuple[int, int]],
     allowed: Callable[[int, int, Stretches, Stretches], Array | None],
     places: tuple[Vec3, ...],
+    *,
+    once: bool,
 ) -> Found:
     """Lists of all pairs of members.
 
@@ -105,6 +107,7 @@ def found_by(
         views: The pairs of members.
         allowed: Which elements of two members may touch.
         places: Nodes of the members, to be kept with the lists [m].
+        once: Whether two elements of one member are one pair, not two.
     """
     assert how.cell_slots is not None
     lists: list[IndexList] = []
@@ -118,7 +121,7 @@ def found_by(
             most = jnp.maximum(most, held)
         may = lambda one, two, a=a, b=b: allowed(a, b, one, two)
         many, few = _room(how.candidates, number), _room(how.pairs, number)
-        some, count = candidates(own, other, rows, many)
+        some, count = candidates(own, other, rows, many, once=once and a == b)
         near, taken = near_ones(own, other, some, may, few)
         lists.append(near)
         looked_at.append(count)
@@ -180,7 +183,7 @@ def rows_of_cells(own: Stretches, other: Stretches, slots: int) -> tuple[Rows, A
 
 
 def candidates(
-    own: Stretches, other: Stretches, rows: Rows, size: int
+    own: Stretches, other: Stretches, rows: Rows, size: int, *, once: bool
 ) -> tuple[IndexList, Array]:
     """Pairs whose middles are near, and how many there are.
 
@@ -189,16 +192,20 @@ def candidates(
         other: Of the other.
         rows: Which others to look at.
         size: Entries of the list.
+        once: Whether of two elements of one member only the first has the other.
     """
     x, y, z = own.middle
     reach = _half_length(own) + own.reach
-    there = looked_up((other.middle, _half_length(other) + other.reach), rows.order)
+    fields = (other.middle, _half_length(other) + other.reach, other.numbers)
+    there = looked_up(fields, rows.order)
 
     def counted(before: Array, row: Array) -> tuple[Array, Array]:
         place, exists = rows.places(row, slice(None))
-        (u, v, w), farther = looked_up(there, place)
+        (u, v, w), farther, fellow = looked_up(there, place)
         square = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
         near = exists & (square <= (reach + farther) ** 2)
+        if once:
+            near = near & (own.numbers < fellow)
         after = before + near.astype(before.dtype)
         return after, after
 

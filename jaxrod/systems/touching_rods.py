@@ -67,6 +67,9 @@ class TouchingRods(Coupling):
     dotted: ClassVar[bool] = False
     """Whether the law has contact points on elements."""
 
+    once: ClassVar[bool] = False
+    """Whether two elements of one member are one pair to the law, not two."""
+
     # What a law says.
 
     def views(self) -> list[tuple[int, int]]:
@@ -205,7 +208,9 @@ class TouchingRods(Coupling):
         seen = jax.lax.stop_gradient(seen)
         every = [self._stretches(a, seen) for a in range(len(self.members))]
         places = tuple(seen[name].motion.position for name in self.members)
-        return found_by(self.lists, every, self.views(), self.allowed, places)
+        return found_by(
+            self.lists, every, self.views(), self.allowed, places, once=self.once
+        )
 
     def moved(self, seen: AllSeen) -> Array:
         """Farthest that a node is from where lists were made, over half the skin."""

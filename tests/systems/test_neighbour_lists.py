@@ -94,8 +94,12 @@ def test_runs_are_those_without_lists(law, record):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["line", "crossing"])
-def test_loads_of_rods_on_themselves_and_tied_together(law):
-    """Near along rods and near ties nothing touches, from lists as without."""
+@pytest.mark.parametrize("end", ["start", "finish"])
+def test_loads_of_rods_on_themselves_and_tied_together(law, end):
+    """Near along rods and near ties nothing touches, from lists as without.
+
+    Tied at two starts, and where one rod goes on in the other, under a third.
+    """
     arc = np.linspace(0, np.pi, 9)
     r = 0.9 * RADIUS
     legs = np.linspace(0.15, 0, 6)[:-1]
@@ -105,14 +109,20 @@ def test_loads_of_rods_on_themselves_and_tied_together(law):
     hairpin, bent = jaxrod.rod_along(
         nodes, radius=RADIUS, density=1e3, youngs_modulus=1e6, dtype=jnp.float64
     )
-    other, straight = rod(6, 0.3, (0.15, r, 0.0), (-0.2, 1.0, 0.3))
-    state = {"one": bent, "two": straight}
-    members = {"one": jaxrod.make_scene(hairpin), "two": jaxrod.make_scene(other)}
+    side = r if end == "start" else -r
+    other, straight = rod(6, 0.3, (0.15, side, 0.0), (0.2, side / r, 0.3))
+    third, across = rod(5, 0.3, (0.16, -0.1, 0.036), (0, 1, 0))
+    state = {"one": bent, "two": straight, "three": across}
+    members = {
+        "one": jaxrod.make_scene(hairpin),
+        "two": jaxrod.make_scene(other),
+        "three": jaxrod.make_scene(third),
+    }
     factory, numbers = LAWS[law]
-    tie = jaxrod.tie(("one", "start"), ("two", "start"), state)
+    tie = jaxrod.tie(("one", end), ("two", "start"), state)
     found = []
     for lists in (None, jaxrod.neighbour_lists()):
-        contact = factory("one", "two", **numbers, itself=True, lists=lists)
+        contact = factory(*members, **numbers, itself=True, lists=lists)
         system = jaxrod.make_system(members, contact, tie, state=state)
         seen, couplings = jax.jit(seen_at_rest)(system, state)
         found.append(jax.jit(lambda c, s: c.loads(s))(couplings[0], seen))
@@ -177,12 +187,15 @@ def test_a_fast_rod_makes_lists_old():
 
 
 @pytest.mark.slow
-def test_nothing_is_missed_by_the_grid():
-    """Against all pairs, with rods far away, on either side of the grid's end."""
+@pytest.mark.parametrize("spread", [False, True], ids=["heap", "rods far away"])
+def test_nothing_is_missed_by_the_grid(spread):
+    """Against all pairs; rods far away put all others beyond the grid's end."""
     scenes, state = heap(30, 5, seed=1)
-    far = state.positions.at[3].add(1e5).at[4].add(jnp.array([[-1e5], [0], [0]]))
-    far = far.at[5].set(far[3] + 0.5 * RADIUS)
-    first = {"rods": replace(state, positions=far)}
+    first = {"rods": state}
+    if spread:
+        far = state.positions.at[3].add(1e5).at[4].add(jnp.array([[-1e5], [0], [0]]))
+        far = far.at[5].set(far[3] + 0.5 * RADIUS)
+        first = {"rods": replace(state, positions=far)}
     sets = []
     for cells in (0, 200):
         lists = jaxrod.neighbour_lists(pairs=3000, candidates=9000, cell_slots=cells)
@@ -201,7 +214,7 @@ def test_nothing_is_missed_by_the_grid():
             )
         )
     assert len(sets[0]) > 50
-    assert any(15 <= a < 20 and 25 <= b < 30 for a, b in sets[0])
+    assert spread == any(15 <= a < 20 and 25 <= b < 30 for a, b in sets[0])
     assert sets[0] == sets[1]
 
 
