@@ -1,6 +1,7 @@
 """Every number that a factory takes may be traced, alone or inside tuples."""
 
 import inspect
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +28,7 @@ BALL = jaxrod.sphere((0.0, 0.0, 0.0), 0.1)
 HEAD, OF_HEAD = jaxrod.rigid_body(jaxrod.sphere((0.0, 0.1, 1.3), 0.1), density=1e3)
 TOGETHER = {"rod": STATE, "head": OF_HEAD}
 JOINED = {"a": ("rod", "finish"), "b": ("head",), "state": TOGETHER}
+FELLOW = replace(STATE, positions=STATE.positions + 0.02)
 TOUCH = {
     "stiffness": 1e3,
     "damping": 2.0,
@@ -265,6 +267,40 @@ FACTORIES = {
     "body_contact": [{"rod": "rod", "body": "head", **TOUCH}],
     "rod_contact": [{"members": ("one", "two"), **TOUCH}],
     "crossing_contact": [{"members": ("one", "two"), **TOUCH}],
+    "rigid_contact": [
+        {
+            "members": ("one", "two"),
+            "points": {"one": ((0.1, 0.2), (0.3, 0.4), (0.5, 0.6))},
+            **TOUCH,
+        }
+    ],
+    "glue": [
+        {
+            "a": "rod",
+            "b": "fellow",
+            "state": {"rod": STATE, "fellow": FELLOW},
+            "stiffness": 10.0,
+            "turning_stiffness": 1.0,
+            "damping": 0.1,
+            "turning_damping": 0.2,
+        }
+    ],
+    "pose_spring": [
+        {
+            "place": JOINED["a"],
+            "state": JOINED["state"],
+            "stiffness": 10.0,
+            "damping": 0.1,
+            "turning_stiffness": 1.0,
+            "turning_damping": 0.2,
+            "position": (0.1, 0.2, 0.3),
+            "orientation": (1.0, 0.2, 0.3, 0.1),
+            "displacement": (0.1, 0.2, 0.1),
+            "axis": (0.1, 0.2, 0.9),
+            "angle": 0.3,
+            "at": (0.1, 0.2, 1.1),
+        }
+    ],
     "neighbour_lists": [{"skin": 0.5}],
     "limit_rate": [
         {"applied": (1.0, 2.0), "commanded": (1.5, -3.0), "largest_change": (1.0, 0.5)}
@@ -298,6 +334,8 @@ ELSEWHERE = {
     "rollout",
     "equilibrium",
     "health",
+    # Made on the host alone; it says so.
+    "ring",
 }
 
 
