@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -367,5 +368,7 @@ def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
     positions, orientations = map(np.asarray, row)
     first, listed = points.nodes.values, points.elements.values
     middles = 0.5 * (positions[:, first] + positions[:, first + 1])
-    frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))
-    return middles, np.asarray(frames)
+    # The state is known, also where other numbers are traced.
+    with jax.ensure_compile_time_eval():
+        frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))
+        return middles, np.asarray(frames)
