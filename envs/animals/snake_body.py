@@ -120,6 +120,7 @@ class SnakeBody:
             start=jnp.zeros_like(dt),
             duration=n_steps * dt,
         )
+        # Any number of an effect may be a schedule, which its field does not say.
         muscles = ElementCouples(couples)  # type: ignore[arg-type]
         tissue = bending_viscosity(self.rod, self.relaxation_time, dt)
         effects = (*scene.effects, tissue, muscles)

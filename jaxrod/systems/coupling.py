@@ -65,11 +65,13 @@ class Coupling:
         With fields `missed`, `used` and the coupling's field `found`, in which it is
         until the next search: see `jaxrod.systems.neighbour_lists`.
         """
+        # Not abstract: couplings without `refresh_every` are never asked.
         raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def moved(self, seen: AllSeen) -> Array:
         """How far members are from where `search` was, over how far they may be."""
-        raise NotImplementedError(f"{type(self).__name__} has no search")
+        # As above.
+        raise NotImplementedError(f"{type(self).__name__} has no moved")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces on nodes, world frame [N], and couples on elements, own frames [N m].
