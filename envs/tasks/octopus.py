@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
-from jaxrod.envs.animals.octopus_body import (
+from jaxrod.envs.soft_bodies.octopus_body import (
     HEAD,
     LENGTH,
     N_ARMS,

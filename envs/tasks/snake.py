@@ -41,8 +41,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, angular_velocities, limit_rate
 from jaxrod.actuation.b_spline import b_spline_basis
-from jaxrod.envs.animals.crossing import crosses_itself
-from jaxrod.envs.animals.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
+from jaxrod.envs.soft_bodies.crossing import crosses_itself
+from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.structure import pytree

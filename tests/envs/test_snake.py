@@ -9,8 +9,8 @@ import pytest
 
 import jaxrod
 from jaxrod.envs import make
-from jaxrod.envs.animals.crossing import crosses_itself
-from jaxrod.envs.animals.flat_ground import FlatGround
+from jaxrod.envs.soft_bodies.crossing import crosses_itself
+from jaxrod.envs.soft_bodies.flat_ground import FlatGround
 from jaxrod.envs.tasks.snake import CONTROL_PERIOD, PERIOD
 from jaxrod.rods.motion import motion_of
 from playing import (

@@ -37,8 +37,8 @@ from jaxrod import (
     scale_inertia,
     straight_rod,
 )
-from jaxrod.envs.animals.bending_viscosity import bending_viscosity
-from jaxrod.envs.animals.flat_ground import FlatGround
+from jaxrod.envs.soft_bodies.bending_viscosity import bending_viscosity
+from jaxrod.envs.soft_bodies.flat_ground import FlatGround
 from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
 

@@ -1,1 +1,0 @@
-"""Parts of tasks with animals: grounds, gaits, what they share."""
