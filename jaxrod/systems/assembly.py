@@ -188,7 +188,8 @@ def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
     for name, member in system.members.items():
         if isinstance(member, RigidBodies) or not member.effects:
             continue
-        one = lambda scene, own: free_rates(scene, motion_of(own))[0]
+        # What is held does not depend on where it is driven to.
+        one = lambda scene, own: free_rates(scene.at(0.0), motion_of(own))[0]
         if member.rod.rest_lengths.ndim == 1:
             free = one(member, state[name])
         else:

@@ -190,3 +190,16 @@ def test_what_asks_about_one_moment(given, function):
     with pytest.raises(ValueError, match=r"one moment.*give system\.at\(time\)"):
         function(system, {"ball": state["ball"]})
     function(system.at(0.3), {"ball": state["ball"]})
+
+
+@pytest.mark.parametrize("group", [False, True])
+def test_a_driven_member_is_checked_against_a_state(group):
+    def driven(height):
+        one, state = rod(start=jnp.stack([0 * height, 0 * height, height]))
+        path = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 1.0)
+        return jaxrod.make_scene(one, jaxrod.driven(state, displacement=path)), state
+
+    made = jax.vmap(driven)(jnp.arange(2.0)) if group else driven(jnp.zeros(()))
+    scene, state = {"rod": made[0]}, {"rod": made[1]}
+    system = jaxrod.make_system(scene, state=state)
+    assert system.depends_on_time
