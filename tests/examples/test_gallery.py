@@ -18,7 +18,7 @@ WHOLE = {
     "plectoneme": 1e-3,
     "flagella": 0.03,
     "cilia": 0.01,
-    "tendon_arm": 0.04,
+    "tendon_arm": 5e-3,
     "pneumatic_arm": 5e-3,
 }
 
