@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxrod.contacts.contact_law import friction_force, normal_force
@@ -36,13 +40,14 @@ def row_loads(contact: TouchingRods, seen: AllSeen) -> dict[str, Loads]:
     rubs = contact.friction is not None
     strands, members = contact.strands, contact.members
     total: dict[int, StrandLoads] = {}
-    for a, b, weights in _weights(contact):
-        points = points_at(strands[a], seen[members[a]], spins=rubs)
-        segments = segments_at(strands[b], seen[members[b]], spins=rubs)
-        for near in _near(contact, (a, b), weights, points, segments):
-            on_a, on_b = _pair_loads(contact, near, points, segments)
-            total[a] = total.get(a, StrandLoads()).added(on_a)
-            total[b] = total.get(b, StrandLoads()).added(on_b)
+    for view in _views(contact):
+        points = points_at(strands[view.member], seen[members[view.member]], spins=rubs)
+        segments = _segments(contact, seen, view.others, spins=rubs)
+        for near in _near(contact, view, points, segments):
+            on_points, on_segments = _pair_loads(contact, near, points, segments)
+            parts = [(view.member, on_points), *_parted(contact, view, on_segments)]
+            for k, loads in parts:
+                total[k] = total.get(k, StrandLoads()).added(loads)
     return {
         members[k]: loads_on_member(strands[k], seen[members[k]], loads)
         for k, loads in total.items()
@@ -52,23 +57,67 @@ def row_loads(contact: TouchingRods, seen: AllSeen) -> dict[str, Loads]:
 def row_nearnesses(contact: TouchingRods, seen: AllSeen) -> Iterator[Nearness]:
     """Points and segments of all members that meet."""
     strands, members = contact.strands, contact.members
-    for a, b, weights in _weights(contact):
-        points = points_at(strands[a], seen[members[a]], spins=False)
-        segments = segments_at(strands[b], seen[members[b]], spins=False)
-        yield from _near(contact, (a, b), weights, points, segments)
+    for view in _views(contact):
+        own = strands[view.member]
+        points = points_at(own, seen[members[view.member]], spins=False)
+        segments = _segments(contact, seen, view.others, spins=False)
+        yield from _near(contact, view, points, segments)
 
 
-def _weights(contact: TouchingRods) -> Iterator[tuple[int, int, Array]]:
-    """Members whose points and segments meet, and half the lengths that count."""
+class _View(NamedTuple):
+    """The points of a member, and all segments that they may meet, in one row.
+
+    One row for all other members: a program for each member, not for every two.
+    """
+
+    member: int
+    others: tuple[int, ...]
+    weights: Array
+    """Half the lengths that count, `(segments, points)` [m]."""
+
+
+def _views(contact: TouchingRods) -> Iterator[_View]:
+    met: dict[int, list[int]] = {}
     for a, b in contact.views():
-        points, segments = contact.strands[a], contact.strands[b]
-        half = 0.5 * points.lengths[None, :]
-        if a == b:
-            half = _within(contact, points, segments, half)
-        for one, i, other, j in contact.tied:
-            if (one, other) == (contact.members[a], contact.members[b]):
-                half = half * _away(points, i, segments, j)
-        yield a, b, half
+        met.setdefault(a, []).append(b)
+    for a, others in met.items():
+        weights = jnp.concatenate([_weights(contact, a, b) for b in others])
+        yield _View(a, tuple(others), weights)
+
+
+def _weights(contact: TouchingRods, a: int, b: int) -> Array:
+    """Half the lengths of the points of one member, for segments of another [m]."""
+    points, segments = contact.strands[a], contact.strands[b]
+    shape = segments.radii.shape[0], points.lengths.shape[0]
+    half = jnp.broadcast_to(0.5 * points.lengths[None, :], shape)
+    if a == b:
+        half = _within(contact, points, segments, half)
+    for one, i, other, j in contact.tied:
+        if (one, other) == (contact.members[a], contact.members[b]):
+            half = half * _away(points, i, segments, j)
+    return half
+
+
+def _segments(
+    contact: TouchingRods, seen: AllSeen, members: tuple[int, ...], *, spins: bool
+) -> Segments:
+    """Segments of some members."""
+    rows = [
+        segments_at(contact.strands[k], seen[contact.members[k]], spins=spins)
+        for k in members
+    ]
+    return jax.tree.map(lambda *fields: jnp.concatenate(fields), *rows)
+
+
+def _parted(
+    contact: TouchingRods, view: _View, loads: StrandLoads
+) -> Iterator[tuple[int, StrandLoads]]:
+    """Loads on the segments, member by member."""
+    start = 0
+    for k in view.others:
+        here = slice(start, start + contact.strands[k].radii.shape[0])
+        yield k, jax.tree.map(operator.itemgetter(here), loads)
+        start = here.stop
 
 
 def _within(
@@ -86,15 +135,18 @@ def _within(
 
 
 def _near(
-    contact: TouchingRods,
-    which: tuple[int, int],
-    weights: Array,
-    points: ContactPoints,
-    segments: Segments,
+    contact: TouchingRods, view: _View, points: ContactPoints, segments: Segments
 ) -> Iterator[Nearness]:
-    one, other = (contact.strands[k] for k in which)
-    radii = other.radii, one.point_radii
-    return nearnesses(points, segments, weights, other.is_end, radii, contact.onset)
+    others = [contact.strands[k] for k in view.others]
+    radii = jnp.concatenate([other.radii for other in others])
+    return nearnesses(
+        points,
+        segments,
+        view.weights,
+        np.concatenate([other.is_end for other in others]),
+        (radii, contact.strands[view.member].point_radii),
+        contact.onset,
+    )
 
 
 def _pair_loads(

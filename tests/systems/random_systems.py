@@ -27,6 +27,8 @@ SHAPES = ("sphere", "box", "capsule", "cylinder")
 LOSSES = ("none", "damping", "stokes", "quadratic", "internal")
 SAMPLES = 40
 """Moments at which energy is looked at."""
+STEPS = 10
+"""Steps from one to the next, at the step of `stable_dt`."""
 
 
 @dataclass(frozen=True)
@@ -302,24 +304,30 @@ def energies(system: Any, state: Any) -> Any:
     return system.kinetic_energy(state), jaxrod.total_energy(system, state)
 
 
-def run(systems: Any, states: Any, dt: Any, every: int) -> Any:
-    """Energies [J] of a batch of systems, kinetic and total, `(systems, samples)`."""
+@jax.jit
+@jax.vmap
+def _started(system: Any, state: Any) -> Any:
+    return energies(system, state)
 
-    @jax.jit
-    @jax.vmap
-    def one(system: Any, state: Any, dt: Any) -> Any:
-        def step(state: Any, _: None) -> Any:
-            after = jaxrod.advance(system, state, dt, every)
-            return after, (
-                system.kinetic_energy(after),
-                jaxrod.total_energy(system, after),
-            )
 
-        first = energies(system, state)
-        _, rest = jax.lax.scan(step, state, None, SAMPLES)
-        return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), first, rest)
+@jax.jit
+@jax.vmap
+def _later(system: Any, state: Any, dt: Any) -> Any:
+    after = jaxrod.advance(system, state, dt, STEPS)
+    return after, energies(system, after)
 
-    return one(systems, states, dt)
+
+def run(systems: Any, states: Any, dt: Any, share: int) -> Any:
+    """Energies [J] of a batch of systems, kinetic and total, `(systems, samples)`.
+
+    One program for steps of `dt` and of a `share` of it.
+    """
+    seen = [_started(systems, states)]
+    for sample in range(SAMPLES * share):
+        states, energy = _later(systems, states, dt / share)
+        if (sample + 1) % share == 0:
+            seen.append(energy)
+    return jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *seen)
 
 
 def examined(structure: Structure, each: int, seed: int) -> dict[str, np.ndarray]:
@@ -336,7 +344,7 @@ def examined(structure: Structure, each: int, seed: int) -> dict[str, np.ndarray
     dt = _limits(systems)
     found = {}
     for name, share in (("drift", 1), ("finer", 2)):
-        kinetic, total = map(np.asarray, run(systems, states, dt / share, 10 * share))
+        kinetic, total = map(np.asarray, run(systems, states, dt, share))
         size = np.max(kinetic, axis=1)
         found[f"finite at {name}"] = np.all(np.isfinite(total), axis=1)
         rise = np.maximum.accumulate(total[:, ::-1], axis=1)[:, ::-1] - total
