@@ -29,6 +29,7 @@ VARIANTS = {
     "unstructured": ("paper", "clean"),
     "snake": ("clean",),
     "octopus": ("clean",),
+    "gripper": ("clean",),
 }
 """The tasks, and what variants each has."""
 

@@ -18,6 +18,7 @@ import jaxrod
 
 SCENES = (
     "octopus",
+    "gripper",
     "snake",
     "plectoneme",
     "flagella",

@@ -28,14 +28,14 @@ the head.
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
+from jaxrod.envs.arm.arm_task import check_variant
+from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.octopus_body import (
     HEAD,
     LENGTH,
@@ -43,11 +43,10 @@ from jaxrod.envs.soft_bodies.octopus_body import (
     OctopusBody,
     octopus_body,
 )
-from jaxrod.envs.arm.arm_task import check_variant
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import SystemState
-from jaxrod.validation import check_array, check_count
+from jaxrod.validation import check_count
 
 Variant = Literal["clean"]
 VARIANTS: tuple[Variant, ...] = ("clean",)
@@ -135,11 +134,10 @@ class Octopus:
         self, key: Key[Array, ""], params: OctopusParams
     ) -> tuple[Float[Array, " observation"], OctopusState]:
         """The octopus at rest, and where it should go."""
-        angle = params.turn * jax.random.uniform(key, (), params.dt.dtype, -1.0)
         state = OctopusState(
             body=params.body.rest,
             controls=jnp.zeros((N_ARMS, 2), params.dt.dtype),
-            heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)]),
+            heading=drawn_heading(key, params.turn),
             steps=jnp.zeros((), jnp.int32),
         )
         return self.observe(state), state
@@ -201,12 +199,12 @@ class Octopus:
         tips = (arms.positions[:, :, -1] - place[None, :]).T
         return jnp.concatenate(
             [
-                _turned(head.velocities[:, 0], heading) / SPEED,
-                _turned(head.angular_velocities[:, 0], heading),
-                _turned(axes[0], heading)[:2],
-                _turned(axes[2], heading)[:2],
+                along_heading(head.velocities[:, 0], heading) / SPEED,
+                along_heading(head.angular_velocities[:, 0], heading),
+                along_heading(axes[0], heading)[:2],
+                along_heading(axes[2], heading)[:2],
                 place[2:] / HEAD - 1,
-                jnp.ravel(_turned(tips, heading).T) / LENGTH,
+                jnp.ravel(along_heading(tips, heading).T) / LENGTH,
                 jnp.ravel(state.controls),
             ]
         )
@@ -231,13 +229,6 @@ class Octopus:
         sweep = sideways * to_left * jnp.sin(phase)
         lift = -upwards * jnp.cos(phase) * jnp.ones_like(angles)
         return jnp.ravel(jnp.stack([sweep, lift], axis=1))
-
-
-def _turned(vector: Array, heading: Float[Array, "2"]) -> Array:
-    """A vector's parts along the heading, to its left and upwards; or of several."""
-    x, y, z = vector
-    along, left = heading
-    return jnp.stack([x * along + y * left, y * along - x * left, z])
 
 
 def octopus(
@@ -265,7 +256,4 @@ def octopus(
     steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
     check_count("substeps", steps, 1)
     check_count("episode_length", episode_length, 1)
-    angle = float(check_array("turn", turn, [()], "rad", non_negative=True))
-    if angle > math.pi:
-        raise ValueError(f"turn must be at most pi rad, got {angle:g} rad")
-    return Octopus(n_elements, steps, episode_length, angle)
+    return Octopus(n_elements, steps, episode_length, check_turn(turn))

@@ -34,19 +34,19 @@ import dataclasses
 import math
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, angular_velocities, limit_rate
 from jaxrod.actuation.b_spline import b_spline_basis
-from jaxrod.envs.soft_bodies.crossing import crosses_itself
-from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.soft_bodies.crossing import crosses_itself
+from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
+from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
-from jaxrod.validation import check_array, check_count
+from jaxrod.validation import check_count
 
 Variant = Literal["clean"]
 VARIANTS: tuple[Variant, ...] = ("clean",)
@@ -137,11 +137,10 @@ class Snake:
         self, key: Key[Array, ""], params: SnakeParams
     ) -> tuple[Float[Array, " observation"], SnakeState]:
         """The snake straight and at rest, and where it should go."""
-        angle = params.turn * jax.random.uniform(key, (), params.dt.dtype, -1.0)
         state = SnakeState(
             body=params.body.rest,
             controls=jnp.zeros(N_CONTROLS, params.dt.dtype),
-            heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)]),
+            heading=drawn_heading(key, params.turn),
             steps=jnp.zeros((), jnp.int32),
         )
         return self.observe(state, params), state
@@ -210,8 +209,8 @@ class Snake:
         bends = snake.bends(body) / BEND, snake.bend_rates(body) / BEND_RATE
         return jnp.concatenate(
             [
-                _turned(snake.centre_velocity(body), state.heading) / SPEED,
-                _turned(along, state.heading) / length,
+                along_heading(snake.centre_velocity(body), state.heading) / SPEED,
+                along_heading(along, state.heading) / length,
                 spin[None],
                 *(bend[every - 1 :: every] / length_of_joint for bend in bends),
                 state.controls,
@@ -238,13 +237,6 @@ class Snake:
         wave = jnp.sin(2 * jnp.pi * (periods - jnp.asarray(from_head)))
         share = jnp.clip(periods, 0, 1) / params.body.strongest
         return (share * jnp.asarray(sizes) * wave).astype(params.dt.dtype)
-
-
-def _turned(vector: Float[Array, "2"], heading: Float[Array, "2"]) -> Float[Array, "2"]:
-    """A vector's parts along the heading and to its left."""
-    x, y = vector
-    along, left = heading
-    return jnp.stack([x * along + y * left, y * along - x * left])
 
 
 def snake(
@@ -275,7 +267,4 @@ def snake(
     steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
     check_count("substeps", steps, 1)
     check_count("episode_length", episode_length, 1)
-    angle = float(check_array("turn", turn, [()], "rad", non_negative=True))
-    if angle > math.pi:
-        raise ValueError(f"turn must be at most pi rad, got {angle:g} rad")
-    return Snake(n_elements, steps, episode_length, angle)
+    return Snake(n_elements, steps, episode_length, check_turn(turn))

@@ -2,11 +2,11 @@
 
 TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
-nest), `snake` or `octopus` (they crawl along a heading) or `trivial` (solved in
-seconds, to try things out). The arms' variants are `paper`, whose scores compare with
-the published ones, and `clean`; the animals are `clean`. Or it is one of your own:
-`mypackage.mymodule:make_task` or `folder/file.py:make_task` names what makes it, and
-modules are looked for in the current folder, too (docs/extending.md).
+nest), `snake` or `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or
+`trivial` (solved in seconds, to try things out). The arms' variants are `paper`, whose
+scores compare with the published ones, and `clean`; the others' is `clean`. Or it is
+one of your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names what
+makes it, and modules are looked for in the current folder, too (docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,

@@ -119,7 +119,8 @@ def test_a_broken_arm_is_shown_until_it_breaks():
 
 def test_what_does_not_say_what_to_draw_is_not_drawable():
     assert drawable(Clock())
-    for name in ("tracking", "reaching", "structured", "unstructured", "snake"):
+    tasks = "tracking", "reaching", "structured", "unstructured", "snake", "gripper"
+    for name in tasks:
         assert drawable(make(name))
     assert not drawable(make("trivial"))
     sentence = (

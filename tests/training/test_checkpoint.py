@@ -63,6 +63,7 @@ ARMS = ("tracking", "reaching", "structured", "unstructured")
         *((name, variant) for name in ARMS for variant in ("paper", "clean")),
         pytest.param("snake", "clean", marks=pytest.mark.slow),
         pytest.param("octopus", "clean", marks=pytest.mark.slow),
+        pytest.param("gripper", "clean", marks=pytest.mark.slow),
     ],
 )
 def test_the_parameters_of_every_task_come_back(name, variant, checkpoints):

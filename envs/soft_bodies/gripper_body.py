@@ -1,0 +1,203 @@
+r"""A gripper of three soft fingers, a ball and the table it lies on.
+
+The fingers hang from a wrist that moves as it is told. They are one member of equal
+rods, of soft silicone; a chamber on the outer side of each bends it inwards under
+pressure, outwards when it sucks. The ball is a rigid body. Fingers touch the ball and
+the table, the ball touches the table, all with friction.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+import jaxrod
+from jaxrod import Chamber, Driven, HealthLimits, Ramp, RodState, Scene
+from jaxrod.effects.paths import Path
+from jaxrod.structure import pytree
+from jaxrod.systems.assembly import SystemState
+from jaxrod.systems.system import System
+
+N_FINGERS = 3
+LENGTH = 0.1
+"""Of a finger [m]."""
+RADIUS = 0.008
+"""Of a finger [m]."""
+DENSITY = 1100.0
+"""Of a finger [kg/m^3]."""
+YOUNGS_MODULUS = 5e5
+"""[Pa]"""
+BASE = 0.046
+"""Distance of the fingers' roots from the middle of the wrist [m]."""
+AREA, OFFSET = 4e-5, 5e-3
+"""Section of a chamber [m^2], and how far from the finger's middle it is [m]."""
+MOST_PRESSURE = 1e5
+"""In the chambers [Pa]: a free finger bends to 12/m, 1.2 rad over its length."""
+RATE = 15.0
+"""Damping of the fingers [1/s]."""
+BALL = 0.03
+"""Radius of the ball [m]."""
+BALL_DENSITY = 200.0
+"""[kg/m^3]"""
+GRAVITY = 9.81
+"""[m/s^2]"""
+FRICTION = 0.8
+"""[1]"""
+HIGHEST = 0.2
+"""Of the wrist above the table, at the start [m]."""
+
+
+@pytree
+class GripperBody:
+    """Parameters of the gripper, of the ball and of all that acts on them."""
+
+    system: System
+    """Members "fingers", whose first two effects are the wrist and the chambers, and
+    "ball"."""
+    rest: dict[str, RodState | jaxrod.BodyState]
+    """Fingers straight down, the ball below them on the table, all at rest."""
+    most_pressure: Float[Array, ""]
+    """In a chamber for a control value of one [Pa]."""
+    limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
+    """Limits of health beyond which all is frozen."""
+
+    @property
+    def fingers(self) -> Scene:
+        """The fingers, with a leading axis."""
+        fingers = self.system.members["fingers"]
+        assert isinstance(fingers, Scene)
+        return fingers
+
+    def advance(
+        self,
+        state: SystemState,
+        before: tuple[Float[Array, "3"], Float[Array, "3"]],
+        after: tuple[Float[Array, "3"], Float[Array, "3"]],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[SystemState, Bool[Array, ""]]:
+        """Simulation steps of one control step.
+
+        Args:
+            state: Fingers and ball.
+            before: Where the wrist is, from where it was at the start [m], and control
+                values of the chambers [1], at the beginning.
+            after: The same at the end; between them they go in a straight line.
+            dt: Step [s].
+            n_steps: Number of steps, at least 1.
+
+        Returns:
+            Fingers and ball, and whether a health flag rose; then they are what they
+            were.
+        """
+        duration = jnp.broadcast_to(n_steps * dt, (N_FINGERS,))
+        moving = [
+            Ramp(first, last, jnp.zeros_like(duration), duration)
+            for first, last in zip(self._told(*before), self._told(*after), strict=True)
+        ]
+        acting = self._acting(*moving)
+        moved = jaxrod.advance(acting, state, dt, n_steps)
+        at_end = acting.at(n_steps * dt)
+        flagged = jaxrod.health(at_end, moved, dt, limits=self.limits).flagged
+        return jaxrod.freeze(flagged, state, moved), flagged
+
+    def _told(self, wrist: Array, controls: Array) -> tuple[Array, Array]:
+        """Displacement of every root [m], and pressure in every chamber [Pa]."""
+        roots = jnp.broadcast_to(wrist, (N_FINGERS, 3))
+        return roots, self.most_pressure * controls
+
+    def _acting(self, wrist: Ramp, pressure: Ramp) -> System:
+        """The system with the wrist and the chambers as they are told."""
+        driven, chamber, *others = self.fingers.effects
+        assert isinstance(driven, Driven)
+        assert isinstance(driven.place, Path)
+        assert isinstance(chamber, Chamber)
+        effects = (
+            dataclasses.replace(
+                driven, place=dataclasses.replace(driven.place, displacement=wrist)
+            ),
+            dataclasses.replace(chamber, pressure=pressure),
+            *others,
+        )
+        fingers = dataclasses.replace(self.fingers, effects=effects)
+        members = {**self.system.members, "fingers": fingers}
+        return dataclasses.replace(self.system, members=members)
+
+
+def gripper_body(n_elements: int) -> GripperBody:
+    """Gripper and ball at rest, in JAX's default precision.
+
+    Args:
+        n_elements: Elements of every finger.
+    """
+    angles = 2 * jnp.pi * jnp.arange(N_FINGERS) / N_FINGERS
+    table = jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    weight = jaxrod.gravity((0.0, 0.0, -GRAVITY))
+
+    def finger(angle: Array) -> tuple[Scene, RodState]:
+        outwards = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+        rod, state = jaxrod.straight_rod(
+            n_elements,
+            length=LENGTH,
+            radius=RADIUS,
+            density=DENSITY,
+            youngs_modulus=YOUNGS_MODULUS,
+            start=BASE * outwards + jnp.asarray([0.0, 0.0, HIGHEST]),
+            direction=(0.0, 0.0, -1.0),
+            normal=outwards,
+        )
+        effects = (
+            jaxrod.driven(state),
+            jaxrod.chamber(rod, 0.0, AREA, offsets=(OFFSET, 0.0)),
+            weight,
+            jaxrod.exponential_damping(RATE),
+            jaxrod.contact(
+                table,
+                stiffness=5e3,
+                damping=10.0,
+                friction=FRICTION,
+                friction_drag=10.0,
+            ),
+        )
+        return jaxrod.make_scene(rod, *effects), state
+
+    fingers, of_fingers = jax.vmap(finger)(angles)
+    ball, of_ball = jaxrod.rigid_body(
+        jaxrod.sphere((0.0, 0.0, BALL), BALL),
+        density=BALL_DENSITY,
+        effects=(weight, jaxrod.exponential_damping(0.2, 1.0)),
+    )
+    rest: dict[str, RodState | jaxrod.BodyState] = {
+        "fingers": of_fingers,
+        "ball": of_ball,
+    }
+    system = jaxrod.make_system(
+        {"fingers": fingers, "ball": ball},
+        jaxrod.body_contact(
+            "fingers",
+            "ball",
+            stiffness=5e3,
+            damping=10.0,
+            friction=FRICTION,
+            friction_drag=10.0,
+        ),
+        jaxrod.rigid_contact(
+            "ball",
+            fixed=table,
+            stiffness=500.0,
+            damping=1.0,
+            friction=FRICTION,
+            friction_drag=1.0,
+        ),
+        state=rest,
+    )
+    kind = angles.dtype
+    return GripperBody(
+        system=system,
+        rest=rest,
+        most_pressure=jnp.asarray(MOST_PRESSURE, kind),
+        limits=jax.tree.map(lambda value: jnp.asarray(value, kind), HealthLimits()),
+    )
