@@ -59,4 +59,9 @@ def main(n: int = 50, seconds: float = 50.0, count: float | None = None) -> None
 
 
 if __name__ == "__main__":
-    main(*(kind(text) for kind, text in zip((int, float, float), sys.argv[1:], strict=False)))
+    main(
+        *(
+            kind(text)
+            for kind, text in zip((int, float, float), sys.argv[1:], strict=False)
+        )
+    )
