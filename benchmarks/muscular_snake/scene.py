@@ -243,9 +243,10 @@ def theirs() -> tuple[Any, list[Any]]:
     ):
         pass
 
-    class SideJoint(pc.SurfaceJointSideBySide):  # type: ignore[misc]
+    class SideJoint(pc.SurfaceJointSideBySide):
         def __init__(self, **numbers: Any) -> None:
-            vars(self).update(numbers)
+            for name, value in numbers.items():
+                setattr(self, name, value)
 
         def apply_forces(self, *given: Any, **named: Any) -> None:
             """With the time that it wants and is not given."""
@@ -255,7 +256,7 @@ def theirs() -> tuple[Any, list[Any]]:
             """Likewise."""
             super().apply_torques(*given, **{"time": 0.0} | named)
 
-    class MuscleForces(ea.NoForces):  # type: ignore[misc]
+    class MuscleForces(ea.NoForces):
         def __init__(self, amplitude: float, delay: float, side: float) -> None:
             self.amplitude, self.delay, self.side = amplitude, delay, side
 

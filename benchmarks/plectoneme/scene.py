@@ -165,10 +165,10 @@ def theirs(n: int, shipped: bool = False) -> tuple[Any, Any]:
     """
     import elastica as ea
 
-    class Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Contact, ea.Damping):  # type: ignore[misc]
+    class Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Contact, ea.Damping):
         pass
 
-    class Held(ea.DamperBase):  # type: ignore[misc]
+    class Held(ea.DamperBase):
         """What the end is turned with, once more after it has been damped."""
 
         def __init__(self, time_step: float, **given: Any) -> None:
