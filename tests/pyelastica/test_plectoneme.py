@@ -57,5 +57,5 @@ def test_a_rod_loops_as_theirs_until_it_touches_itself(record):
                 f"{name.capitalize()} of a twisted rod after {time:g} s, difference",
                 f"PyElastica 1.0: {b:.6f}",
                 abs(a - b),
-                at_most=1e-3 * abs(b) + 1e-6,
+                at_most=1e-9,
             )
