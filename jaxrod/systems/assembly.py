@@ -183,9 +183,9 @@ def _verlet(
 
 
 def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
-    """Constants of all members, with what supports hold of their nodes."""
+    """Constants of all members, with what supports hold of their nodes at time 0."""
     parts = system.parts()
-    for name, member in system.members.items():
+    for name, member in system.at(0.0).members.items():
         if isinstance(member, RigidBodies) or not member.effects:
             continue
         # What is held does not depend on where it is driven to.

@@ -163,20 +163,24 @@ class Glue(Coupling):
                 )
 
     def prepared(self, parts: AllParts) -> Glue:
-        """With the lengths of glue, and the stiffness against turning."""
-        each = []
+        """With the glue's places and lengths, and the stiffness against turning."""
+        if self.lengths is not None:
+            return self
+        each, radii = [], []
         for side in (self.a, self.b):
-            lengths = parts[side.points.member].rest_lengths
-            assert lengths is not None
-            each.append(lengths[side.points.elements.values])
+            own = parts[side.points.member]
+            assert own.rest_lengths is not None and own.radii is not None
+            each.append(own.rest_lengths[side.points.elements.values])
+            radii.append(own.radii[side.points.elements.values])
         lengths = 0.5 * (each[0] + each[1])
+        a, b = _between_surfaces(self.a, self.b, radii[0] - radii[1])
         joint = self.joint
         if self.turning_stiffness is not None:
             row = self.turning_stiffness * lengths
             joint = replace(joint, stiffness=jnp.stack([row, row, row]))
         if self.turning_damping is not None:
             joint = replace(joint, damping=self.turning_damping * lengths)
-        return replace(self, lengths=lengths, joint=joint)
+        return replace(self, a=a, b=b, lengths=lengths, joint=joint)
 
     def _gap(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
         """From the glue on `a` to that on `b`, and the points midway."""
@@ -234,6 +238,27 @@ class Glue(Coupling):
             for name, bound in self.joint.stability_bounds(parts).items():
                 total[name] = added_bounds(total[name], bound)
         return total
+
+
+def _between_surfaces(
+    a: GluedSide, b: GluedSide, thicker: Array
+) -> tuple[GluedSide, GluedSide]:
+    """Glue midway between the middles of elements moved to between their surfaces.
+
+    Args:
+        a: The one rod.
+        b: The other.
+        thicker: Radii of `a` less those of `b` [m].
+    """
+    half = vectors.safe_norm(vectors.split(a.offsets))
+    # Of two rods in one place neither surface is nearer.
+    apart = half > 0
+    more = jnp.clip(0.5 * thicker / jnp.where(apart, half, 1), -1, 1)
+    share = jnp.where(apart, more, 0)
+    return (
+        replace(a, offsets=(1 + share)[None, :] * a.offsets),
+        replace(b, offsets=(1 - share)[None, :] * b.offsets),
+    )
 
 
 Rods = str | tuple[str, int]

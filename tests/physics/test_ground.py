@@ -178,6 +178,20 @@ def test_directional_friction_is_no_steeper_than_its_drag(friction, stick):
     assert np.all(np.sum(np.multiply(forces, slips), axis=1) <= 0)
 
 
+@pytest.mark.parametrize(("stick", "holds"), [(1.5, 1.181), (2.0, 1.487), (2.802, 2.0)])
+def test_what_a_stick_ratio_holds(stick, holds, record):
+    """Sticking grows as slip vanishes, and all friction vanishes with it."""
+    slips = np.zeros((2000, 3))
+    slips[:, 0] = np.linspace(0.01, 10.0, 2000)
+    forces, _ = pushed(jnp.asarray(slips), 0.3 * jnp.ones(3), jnp.asarray(stick))
+    record(
+        f"Largest friction with a stick ratio of {stick:g}, over that of sliding",
+        f"{holds:g}",
+        float(jnp.max(jnp.abs(forces)) / (0.3 * PUSH)),
+        between=(holds - 1e-3, holds + 1e-3),
+    )
+
+
 def test_an_axis_along_the_normal_has_no_direction():
     up = tuple(jnp.asarray(c) for c in (0.0, 1.0, 0.0))
 

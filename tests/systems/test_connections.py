@@ -125,6 +125,32 @@ def test_cantilever_with_a_tip_mass(share, root, record):
     )
 
 
+def test_supports_that_move_are_looked_at_where_they_begin():
+    """`state` says where everything is; what a path holds it holds from the start."""
+    above, of_above = rod(4, start=(0, 0, 0))
+    below, of_below = rod(4, start=(-0.5, 0, 0))
+    state = {"above": of_above, "below": of_below}
+    zero = jnp.zeros(3)
+
+    def system(displacement):
+        moved = jaxrod.driven(of_above, "finish", displacement=displacement)
+        return jaxrod.make_system(
+            {
+                "above": jaxrod.make_scene(above, moved),
+                "below": jaxrod.make_scene(below),
+            },
+            jaxrod.weld(("below", "finish"), ("above", "start"), state),
+            state=state,
+        )
+
+    still, moving = system(zero), system(jaxrod.ramp(zero, zero + 0.1, 1.0))
+    assert jaxrod.stable_dt(moving).dt == jaxrod.stable_dt(still).dt
+    dt = 0.9 * float(jaxrod.stable_dt(moving).dt)
+    end = jaxrod.advance(moving, state, dt, 100)
+    moved = end["above"].positions[:, -1] - of_above.positions[:, -1]
+    np.testing.assert_allclose(moved, 0.1 * 100 * dt, rtol=1e-9)
+
+
 def test_a_hinge_turns_about_its_axis_alone(record):
     """A motor's couple c on a body of inertia J about it: c t^2 / 2 J."""
     base, of_base = jaxrod.rigid_body(

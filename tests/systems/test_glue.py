@@ -9,6 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.systems.energies import seen_at_rest
+from physics.rods import turn
 from systems.members import rod, stirred
 
 RADIUS, YOUNG, LENGTH = 0.02, 1e7, 1.0
@@ -50,6 +51,28 @@ def deflection(load, bending, axial, gap, stiffness):
     share = (gap / apart) / (gap**2 / apart + 2 / axial)
     slip = gap * share / (apart * a**3) * (a * LENGTH - np.tanh(a * LENGTH))
     return load * (LENGTH**3 / (3 * together) + slip), (apart, together)
+
+
+@pytest.mark.parametrize("thin", [0.25, 1.0])
+def test_glue_is_between_the_surfaces(thin):
+    """A rod that turns about its axis pulls on the glue with its own radius."""
+    gap = 0.3 * RADIUS
+    apart = RADIUS + thin * RADIUS + gap
+    one, of_one = rod(4, LENGTH)
+    other, of_other = rod(4, LENGTH, (0, 0, apart), radius=thin * RADIUS)
+    state = {"low": of_one, "high": of_other}
+    system = jaxrod.make_system(
+        {"low": jaxrod.make_scene(one), "high": jaxrod.make_scene(other)},
+        jaxrod.glue("low", "high", state, stiffness=1e5),
+    )
+    angle = 0.01
+    about = jnp.asarray([angle] * 4)[None, :] * jnp.asarray([[0.0], [0.0], [1.0]])
+    for name, radius in (("low", RADIUS), ("high", thin * RADIUS)):
+        own = state[name]
+        turned = replace(own, orientations=turn(own.orientations, about))
+        energy = jaxrod.potential_energy(system, state | {name: turned})
+        moved = 2 * (radius + 0.5 * gap) * np.sin(angle / 2)
+        assert float(energy) == pytest.approx(0.5 * 1e5 * LENGTH * moved**2, rel=1e-9)
 
 
 @pytest.mark.slow

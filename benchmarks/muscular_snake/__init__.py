@@ -1,0 +1,1 @@
+"""PyElastica's muscular snake in both libraries."""

@@ -1,0 +1,1 @@
+"""PyElastica's plectoneme in both libraries."""
