@@ -59,8 +59,8 @@ def recorded(
         system, by_member = System({_ONLY: model}), {_ONLY: states}
     elif isinstance(model, System):
         # What a run notes of its lists is no member.
-        own = {name: of_it for name, of_it in states.items() if name != RECORD}
-        system, by_member = model, own
+        members = {name: own for name, own in states.items() if name != RECORD}
+        system, by_member = model, members
         if set(by_member) != set(system.members):
             raise ValueError(
                 f"states must have the members {sorted(system.members)}, got "
