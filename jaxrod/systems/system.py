@@ -151,7 +151,8 @@ def make_system(
         )
     parts = system.parts()
     if state is not None:
-        parts = held_parts(system, state)
+        # Which nodes supports hold does not depend on when.
+        parts = held_parts(system.at(0.0), state)
     for coupling in ordered:
         coupling.check(parts)
     tied = () if ties is None else ties.pairs
@@ -220,7 +221,7 @@ def _sized(
             )
         return couplings
     # As the lists would be, without them: nothing is looked for yet.
-    plain = replace(system, couplings=())
+    plain = replace(system, couplings=()).at(0.0)
     seen, _ = seen_at_rest(plain, state)
     parts = system.parts()
     return tuple(

@@ -15,10 +15,11 @@ from jaxrod.rods.motion import motion_of
 from jaxrod.scene import Scene
 from jaxrod.systems.body_contact import BodyContact
 from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.neighbour_lists import RECORD
 from jaxrod.systems.parts import in_rows
 from jaxrod.systems.rigid_bodies import RigidBodies
-from jaxrod.systems.rod_contact import RodContact
 from jaxrod.systems.system import System
+from jaxrod.systems.touching_rods import TouchingRods
 from jaxrod.viz.arrows import Arrows, checked_arrows
 from jaxrod.viz.bodies import leaning_plane, mesh_of, solid_mesh
 from jaxrod.viz.extent import extent
@@ -57,7 +58,9 @@ def recorded(
     if isinstance(model, Scene):
         system, by_member = System({_ONLY: model}), {_ONLY: states}
     elif isinstance(model, System):
-        system, by_member = model, dict(states)
+        # What a run notes of its lists is no member.
+        members = {name: own for name, own in states.items() if name != RECORD}
+        system, by_member = model, members
         if set(by_member) != set(system.members):
             raise ValueError(
                 f"states must have the members {sorted(system.members)}, got "
@@ -207,7 +210,7 @@ def _contact_forces(
                 total[name] = total[name] + one(member, state[name])
         seen, couplings = seen_at_rest(now, state)
         for coupling in couplings:
-            if isinstance(coupling, BodyContact | RodContact):
+            if isinstance(coupling, BodyContact | TouchingRods):
                 for name, loads in coupling.loads(seen).items():
                     if name in rods and loads.forces is not None:
                         force = jnp.stack(loads.forces)

@@ -346,3 +346,27 @@ def test_reserved_name_and_record_of_another_kind():
     )
     with pytest.raises(ValueError, match="must have the members"):
         jaxrod.advance(without, {"a": state, "b": state, "neighbours": 1.0}, 1e-5, 1)
+
+
+@pytest.mark.slow
+def test_lists_are_counted_where_a_rod_is_driven():
+    """Supports that move hold what they hold at the beginning."""
+    one, of_one = rod(4, 0.4)
+    two, of_two = rod(4, 0.4, (0.1, -0.2, 0.041), (0, 1, 0))
+    state = {"one": of_one, "two": of_two}
+    down = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -0.01), 0.1)
+    scenes = {
+        "one": jaxrod.make_scene(one, jaxrod.clamp(of_one)),
+        "two": jaxrod.make_scene(two, jaxrod.driven(of_two, displacement=down)),
+    }
+
+    def after(lists):
+        contact = jaxrod.crossing_contact("one", "two", stiffness=1e3, lists=lists)
+        system = jaxrod.make_system(scenes, contact, state=state)
+        dt = jaxrod.stable_dt(system).dt
+        return jaxrod.advance(system, state, dt, 100)["one"].positions
+
+    dense = after(None)
+    assert np.max(np.abs(dense - of_one.positions)) > 1e-6
+    listed = after(jaxrod.neighbour_lists(refresh_every=4, skin=1.0))
+    np.testing.assert_allclose(listed, dense, rtol=0, atol=1e-13)

@@ -325,3 +325,38 @@ def test_a_browser_draws_the_bodies_and_colours_by_a_field(chromium, replay, tmp
         assert "hairs" not in legend
         assert browser.errors == []
         assert browser.requests == [path.as_uri()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [jaxrod.rod_contact, jaxrod.crossing_contact])
+@pytest.mark.parametrize("lists", [None, jaxrod.neighbour_lists()])
+def test_contact_between_rods_is_shown_with_lists_and_without(law, lists):
+    """The record of lists that a run leaves among its states is no member."""
+
+    def rod(height):
+        rod, state = jaxrod.straight_rod(
+            4,
+            length=0.4,
+            radius=0.02,
+            density=1000.0,
+            youngs_modulus=1e6,
+            start=(0.0, 0.0, 0.0) if height == 0 else (0.2, -0.2, height),
+            direction=(1.0, 0.0, 0.0) if height == 0 else (0.0, 1.0, 0.0),
+        )
+        return jaxrod.make_scene(rod), state
+
+    (one, of_one), (two, of_two) = rod(0.0), rod(0.036)
+    state = {"one": of_one, "two": of_two}
+    contact = law("one", "two", stiffness=1e3, lists=lists)
+    system = jaxrod.make_system({"one": one, "two": two}, contact, state=state)
+    states = jaxrod.rollout(system, state, 1e-6, 2)
+    assert ("neighbours" in states) == (lists is not None)
+    times = jaxrod.rollout_times(1e-6, 2)
+    shown = Replay.from_states(system, states, times, forces=True)
+    assert {rods.name for rods in shown.rods} == {"one", "two"}
+    seen, (prepared,) = seen_at_rest(system, state)
+    push = np.sum(np.stack(prepared.loads(seen)["two"].forces), axis=1)
+    assert push[2] > 0.05
+    (arrows,) = shown.arrows
+    up = arrows.vectors[0][:, 2]
+    assert np.sum(up[up > 0]) == pytest.approx(push[2], rel=0.02)
