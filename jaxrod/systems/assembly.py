@@ -185,11 +185,11 @@ def _verlet(
 def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
     """Constants of all members, with what supports hold of their nodes at time 0."""
     parts = system.parts()
+    # What is held does not depend on where it is driven to.
     for name, member in system.at(0.0).members.items():
         if isinstance(member, RigidBodies) or not member.effects:
             continue
-        # What is held does not depend on where it is driven to.
-        one = lambda scene, own: free_rates(scene.at(0.0), motion_of(own))[0]
+        one = lambda scene, own: free_rates(scene, motion_of(own))[0]
         if member.rod.rest_lengths.ndim == 1:
             free = one(member, state[name])
         else:

@@ -151,8 +151,7 @@ def make_system(
         )
     parts = system.parts()
     if state is not None:
-        # Which nodes supports hold does not depend on when.
-        parts = held_parts(system.at(0.0), state)
+        parts = held_parts(system, state)
     for coupling in ordered:
         coupling.check(parts)
     tied = () if ties is None else ties.pairs

@@ -125,6 +125,7 @@ def test_cantilever_with_a_tip_mass(share, root, record):
     )
 
 
+@pytest.mark.slow
 def test_supports_that_move_are_looked_at_where_they_begin():
     """`state` says where everything is; what a path holds it holds from the start."""
     above, of_above = rod(4, start=(0, 0, 0))
