@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -77,7 +77,7 @@ class Assembly:
         """Whether it depends on time or remembers."""
         return self.depends_on_time or self.remembers
 
-    def at(self, time: ArrayLike | Clock) -> Assembly:
+    def at(self, time: ArrayLike | Clock) -> Self:
         """The system as it is at a time [s]: schedules replaced by their values."""
         if not self.depends_on_time:
             return self
@@ -85,11 +85,11 @@ class Assembly:
         return self._replaced(lambda tree: at_clock(tree, clock))
 
     @property
-    def at_largest(self) -> Assembly:
+    def at_largest(self) -> Self:
         """The system with every schedule at the bound on its size."""
         return self._replaced(at_largest) if self.depends_on_time else self
 
-    def _replaced(self, function: Callable[[Any], Any]) -> Assembly:
+    def _replaced(self, function: Callable[[Any], Any]) -> Self:
         """With a function of every member, rod by rod, and of the couplings."""
         members = {
             name: jax.vmap(function)(member) if is_group(member) else function(member)
