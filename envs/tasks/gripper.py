@@ -9,14 +9,14 @@ side and between 0.11 m and 0.2 m above the table.
 The ball (radius 0.03 m, 23 g) begins at rest on the table, up to `spread` from the
 middle along x and along y, below the open fingers. It is to be brought 0.07 m above
 where it lay. The reward of a control step is what the score gains in it, so the return
-of an episode is how much higher the score is at its end; it is about 8 at the start,
-and about 95 with the ball held up:
+of an episode is how much higher the score is at its end; it is about 0 at the start,
+and about 90 with the ball held up:
 
 | points | for |
 |---:|---|
-| 20 | nearness of the ball to the point between the fingers, 0.08 m below the wrist |
-| 20 | nearness to the ball of the tip that is furthest from it |
-| 60 | the height of the ball over where it lay, up to 0.07 m |
+| 20 | nearness of the ball to the point between the fingers, 0.07 m below the wrist |
+| 30 | with the ball between the fingers, nearness of their tips to its lowest point |
+| 50 | the height of the ball over where it lay, up to 0.07 m |
 
 An episode lasts 80 control steps (4 s). Observed, in this order, everything divided by
 the unit in brackets:
@@ -51,7 +51,6 @@ from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.gripper_body import (
     BALL,
     HIGHEST,
-    LENGTH,
     N_FINGERS,
     GripperBody,
     gripper_body,
@@ -75,7 +74,7 @@ SPEED = 0.2
 """Of the wrist for a control value of one [m/s]."""
 LOWEST, ASIDE = 0.11, 0.04
 """Height of the wrist above the table at least, its way to every side at most [m]."""
-GRASP = 0.08
+GRASP = 0.07
 """How far the point between the fingers is below the wrist [m]."""
 LIFT = 0.07
 """How far the ball is to be lifted [m]."""
@@ -280,10 +279,14 @@ def _score(state: GripperState) -> Float[Array, ""]:
     place = state.body["ball"].positions[:, 0]
     apart = vectors.safe_norm(vectors.split(place - _between(state)))
     start = HIGHEST - GRASP - BALL
-    tips = vectors.split((state.body["fingers"].positions[:, :, -1] - place[None, :]).T)
-    furthest = jnp.max(vectors.safe_norm(tips)) - BALL
+    lowest = place - jnp.asarray([0.0, 0.0, BALL], place.dtype)
+    tips = state.body["fingers"].positions[:, :, -1] - lowest[None, :]
+    furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
-    return 20 * (1 - apart / start) + 20 * (1 - furthest / LENGTH) + 60 * lifted
+    # Fingers that close above the ball gain nothing: they could not get around it.
+    around = jnp.clip(1.5 - apart / BALL, 0, 1)
+    closed = jnp.clip(1 - furthest / (2 * BALL), 0, 1)
+    return 20 * (1 - apart / start) + 30 * around * closed + 50 * lifted
 
 
 def gripper(
