@@ -18,7 +18,6 @@ import jaxrod
 
 SCENES = (
     "octopus",
-    "gripper",
     "snake",
     "plectoneme",
     "flagella",

@@ -135,14 +135,14 @@ def _measured(
 ) -> np.ndarray:
     group = jnp.ndim(system.members[name].rod.rest_lengths) > 1  # type: ignore[union-attr]
 
-    def at_frame(frame: tuple[Any, Any]) -> Any:
+    def at_frame(given: System, frame: tuple[Any, Any]) -> Any:
         state, time = frame
-        member = system.at(time).recalling(state).members[name]
+        member = given.at(time).recalling(state).members[name]
         measure = jax.vmap(field) if group else field
         return jnp.asarray(measure(member, state[name]))
 
     clock = jnp.asarray(times, system.dtype)
-    measured = np.asarray(jax.jit(lambda x: jax.lax.map(at_frame, x))((states, clock)))
+    measured = np.asarray(_over_frames(at_frame, system, (states, clock)))
     # One number for all of a rod.
     return measured[..., None] if measured.ndim == 1 + group else measured
 
@@ -195,9 +195,9 @@ def _contact_forces(
     """Forces of contact at the nodes of all rods [N]."""
     rods = [k for k, m in system.members.items() if isinstance(m, Scene)]
 
-    def at_frame(frame: tuple[Any, Any]) -> dict[str, Any]:
+    def at_frame(given: System, frame: tuple[Any, Any]) -> dict[str, Any]:
         state, time = frame
-        now = system.at(time).recalling(state)
+        now = given.at(time).recalling(state)
         assert isinstance(now, System)
         total = {name: jnp.zeros_like(state[name].positions) for name in rods}
         for name in rods:
@@ -220,12 +220,23 @@ def _contact_forces(
         return total
 
     clock = jnp.asarray(times, system.dtype)
-    found = jax.jit(lambda x: jax.lax.map(at_frame, x))((states, clock))
+    found = _over_frames(at_frame, system, (states, clock))
     flat = lambda x: np.moveaxis(np.asarray(x), -2, -1).reshape(len(times), -1, 3)
     origins = np.concatenate([flat(states[name].positions) for name in rods], axis=1)
     vectors = np.concatenate([flat(found[name]) for name in rods], axis=1)
     arrows = Arrows(origins, vectors, "contact force [N]")
     return (checked_arrows(0, arrows, times),)
+
+
+def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -> Any:
+    """What a function of a model and a frame gives at every frame.
+
+    The model is an argument of the program: as a constant in it, it would be worked
+    with while compiling, for minutes.
+    """
+    return jax.jit(lambda m, x: jax.lax.map(lambda one: at_frame(m, one), x))(
+        model, frames
+    )
 
 
 def _on_rod(scene: Scene, state: Any) -> Any:

@@ -14,7 +14,6 @@ DOCS = FOLDER.parent / "docs"
 # octopus' is nothing, and is measured in lengths.
 WHOLE = {
     "octopus": 1e-6,
-    "gripper": 0.02,
     "snake": 0.02,
     "plectoneme": 1e-3,
     "flagella": 0.03,
