@@ -67,7 +67,7 @@ CONTROL_PERIOD = 0.05
 """Time between actions [s]."""
 LARGEST_CHANGE = 0.5
 """Of a control value from one control step to the next [1]."""
-STEPS_PER_ELEMENT = 20
+STEPS_PER_ELEMENT = 24
 """Simulation steps of a control step, per element of a finger: about 0.95 of the
 stability bound at full pressure."""
 SPEED = 0.2
@@ -302,7 +302,7 @@ def gripper(
     Args:
         variant: "clean", the only one: the library's own physics.
         n_elements: Elements of every finger, at least 4.
-        substeps: Simulation steps per control step of 50 ms; by default 20 per element.
+        substeps: Simulation steps per control step of 50 ms; by default 24 per element.
         episode_length: Control steps per episode.
         spread: Largest distance of the ball from the middle at the start, along x and
             along y, up to 0.03 m [m].
