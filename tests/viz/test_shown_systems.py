@@ -359,4 +359,5 @@ def test_contact_between_rods_is_shown_with_lists_and_without(law, lists):
     assert push[2] > 0.05
     (arrows,) = shown.arrows
     up = arrows.vectors[0][:, 2]
-    assert np.sum(up[up > 0]) == pytest.approx(push[2], rel=0.02)
+    # The shortest arrows are left out.
+    assert np.sum(up[up > 0]) == pytest.approx(push[2], rel=0.05)
