@@ -12,14 +12,11 @@ import sys
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
-jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-
-import jaxrod  # noqa: E402
-from benchmarks.plectoneme import scene  # noqa: E402
+import jaxrod
+from benchmarks.plectoneme import scene
 
 EVERY = 2.5
 """Between rows [s]."""
@@ -27,6 +24,7 @@ EVERY = 2.5
 
 def main(n: int = 50, seconds: float = 50.0, count: float | None = None) -> None:
     """Steps both and prints a table."""
+    jax.config.update("jax_enable_x64", True)
     dt = scene.time_step(n)
     if count is None:
         count = scene.pairs_counted(n, 0.05)

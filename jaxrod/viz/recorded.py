@@ -231,8 +231,7 @@ def _contact_forces(
 def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -> Any:
     """What a function of a model and a frame gives at every frame.
 
-    The model is an argument of the program: as a constant in it, it would be worked
-    with while compiling, for minutes.
+    The model is an argument of the program, as in runs, and no constant in it.
     """
     return jax.jit(lambda m, x: jax.lax.map(lambda one: at_frame(m, one), x))(
         model, frames

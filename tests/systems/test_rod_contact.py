@@ -111,6 +111,41 @@ def test_collision_keeps_momenta(record):
         )
 
 
+@pytest.mark.slow
+def test_contact_of_three_rods_is_that_of_every_two():
+    """Of as many elements as differ, so that no load may go to another's segment."""
+    made = {
+        "one": rod(3, 0.3),
+        "two": rod(4, 0.3, (0.1, -0.1, 0.0), (0.1, 1, 0.2)),
+        "three": rod(5, 0.3, (0, 0.015, 0.03), (1, 0.1, -0.02)),
+    }
+    state = {
+        name: replace(own, velocities=own.velocities.at[:, 1:].add(0.1 * k))
+        for k, (name, (_, own)) in enumerate(made.items())
+    }
+    law = {"damping": 1.0, "friction": 0.4, "points_per_element": 3}
+
+    def of(*names):
+        system = jaxrod.make_system(
+            {name: jaxrod.make_scene(made[name][0]) for name in names},
+            jaxrod.rod_contact(*names, stiffness=STIFFNESS, **law),
+        )
+        return loads_of(system, {name: state[name] for name in names})
+
+    loads, energy = of("one", "two", "three")
+    pairs = [of("one", "two"), of("one", "three"), of("two", "three")]
+    np.testing.assert_allclose(energy, sum(e for _, e in pairs), rtol=1e-13)
+    for name, own in loads.items():
+        parts = [each[name] for each, _ in pairs if name in each]
+        assert len(parts) == 2
+        for field in ("forces", "couples"):
+            alone = [np.stack(getattr(part, field)) for part in parts]
+            assert min(np.max(np.abs(part)) for part in alone) > 1e-6, (name, field)
+            np.testing.assert_allclose(
+                np.stack(getattr(own, field)), sum(alone), rtol=0, atol=1e-12
+            )
+
+
 def test_loads_are_minus_the_gradient_of_the_energy():
     system, state = touching(
         rod(5, 0.3), rod(4, 0.3, (0.1, -0.1, 0.01), (0.1, 1, 0.2)), points_per_element=2
