@@ -24,6 +24,8 @@ SCENES = (
     "cilia",
     "tendon_arm",
     "pneumatic_arm",
+    "gripper",
+    "knot",
 )
 HEAD = """\
 # Gallery

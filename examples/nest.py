@@ -1,14 +1,20 @@
-"""A nest: rods laid into a cylinder in layers settle. `python examples/nest.py 500`."""
+"""A nest: rods laid into a cylinder, layer upon layer, fall and settle on each other.
 
-import sys
-import time
+What floor and wall bear in the end is their weight. Run it with
+`python examples/nest.py`; how fast the nest of any size runs `benchmarks/nest_speed.py`
+measures.
+"""
 
+import gallery
 import jax
 import jax.numpy as jnp
 
 import jaxrod
 
 N_ELEMENTS, LENGTH, RADIUS, WALL, PER_LAYER = 8, 0.1, 0.002, 0.08, 10
+DENSITY, END = 1e3, 1.6  # [kg/m^3], [s]
+NUMBER = "N that floor and wall bear in the end, and the weight"
+LOOK = {"frame": -1, "azimuth": 30, "elevation": 35, "field": "speed [m/s]"}
 
 
 def into_wall(point, radius):
@@ -24,7 +30,7 @@ def rod_in_layer(number):
     middle = jnp.stack([-aside * s, aside * c, (1.2 + 2.2 * layer) * RADIUS])
     shape = {"length": LENGTH, "radius": RADIUS, "direction": along}
     shape["start"] = middle - 0.5 * LENGTH * along
-    return jaxrod.straight_rod(N_ELEMENTS, density=1e3, youngs_modulus=1e6, **shape)
+    return jaxrod.straight_rod(N_ELEMENTS, density=DENSITY, youngs_modulus=1e6, **shape)
 
 
 def scene(rod):
@@ -47,12 +53,28 @@ def nest(n_rods=200):
     return system, state, jaxrod.stable_dt(system).dt
 
 
+def build(n_rods=150):
+    """The nest, its state and the time step."""
+    system, state, dt = nest(n_rods)
+    return system, state, float(dt)
+
+
+def run(share=1.0):
+    """A replay, the vertical force on all rods together, and their weight."""
+    system, state, dt = build()
+    every = int(END / dt / 120)
+    n = int(120 * share) * every
+    states = jaxrod.rollout(system, state, dt, n, every)
+    times = jaxrod.rollout_times(dt, n, every)
+    fields = {"speed [m/s]": jaxrod.viz.speed}
+    shown = {"fields": fields, "forces": True, "title": "Nest"}
+    replay = jaxrod.viz.Replay.from_states(system, states, times, **shown)
+    # What rods do to each other adds up to nothing.
+    late = replay.arrows[0].vectors[-len(times) // 4 :, :, 2]
+    rods = system.members["rods"].rod
+    mass = jnp.sum(rods.linear_density * rods.rest_lengths)
+    return replay, float(late.sum(axis=1).mean()), float(9.81 * mass)
+
+
 if __name__ == "__main__":
-    jaxrod.configure_cpu()
-    system, state, dt = nest(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
-    for _ in range(5):
-        begin = time.perf_counter()
-        state = jax.block_until_ready(jaxrod.advance(system, state, dt, 500))
-        took = time.perf_counter() - begin
-        print(f"{500 / took:.0f} steps/s, {state['neighbours'].used:.0f} pairs listed")
-    print("flagged:", bool(jaxrod.health(system, state, dt).flagged))
+    gallery.show(__file__, run, NUMBER, LOOK)

@@ -20,6 +20,8 @@ WHOLE = {
     "cilia": 0.01,
     "tendon_arm": 5e-3,
     "pneumatic_arm": 5e-3,
+    "gripper": 0.03,
+    "knot": 0.03,
 }
 
 
