@@ -26,6 +26,7 @@ SCENES = (
     "pneumatic_arm",
     "gripper",
     "knot",
+    "nest",
 )
 HEAD = """\
 # Gallery
