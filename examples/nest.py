@@ -13,7 +13,7 @@ import jaxrod
 N_ELEMENTS, LENGTH, RADIUS, WALL, PER_LAYER = 8, 0.1, 0.002, 0.08, 10
 DENSITY, END = 1e3, 2.0  # [kg/m^3], [s]
 NUMBER = "radii that rods are in each other in the end, and none"
-LOOK = {"frame": -1, "azimuth": 30, "elevation": 35, "field": "speed [m/s]"}
+LOOK = {"frame": -1, "azimuth": 30, "elevation": 68, "field": "height [m]"}
 
 
 def into_wall(point, radius):
@@ -46,7 +46,7 @@ def nest(n_rods=200):
     rods, state = jax.vmap(rod_in_layer)(jnp.arange(n_rods))
     # For the nest that it becomes, which is denser than what is laid in.
     room = {"pairs": 80 * n_rods, "candidates": 320 * n_rods}
-    lists = jaxrod.neighbour_lists(skin=1.0, refresh_every=16, **room)
+    lists = jaxrod.neighbour_lists(skin=1.0, refresh_every=12, **room)
     touch = {"stiffness": 1e3, "damping": 0.02, "friction": 0.3, "partners": 4}
     contact = jaxrod.crossing_contact("rods", **touch, lists=lists)
     scenes, state = {"rods": jax.vmap(scene)(rods)}, {"rods": state}
@@ -67,7 +67,8 @@ def run(share=1.0):
     n = int(120 * share) * every
     states = jaxrod.rollout(system, state, dt, n, every)
     times = jaxrod.rollout_times(dt, n, every)
-    shown = {"fields": {"speed [m/s]": jaxrod.viz.speed}, "title": "Nest"}
+    height = lambda scene, rod: rod.positions[2]
+    shown = {"fields": {"height [m]": height}, "title": "Nest"}
     replay = jaxrod.viz.Replay.from_states(system, states, times, **shown)
     health = jaxrod.health(system, jax.tree.map(lambda x: x[-1], states), dt)
     # Not a number where a contact may have been missed, or anything else is wrong.
