@@ -28,10 +28,7 @@ FOLDERS = (
     "tests/physics",
     "tests/extremes",
     "tests/systems",
-    "tests/pyelastica/test_side_by_side.py",
-    "tests/pyelastica/test_contact_side_by_side.py",
-    "tests/pyelastica/test_slender_body.py",
-    "tests/pyelastica/test_waves_side_by_side.py",
+    "tests/pyelastica",
     "tests/envs/test_clean_problem.py",
     "tests/envs/test_clean_obstacles.py",
 )
