@@ -1,6 +1,6 @@
 """Measures systems and scenes with contact on one core, and PyElastica's beside them.
 
-    python -m benchmarks.system_speed [--seconds 2] [snake joint plectoneme]
+    python -m benchmarks.system_speed [--seconds 2] [snake joint plectoneme muscular]
 
 Each scene is built in both libraries with the same rods and equally many elements, in
 float64. Printed for both: processor time of a step; the step that each is run with
@@ -37,6 +37,7 @@ class Scene(NamedTuple):
     step: Callable[[], None]
     """Steps PyElastica's once."""
     their_dt: float
+    their_rods: tuple[Any, ...] = ()
 
 
 def simulator(*features: str) -> Any:
@@ -60,7 +61,7 @@ def stepping(collection: Any, dt: float) -> Callable[[], None]:
     return step
 
 
-def snake(n: int = 50) -> Scene:
+def snake(n: int = 50, their_dt: float = 1e-4) -> Scene:
     """The continuum snake: a wave of couples, anisotropic friction of the ground."""
     import elastica as ea
 
@@ -138,13 +139,14 @@ def snake(n: int = 50) -> Scene:
         kinetic_mu_array=friction,
     )
     theirs.dampen(their_rod).using(
-        ea.AnalyticalLinearDamper, damping_constant=2e-3, time_step=1e-4
+        ea.AnalyticalLinearDamper, damping_constant=2e-3, time_step=their_dt
     )
     dt = float(jaxrod.stable_dt(scene).dt)
-    return Scene(scene, state, dt, stepping(theirs, 1e-4), 1e-4)
+    step = stepping(theirs, their_dt)
+    return Scene(scene, state, dt, step, their_dt, (their_rod,))
 
 
-def joint(n: int = 10) -> Scene:
+def joint(n: int = 10, their_dt: float = 1e-5) -> Scene:
     """Two rods, the first clamped, that share a node and turn freely there."""
     import elastica as ea
 
@@ -193,7 +195,9 @@ def joint(n: int = 10) -> Scene:
         )
         theirs.append(rods[-1])
         theirs.dampen(rods[-1]).using(
-            ea.AnalyticalLinearDamper, uniform_damping_constant=4.0, time_step=1e-5
+            ea.AnalyticalLinearDamper,
+            uniform_damping_constant=4.0,
+            time_step=their_dt,
         )
     theirs.constrain(rods[0]).using(
         ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,)
@@ -208,7 +212,8 @@ def joint(n: int = 10) -> Scene:
         ea.EndpointForces, np.zeros(3), np.asarray([0.05, 0.0, 0.0]), ramp_up_time=1e-9
     )
     dt = float(jaxrod.stable_dt(system).dt)
-    return Scene(system, state, dt, stepping(theirs, 1e-5), 1e-5)
+    step = stepping(theirs, their_dt)
+    return Scene(system, state, dt, step, their_dt, tuple(rods))
 
 
 def plectoneme(n: int = 150) -> Scene:
@@ -235,8 +240,13 @@ def plectoneme(n: int = 150) -> Scene:
         length,
         radius,
         position=positions,
+        directors=np.asarray(state["rope"].directors),
         **numbers,
     )
+    # At rest as it is wound, as ours.
+    their_rod.compute_internal_forces_and_torques(np.float64(0.0))
+    their_rod.rest_sigma[:] = their_rod.sigma
+    their_rod.rest_kappa[:] = their_rod.kappa
     theirs.append(their_rod)
     theirs.dampen(their_rod).using(
         ea.AnalyticalLinearDamper, uniform_damping_constant=4.0, time_step=1e-5
@@ -246,6 +256,22 @@ def plectoneme(n: int = 150) -> Scene:
     )
     dt = float(jaxrod.stable_dt(system).dt)
     return Scene(system, state, dt, stepping(theirs, 1e-5), 1e-5)
+
+
+def muscular() -> Scene:
+    """PyElastica's muscular snake: nine rods, eight of them glued to the first."""
+    import elastica as ea
+
+    from benchmarks.muscular_snake.scene import STEP, ours, theirs
+
+    system, state = ours()
+    simulator, _ = theirs()
+    stepper, clock = ea.PositionVerlet(), [np.float64(0.0)]
+
+    def step() -> None:
+        clock[0] = stepper.step(simulator, clock[0], np.float64(STEP))
+
+    return Scene(system, state, float(jaxrod.stable_dt(system).dt), step, STEP)
 
 
 def wound(n: int, length: float, radius: float) -> np.ndarray:
@@ -270,6 +296,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "snake": snake,
     "joint": joint,
     "plectoneme": plectoneme,
+    "muscular": muscular,
 }
 
 

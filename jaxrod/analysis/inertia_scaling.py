@@ -23,7 +23,7 @@ from jaxrod.analysis.frequency import no_damping
 from jaxrod.analysis.modes import natural_frequencies
 from jaxrod.analysis.stability import frequency_bounds, stable_dt
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_moment, check_scene
+from jaxrod.scene import Scene, check_scene
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
 
@@ -62,7 +62,8 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     the couples they stand for grow with it.
 
     Args:
-        scene: The scene; effects and damping are as before.
+        scene: The scene; effects and damping are as before. Of a schedule, the bound
+            on its size counts.
         dt: Step size to be made stable [s].
 
     Returns:
@@ -72,7 +73,7 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
         ValueError: If `dt` is above what stretch and twist allow.
     """
     check_scene(scene)
-    check_moment(scene)
+    given, scene = scene, scene.at_largest
     dtype = scene.rod.rest_lengths.dtype
     before = stable_dt(scene, 1.0).dt
     others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
@@ -90,7 +91,8 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
         unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)
         factors = _factors(scene, step, unlimited)
     scaled = _scaled(scene, factors)
-    return InertiaScaling(scaled, factors, before, stable_dt(scaled, 1.0).dt)
+    now = stable_dt(scaled, 1.0).dt
+    return InertiaScaling(replace(given, rod=scaled.rod), factors, before, now)
 
 
 def frequency_changes(

@@ -1,15 +1,19 @@
 """Entries of a row: picked out, replaced, added up, by indices that are structure.
 
 Without scatters: each entry of a row asks which values are for it. Sums are therefore
-the same in every run, on every device. A few indices are compared one by one, more are
-compared with all entries at once, which fuses with its surroundings and is the same
-kind of program when it is transposed; very many go by a table.
+the same in every run, on every device. Neighbours that go to neighbours are cut out and
+put in together, which costs no more than they are many. Of others a few are compared
+one by one, more are compared with all entries at once, which fuses with its
+surroundings and is the same kind of program when it is transposed; very many go by a
+table.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -18,6 +22,8 @@ from jaxrod.systems.places import Indices
 
 FEW = 8
 """Indices that are compared one by one."""
+MOST_STRETCHES = 16
+"""Stretches of consecutive indices that are cut out and put in one by one."""
 MOST_COMPARED = 2**22
 """Pairs of an index and an entry that are compared at once.
 
@@ -28,6 +34,10 @@ As many as that: in reverse mode XLA's CPU compiler (0.10.1, with the fusion tha
 def picked(row: Array, index: Indices) -> Array:
     """Entries of a row."""
     size = row.shape[0]
+    stretches = _stretches(index)
+    if stretches is not None:
+        cut = [row[k : k + last - first] for k, first, last in stretches]
+        return cut[0] if len(cut) == 1 else jnp.concatenate(cut)
     if len(index) <= FEW:
         return jnp.stack([row[int(k)] for k in index.values])
     if len(index) * size <= MOST_COMPARED:
@@ -38,7 +48,7 @@ def picked(row: Array, index: Indices) -> Array:
 def replaced(row: Array, index: Indices, values: Array) -> Array:
     """A row with other entries at some indices, each of them there once."""
     size = row.shape[0]
-    if len(index) <= FEW:
+    if _stretches(index) is None and len(index) <= FEW:
         numbers = np.arange(size)
         for k, place in enumerate(index.values):
             row = jnp.where(numbers == place, values[k], row)
@@ -50,6 +60,14 @@ def replaced(row: Array, index: Indices, values: Array) -> Array:
 
 def summed(values: Array, index: Indices, size: int) -> Array:
     """A row of a size to which values are added at their indices."""
+    stretches = _stretches(index)
+    if stretches is not None:
+        zero = jnp.zeros((), values.dtype)
+        widened = [
+            jax.lax.pad(values[first:last], zero, [(k, size - k - last + first, 0)])
+            for k, first, last in stretches
+        ]
+        return functools.reduce(jnp.add, widened)
     if len(index) <= FEW:
         numbers = np.arange(size)
         total = jnp.zeros(size, values.dtype)
@@ -61,6 +79,22 @@ def summed(values: Array, index: Indices, size: int) -> Array:
     padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
     return functools.reduce(
         jnp.add, [padded[entries] for entries in _table(index, size)]
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
+    """Consecutive indices: the first of them, and from and to which they are listed.
+
+    `None` if they are too many, or no fewer than half the indices.
+    """
+    cuts = np.flatnonzero(np.diff(index.values) != 1) + 1
+    bounds = [0, *cuts.tolist(), len(index)]
+    if len(bounds) - 1 > MOST_STRETCHES or 2 * (len(bounds) - 1) > max(len(index), 2):
+        return None
+    return tuple(
+        (int(index.values[first]), first, last)
+        for first, last in itertools.pairwise(bounds)
     )
 
 

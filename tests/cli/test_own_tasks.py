@@ -15,7 +15,7 @@ from jaxrod.cli import settings, train
 from jaxrod.envs import make
 from jaxrod.envs.gym import GymnasiumEnv
 from jaxrod.envs.registry import made
-from jaxrod.training.runs.progress import ProgressBar
+from jaxrod.training.progress import ProgressBar
 
 MODULE = """
 import dataclasses

@@ -16,7 +16,7 @@ from jaxrod import cli
 from jaxrod.cli import settings, train
 from jaxrod.installation import backend
 from jaxrod.training import PPOConfig
-from jaxrod.training.runs.progress import ProgressBar
+from jaxrod.training.progress import ProgressBar
 
 CONTRACT = {
     "final_score",

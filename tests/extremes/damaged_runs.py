@@ -25,7 +25,7 @@ import numpy as np
 import jaxrod
 from extremes import damage
 from jaxrod import cli
-from jaxrod.training.runs.progress import ProgressBar
+from jaxrod.training.progress import ProgressBar
 
 RUN = ["trivial", "--num-envs", "8", "--set", "rollout_steps=16"]
 RUN += ["--set", "hidden_sizes=8", "--set", "epochs=2", "--set", "minibatches=2"]

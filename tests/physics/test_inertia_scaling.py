@@ -86,6 +86,19 @@ def test_it_works_under_transformations():
     np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
+def test_of_a_schedule_its_largest_size_counts():
+    scene, _ = rope()
+    pull = jaxrod.end_load(jaxrod.sine((0.0, 0.0, 5.0), 0.5))
+    held = jaxrod.end_load((0.0, 0.0, 5.0))
+    moving, still = (
+        jaxrod.scale_inertia(replace(scene, effects=(*scene.effects, effect)))
+        for effect in (pull, held)
+    )
+    assert moving.scene.effects[-1] is pull
+    assert np.array_equal(moving.factors, still.factors)
+    assert moving.gain == still.gain > 2
+
+
 def test_a_step_beyond_the_other_limits_is_refused():
     scene, _ = rope()
     with pytest.raises(ValueError, match=r"dt must be below 0.0002 s, where stretch"):

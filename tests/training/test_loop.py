@@ -28,7 +28,7 @@ from jaxrod.training import (
     load_policy,
     train,
 )
-from jaxrod.training.runs.progress import ProgressBar, progress_line
+from jaxrod.training.progress import ProgressBar, progress_line
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)
@@ -330,17 +330,21 @@ def test_a_run_may_have_more_steps_than_32_bits_count():
     assert int(found.state.total_updates) == -(-steps // 128)
 
 
-def test_progress_line_tells_steps_speed_return_and_time_left():
-    line = progress_line(2_500_000, 10_000_000, 50_000, 9876.5)
+def test_progress_line_tells_steps_speed_time_left_and_what_is_reached():
+    line = progress_line(2_500_000, 10_000_000, "steps", 50_000, "return 9,876.5")
     for part in ("25%", "2.5M/10M", "50,000 steps/s", "9,876.5", "2:30 left"):
         assert part in line
+    slow = progress_line(25, 100, "steps", 0.5, "")
+    assert "0.5 steps/s  2:30 left" in slow
+    unknown = progress_line(1, 100, "steps", 0, "")
+    assert "left" not in unknown and "steps/s" not in unknown
 
 
 def test_progress_in_a_log_file_is_a_few_lines():
     stream = io.StringIO()
-    bar = ProgressBar(1000, stream=stream)
+    bar = ProgressBar(1000, "steps", stream=stream)
     for done in range(1, 1001):
-        bar.update(done, None)
+        bar.update(done, "")
     assert len(stream.getvalue().splitlines()) == 10
     assert "\r" not in stream.getvalue()
 

@@ -21,6 +21,7 @@ from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.policy import Policy
 from jaxrod.training.policy_files import save_policy
+from jaxrod.training.progress import ProgressBar
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import check_state, updates_of
 from jaxrod.training.runs.devices import (
@@ -31,7 +32,6 @@ from jaxrod.training.runs.devices import (
 )
 from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.interruption import Interruption
-from jaxrod.training.runs.progress import ProgressBar
 from jaxrod.training.runs.resuming import facts_of, restore, stored
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
@@ -151,7 +151,12 @@ class Run:
             print(f"compiling {self.learner.name} for {self.env.name}", file=sys.stderr)
         update = compile_updates(self.learner, self.state, self.capacity, self.mesh)
         compiled = saved = time.monotonic()
-        bar = ProgressBar(self.total * self.per_update, self.env_steps, self.show)
+        bar = ProgressBar(
+            self.total * self.per_update,
+            "steps",
+            done=self.env_steps,
+            enabled=self.show,
+        )
         with Interruption(bar.message) as interruption:
             while self.done < self.total and not interruption.asked:
                 count = min(self.capacity, self.total - self.done)
@@ -197,7 +202,8 @@ class Run:
             self.folder.episodes.append(new)
         if self.log:
             self.log(row)
-        bar.update(self.env_steps, recent)
+        earned = "-" if recent is None else f"{recent:,.1f}"
+        bar.update(self.env_steps, f"return {earned}")
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:

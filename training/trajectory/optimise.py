@@ -20,6 +20,7 @@ import optax
 from jaxtyping import Array
 
 from jaxrod.stepping.checks import check_step
+from jaxrod.training.progress import ProgressBar
 from jaxrod.training.settings import LARGEST_COUNT
 from jaxrod.training.trajectory.actuated_arm import ActuatedArm, actuated_arm
 from jaxrod.training.trajectory.cost import (
@@ -29,7 +30,6 @@ from jaxrod.training.trajectory.cost import (
     record_trajectory,
     time_steps,
 )
-from jaxrod.training.trajectory.progress import TrajectoryProgress
 from jaxrod.training.trajectory.result import (
     Reason,
     TrajectoryHistory,
@@ -141,7 +141,7 @@ def optimise_trajectory(
     update = jax.jit(_updater(optimiser))
     memory = optimiser.init(knots)
 
-    bar = TrajectoryProgress(iterations, progress)
+    bar = ProgressBar(iterations, "steps", done=1, enabled=progress)
     rows: list[tuple[float, ...]] = []
     best, best_loss = knots, np.inf
     reason: Reason = "max iterations"
@@ -161,8 +161,10 @@ def optimise_trajectory(
             rows.append((loss, distance, speed, norm, time.monotonic() - began))
             if iteration == 0:
                 compile_s = rows[0][-1]
-                bar.compiled(compile_s)
-            bar.update(iteration + 1, loss, distance)
+                bar.restart()
+                bar.message(f"ready after {compile_s:.1f} s (the first call compiles)")
+            reached = f"loss {loss:.2e}  tip {1e3 * distance:.1f} mm from target"
+            bar.update(iteration + 1, reached)
             if not np.isfinite([loss, norm]).all():
                 reason = "not finite"
                 break

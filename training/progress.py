@@ -1,4 +1,4 @@
-"""A progress bar on stderr: steps, steps/s, return, time left."""
+"""A progress bar on stderr: how far, how fast, what is reached, time left."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ _WIDTH = 24
 
 
 class ProgressBar:
-    """Shows how far a run is.
+    """Shows how far a run or an optimisation is.
 
-    On a terminal one line is redrawn; elsewhere (a log file) a line is printed
-    whenever another tenth is done or half a minute has passed.
+    On a terminal one line is redrawn; elsewhere (a notebook, a log file) a line is
+    printed whenever another tenth is done or half a minute has passed.
     """
 
     def __init__(
         self,
         total: int,
+        unit: str,
+        *,
         done: int = 0,
         enabled: bool = True,
         stream: TextIO | None = None,
@@ -27,33 +29,38 @@ class ProgressBar:
         """Starts the clock.
 
         Args:
-            total: control steps of the whole run.
-            done: control steps done already, when a run is continued.
+            total: The most there will be to do.
+            unit: What is counted, in the plural.
+            done: How many are done before the clock is started.
             enabled: False shows nothing.
-            stream: where to write; stderr by default.
+            stream: Where to write; stderr by default.
         """
         self._total = total
+        self._unit = unit
         self._start = done
         self._enabled = enabled
         self._stream = sys.stderr if stream is None else stream
         self._live = self._stream.isatty()
-        self._began = self._printed = time.monotonic()
         self._tenths = 10 * done // total
         self._open = False
+        self.restart()
 
-    def update(self, done: int, episode_return: float | None) -> None:
-        """Shows the state of the run.
+    def restart(self) -> None:
+        """Starts the clock anew: what took time so far was not what is counted."""
+        self._began = self._printed = time.monotonic()
+
+    def update(self, done: int, reached: str) -> None:
+        """Shows the state.
 
         Args:
-            done: control steps done.
-            episode_return: mean return of the last episodes, None before any.
+            done: How many are done.
+            reached: What is reached, in words.
         """
         if not self._enabled:
             return
         now = time.monotonic()
-        elapsed = max(now - self._began, 1e-9)
-        rate = (done - self._start) / elapsed
-        line = progress_line(done, self._total, rate, episode_return)
+        rate = (done - self._start) / max(now - self._began, 1e-9)
+        line = progress_line(done, self._total, self._unit, rate, reached)
         if self._live:
             width = shutil.get_terminal_size().columns - 1
             self._write(f"\r{line[:width]:<{width}}")
@@ -80,18 +87,26 @@ class ProgressBar:
         self._stream.flush()
 
 
-def progress_line(
-    done: int, total: int, rate: float, episode_return: float | None
-) -> str:
-    """The text of the bar, for `done` of `total` steps at `rate` steps/s."""
+def progress_line(done: int, total: int, unit: str, rate: float, reached: str) -> str:
+    """The text of the bar.
+
+    Args:
+        done: How many are done.
+        total: The most there will be.
+        unit: What is counted, in the plural.
+        rate: How many a second; 0 before it is known.
+        reached: What is reached, in words.
+    """
     filled = min(_WIDTH, _WIDTH * done // total)
     bar = "#" * filled + "-" * (_WIDTH - filled)
-    earned = "-" if episode_return is None else f"{episode_return:,.1f}"
-    left = f"{_clock((total - done) / rate)} left" if rate > 0 else ""
-    return (
-        f"[{bar}] {min(100, 100 * done // total):3d}%  {_short(done)}/{_short(total)} "
-        f"steps  {rate:,.0f} steps/s  return {earned}  {left}"
+    line = (
+        f"[{bar}] {min(100, 100 * done // total):3d}%  "
+        f"{_short(done)}/{_short(total)} {unit}"
     )
+    if rate > 0:
+        speed = f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
+        line += f"  {speed} {unit}/s  {_clock((total - done) / rate)} left"
+    return f"{line}  {reached}"
 
 
 def _short(count: int) -> str:
