@@ -74,8 +74,8 @@ RATE = 10.0
 SPEED = 0.2
 """Of the wrist along each axis, at most [m/s]."""
 STEPS_PER_ELEMENT = 48
-"""Simulation steps of a control step, per element of a finger: about 0.95 of the
-stability bound at full pressure."""
+"""Simulation steps of a control step, per element of a finger: 0.82 of the stability
+bound at full pressure."""
 LOWEST, ASIDE = 0.11, 0.02
 """Height of the wrist above the table at least, its way to every side at most [m]."""
 GRASP = 0.07
