@@ -28,25 +28,30 @@ from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.runs.devices import device_mesh, place
 
 ROOT = Path(__file__).resolve().parent.parent
-TASKS = ("tracking", "reaching", "structured", "unstructured")
+ARMS = ("tracking", "reaching", "structured", "unstructured")
+TASKS = (
+    *((name, variant) for name in ARMS for variant in ("clean", "paper")),
+    *((name, "clean") for name in ("snake", "octopus", "gripper")),
+)
 BATCHES = (16, 64, 256)
 """Environments per core."""
-STEPS = 5120
-"""Control steps of a core's environments in one timed call."""
+MOTION = 7.0
+"""Simulated time of a core's environments together in one timed call, about [s]."""
 WINDOWS = 5
 WINDOW_SECONDS = 2.0
 HEADER = """\
 # How fast the tasks are
 
-Written by `python benchmarks/environments.py`; do not edit. Control steps (1.4 ms of
-simulated time each) per second, float32, with {batches} environments
-on each of {cores} cores, under new random actions in every step; medians of {windows}
-windows of {seconds:g} s, compiling not counted. Elements and simulation steps per
-control step are the tasks' own. A large batch is not always the fastest on a CPU.
+Written by `python benchmarks/environments.py`; do not edit. Control steps per second,
+float32, with {batches} environments on each of {cores} cores, under new random
+actions in every step; medians of {windows} windows of {seconds:g} s, compiling not
+counted. The time of a control step, the elements of a rod and the simulation steps per
+control step are the tasks' own: the octopus has eight arms, the gripper three fingers
+and a ball. A large batch is not always the fastest on a CPU.
 {machine}.
 
-| task | variant | elements | steps | {columns} | flagged |
-|---|---|---:|---:|{rule}---:|
+| task | variant | control step [ms] | elements | steps | {columns} | flagged |
+|---|---|---:|---:|---:|{rule}---:|
 """
 
 
@@ -56,7 +61,7 @@ def row(name: str, variant: str) -> str:
     found = [measured(env, batch) for batch in BATCHES]
     speeds = " | ".join(f"{speed:,.0f}" for speed, _ in found)
     flagged = statistics.mean(share for _, share in found)
-    sizes = f"{env.n_elements} | {env.substeps}"
+    sizes = f"{1e3 * env.control_period:.3g} | {env.n_elements} | {env.substeps}"
     return f"| {name} | {variant} | {sizes} | {speeds} | {flagged:.1e} |"
 
 
@@ -66,7 +71,7 @@ def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
     params = env.default_params()
     mesh = device_mesh(jax.devices())
     spread, whole = PartitionSpec(DEVICE_AXIS), PartitionSpec()
-    steps = STEPS // envs_per_core
+    steps = max(1, round(MOTION / env.control_period / envs_per_core))
 
     @jax.jit
     @partial(
@@ -125,11 +130,10 @@ def main() -> int:
         windows=WINDOWS,
         seconds=WINDOW_SECONDS,
     )
-    for name in TASKS:
-        for variant in ("clean", "paper"):
-            line = row(name, variant)
-            print(line, flush=True)
-            page += line + "\n"
+    for name, variant in TASKS:
+        line = row(name, variant)
+        print(line, flush=True)
+        page += line + "\n"
     target = ROOT / "docs" / "environments.md"
     write_atomically(target, page.encode())
     return 0

@@ -24,6 +24,9 @@ SCENES = (
     "cilia",
     "tendon_arm",
     "pneumatic_arm",
+    "gripper",
+    "knot",
+    "nest",
 )
 HEAD = """\
 # Gallery

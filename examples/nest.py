@@ -1,14 +1,19 @@
-"""A nest: rods laid into a cylinder in layers settle. `python examples/nest.py 500`."""
+"""A nest: rods laid into a cylinder, layer upon layer, fall and settle on each other.
 
-import sys
-import time
+Nothing passes through anything. `benchmarks/nest_speed.py` measures how fast nests of
+any size run.
+"""
 
+import gallery
 import jax
 import jax.numpy as jnp
 
 import jaxrod
 
 N_ELEMENTS, LENGTH, RADIUS, WALL, PER_LAYER = 8, 0.1, 0.002, 0.08, 10
+DENSITY, END = 1e3, 2.0  # [kg/m^3], [s]
+NUMBER = "radii that rods are in each other in the end, and none"
+LOOK = {"frame": -1, "azimuth": 30, "elevation": 35, "field": "speed [m/s]"}
 
 
 def into_wall(point, radius):
@@ -24,12 +29,12 @@ def rod_in_layer(number):
     middle = jnp.stack([-aside * s, aside * c, (1.2 + 2.2 * layer) * RADIUS])
     shape = {"length": LENGTH, "radius": RADIUS, "direction": along}
     shape["start"] = middle - 0.5 * LENGTH * along
-    return jaxrod.straight_rod(N_ELEMENTS, density=1e3, youngs_modulus=1e6, **shape)
+    return jaxrod.straight_rod(N_ELEMENTS, density=DENSITY, youngs_modulus=1e6, **shape)
 
 
 def scene(rod):
     """A rod under gravity between floor and wall, in some air."""
-    touch = {"stiffness": 5000.0, "damping": 1.0, "friction": 0.3}
+    touch = {"stiffness": 2e4, "damping": 1.0, "friction": 0.3}
     sides = jaxrod.signed_distance(into_wall, WALL), jaxrod.plane()
     effects = [jaxrod.contact(side, **touch) for side in sides]
     effects += [jaxrod.gravity(), jaxrod.exponential_damping(10.0)]
@@ -39,20 +44,36 @@ def scene(rod):
 def nest(n_rods=200):
     """The system, its state and a stable step."""
     rods, state = jax.vmap(rod_in_layer)(jnp.arange(n_rods))
-    lists = jaxrod.neighbour_lists(skin=1.0, refresh_every=24)
-    touch = {"stiffness": 50.0, "damping": 0.02, "friction": 0.3, "partners": 4}
+    # For the nest that it becomes, which is denser than what is laid in.
+    room = {"pairs": 80 * n_rods, "candidates": 320 * n_rods}
+    lists = jaxrod.neighbour_lists(skin=1.0, refresh_every=16, **room)
+    touch = {"stiffness": 1e3, "damping": 0.02, "friction": 0.3, "partners": 4}
     contact = jaxrod.crossing_contact("rods", **touch, lists=lists)
     scenes, state = {"rods": jax.vmap(scene)(rods)}, {"rods": state}
     system = jaxrod.make_system(scenes, contact, state=state)
     return system, state, jaxrod.stable_dt(system).dt
 
 
+def build(n_rods=150):
+    """The nest, its state and the time step."""
+    system, state, dt = nest(n_rods)
+    return system, state, float(dt)
+
+
+def run(share=1.0):
+    """A replay, and how deep rods are in each other in the end."""
+    system, state, dt = build()
+    every = int(END / dt / 120)
+    n = int(120 * share) * every
+    states = jaxrod.rollout(system, state, dt, n, every)
+    times = jaxrod.rollout_times(dt, n, every)
+    shown = {"fields": {"speed [m/s]": jaxrod.viz.speed}, "title": "Nest"}
+    replay = jaxrod.viz.Replay.from_states(system, states, times, **shown)
+    health = jaxrod.health(system, jax.tree.map(lambda x: x[-1], states), dt)
+    # Not a number where a contact may have been missed, or anything else is wrong.
+    deepest = jnp.where(health.flagged, jnp.nan, health.largest_violation)
+    return replay, float(deepest), 0.0
+
+
 if __name__ == "__main__":
-    jaxrod.configure_cpu()
-    system, state, dt = nest(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
-    for _ in range(5):
-        begin = time.perf_counter()
-        state = jax.block_until_ready(jaxrod.advance(system, state, dt, 500))
-        took = time.perf_counter() - begin
-        print(f"{500 / took:.0f} steps/s, {state['neighbours'].used:.0f} pairs listed")
-    print("flagged:", bool(jaxrod.health(system, state, dt).flagged))
+    gallery.show(__file__, run, NUMBER, LOOK)

@@ -11,6 +11,10 @@ and so smoothly: what a node takes away is what both its segments have there. Ro
 lie side by side count once too, however long they do: the law is for nests, nets and
 knots of long elements. Forces are those of the energy, exactly, and act at one common
 point of both rods.
+
+What is taken away is taken from the spring alone. Dashpots and friction are at the
+nearest places of two segments, as far as these push more than what is taken away there:
+one taken away at another place, which moves otherwise, would feed energy.
 """
 
 from __future__ import annotations
@@ -51,7 +55,13 @@ from jaxrod.systems.segment_distance import (
     products,
 )
 from jaxrod.systems.strands import strands
-from jaxrod.systems.touches import PairLoads, Touch, loads_of, touch_at
+from jaxrod.systems.touches import (
+    PairLoads,
+    Touch,
+    elastic_push,
+    loads_of,
+    touch_at,
+)
 from jaxrod.systems.touching_rods import TouchingRods, same_rod
 from jaxrod.validation import Numbers
 
@@ -175,9 +185,19 @@ class CrossingContact(TouchingRods):
         """Loads of all touches."""
         own, other = pairs.own, pairs.other
         nearest, middle, *nodes = self.touches(a, b, pairs)
-        total = loads_of(nearest, own, other, self.law)
-        for touch in (middle, *nodes):
-            total = total.added(loads_of(touch, own, other, self.law))
+        law = self.law
+        spring = replace(law, damping=None, friction=None, friction_drag=None)
+        pushes = [
+            touch.weight * elastic_push(touch, law)
+            for touch in (nearest, middle, *nodes)
+        ]
+        all_of_it, left = pushes[0] + pushes[1], sum(pushes)
+        pushed = all_of_it > 0
+        share = jnp.clip(left / jnp.where(pushed, all_of_it, 1), 0, 1)
+        total = loads_of(nearest, own, other, law, share)
+        total = total.added(loads_of(middle, own, other, law, share))
+        for touch in nodes:
+            total = total.added(loads_of(touch, own, other, spring))
         way, own_edge, other_edge = self._shifting(nearest, middle, pairs)
         return replace(
             total,

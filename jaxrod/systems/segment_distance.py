@@ -8,9 +8,10 @@ is right whatever rounding does to one of them (compare Eberly, Robust computati
 distance between line segments, 2015).
 
 Where segments are parallel the nearest place is not unique, and a force there would
-jump from end to end. Below $\sin^2\theta = 10^{-2}$ contact at the nearest places gives
+jump from end to end. Below $\sin^2\theta = 10^{-5}$ contact at the nearest places gives
 way, linearly in $\sin^2\theta$, to contact at the middles of where the segments lie
-side by side, which is all there is below $10^{-4}$.
+side by side, which is all there is below $10^{-6}$. No sooner: segments that touch at
+their nearest places only would not touch at their middles.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
-PARALLEL = 1e-4
+PARALLEL = 1e-6
 """Below this square of the sine of their angle segments count as parallel [1]."""
-CROSSED = 1e-2
+CROSSED = 1e-5
 """Above this one they count as crossed [1]."""
 _FLOOR = 1e-6
 """Least determinant over its largest value, in divisions [1]."""

@@ -90,7 +90,7 @@ class PairLoads:
     """Couple on the other [N m]."""
 
     def added(self, more: PairLoads) -> PairLoads:
-        """Sum of both, of one kind."""
+        """Sum of both."""
         return PairLoads(
             vectors.add(self.way, more.way),
             vectors.add(self.own_edge, more.own_edge),
@@ -142,8 +142,22 @@ def touch_at(
     )
 
 
-def loads_of(touch: Touch, own: Elements, other: Elements, law: Law) -> PairLoads:
-    """Normal force, dashpot and friction at a touch, times what it counts."""
+def loads_of(
+    touch: Touch,
+    own: Elements,
+    other: Elements,
+    law: Law,
+    share: Array | None = None,
+) -> PairLoads:
+    """Normal force, dashpot and friction at a touch, times what it counts.
+
+    Args:
+        touch: The touch.
+        own: The one elements.
+        other: The other elements.
+        law: Numbers of the law.
+        share: Of the dashpot and of friction, what is there; all of it by default.
+    """
     rate: Vec3 | None = None
     leaving = jnp.zeros_like(touch.depth)
     if law.damping is not None or law.friction is not None:
@@ -152,7 +166,11 @@ def loads_of(touch: Touch, own: Elements, other: Elements, law: Law) -> PairLoad
         )
         leaving = vectors.dot(rate, touch.normal)
     push = normal_force(touch.depth, leaving, touch.width, law.stiffness, law.damping)
-    force = vectors.scale(push, touch.normal)
+    pressed = touch.weight * push
+    if share is not None and law.damping is not None:
+        spring = elastic_push(touch, law)
+        pressed = touch.weight * (spring + share * (push - spring))
+    force = vectors.scale(pressed, touch.normal)
     own_turn: Vec3 | None = None
     other_turn: Vec3 | None = None
     if law.friction is not None:
@@ -163,12 +181,12 @@ def loads_of(touch: Touch, own: Elements, other: Elements, law: Law) -> PairLoad
         slip = vectors.add(slip, vectors.cross(own.spin, arms[0]))
         slip = vectors.subtract(slip, vectors.cross(other.spin, arms[1]))
         rub = friction_force(push, slip, law.friction, law.friction_drag)
-        rub = vectors.scale(touch.weight, rub)
+        rub = vectors.scale(
+            touch.weight if share is None else touch.weight * share, rub
+        )
         own_turn = vectors.cross(arms[0], rub)
         other_turn = vectors.cross(rub, arms[1])
-        force = vectors.add(vectors.scale(touch.weight, force), rub)
-    else:
-        force = vectors.scale(touch.weight, force)
+        force = vectors.add(force, rub)
     return PairLoads(
         way=force,
         own_edge=vectors.scale(touch.own_fraction, force),
@@ -176,6 +194,12 @@ def loads_of(touch: Touch, own: Elements, other: Elements, law: Law) -> PairLoad
         own_turn=own_turn,
         other_turn=other_turn,
     )
+
+
+def elastic_push(touch: Touch, law: Law) -> Array:
+    """What the spring of a touch pushes with, per what it counts."""
+    still = jnp.zeros_like(touch.depth)
+    return normal_force(touch.depth, still, touch.width, law.stiffness)
 
 
 def _rate(elements: Elements, fraction: Array) -> Vec3:
@@ -188,4 +212,6 @@ def _rate(elements: Elements, fraction: Array) -> Vec3:
 
 
 def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
-    return None if a is None or b is None else vectors.add(a, b)
+    if a is None or b is None:
+        return b if a is None else a
+    return vectors.add(a, b)

@@ -16,7 +16,6 @@ from jaxrod.scene import Scene
 from jaxrod.systems.body_contact import BodyContact
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.neighbour_lists import RECORD
-from jaxrod.systems.parts import in_rows
 from jaxrod.systems.rigid_bodies import RigidBodies
 from jaxrod.systems.system import System
 from jaxrod.systems.touching_rods import TouchingRods
@@ -195,35 +194,41 @@ def _contact_forces(
     """Forces of contact at the nodes of all rods [N]."""
     rods = [k for k, m in system.members.items() if isinstance(m, Scene)]
 
-    def at_frame(given: System, frame: tuple[Any, Any]) -> dict[str, Any]:
+    def at_frame(given: System, frame: tuple[Any, Any]) -> list[dict[str, Any]]:
         state, time = frame
         now = given.at(time).recalling(state)
         assert isinstance(now, System)
-        total = {name: jnp.zeros_like(state[name].positions) for name in rods}
+        found = []
         for name in rods:
             member = now.members[name]
             assert isinstance(member, Scene)
-            one = _on_rod
-            if member.rod.rest_lengths.ndim > 1:
-                total[name] = total[name] + jax.vmap(one)(member, state[name])
-            else:
-                total[name] = total[name] + one(member, state[name])
+            several = member.rod.rest_lengths.ndim > 1
+            on_rods = jax.vmap(_on_rod) if several else _on_rod
+            found += [{name: force} for force in on_rods(member, state[name])]
         seen, couplings = seen_at_rest(now, state)
         for coupling in couplings:
             if isinstance(coupling, BodyContact | TouchingRods):
-                for name, loads in coupling.loads(seen).items():
-                    if name in rods and loads.forces is not None:
-                        force = jnp.stack(loads.forces)
-                        if total[name].ndim == 3:
-                            force = in_rows(force, total[name].shape[0])
-                        total[name] = total[name] + force
-        return total
+                found += [
+                    {name: loads.forces}
+                    for name, loads in coupling.loads(seen).items()
+                    if name in rods and loads.forces is not None
+                ]
+        return found
 
     clock = jnp.asarray(times, system.dtype)
-    found = _over_frames(at_frame, system, (states, clock))
+    total = {name: np.zeros_like(states[name].positions) for name in rods}
+    # Added up here: in one program with what is stacked and added, XLA works out a
+    # contact anew for every number of its forces.
+    for one in _over_frames(at_frame, system, (states, clock)):
+        for name, forces in one.items():
+            row = np.stack([np.asarray(part) for part in forces], axis=-2)
+            if row.ndim < total[name].ndim:  # Of equal rods one after the other.
+                split = row.reshape(*row.shape[:-1], *total[name].shape[1::2])
+                row = np.moveaxis(split, -2, 1)
+            total[name] += row
     flat = lambda x: np.moveaxis(np.asarray(x), -2, -1).reshape(len(times), -1, 3)
     origins = np.concatenate([flat(states[name].positions) for name in rods], axis=1)
-    vectors = np.concatenate([flat(found[name]) for name in rods], axis=1)
+    vectors = np.concatenate([flat(total[name]) for name in rods], axis=1)
     arrows = Arrows(origins, vectors, "contact force [N]")
     return (checked_arrows(0, arrows, times),)
 
@@ -238,12 +243,11 @@ def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -
     )
 
 
-def _on_rod(scene: Scene, state: Any) -> Any:
-    """Forces of contact with fixed bodies on a rod's nodes."""
-    total = jnp.zeros_like(state.positions)
-    for effect in scene.effects:
-        if isinstance(effect, Contact):
-            forces = effect.loads(scene.rod, motion_of(state)).forces
-            if forces is not None:
-                total = total + jnp.stack(forces)
-    return total
+def _on_rod(scene: Scene, state: Any) -> list[Any]:
+    """Forces of contact with fixed bodies on a rod's nodes, of each effect."""
+    found = [
+        effect.loads(scene.rod, motion_of(state)).forces
+        for effect in scene.effects
+        if isinstance(effect, Contact)
+    ]
+    return [forces for forces in found if forces is not None]

@@ -11,7 +11,7 @@ from jaxrod.viz import html
 SCENES = load("gallery").SCENES
 DOCS = FOLDER.parent / "docs"
 # How far from what it should be a scene may be that ran to its end, relatively; the
-# octopus' is nothing, and is measured in lengths.
+# octopus' and the nest's are nothing, and are measured in lengths and in radii.
 WHOLE = {
     "octopus": 1e-6,
     "snake": 0.02,
@@ -20,6 +20,9 @@ WHOLE = {
     "cilia": 0.01,
     "tendon_arm": 5e-3,
     "pneumatic_arm": 5e-3,
+    "gripper": 0.03,
+    "knot": 0.03,
+    "nest": 0.1,
 }
 
 

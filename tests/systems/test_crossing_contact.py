@@ -69,7 +69,7 @@ def test_loads_are_minus_the_gradient_of_the_energy(record):
     """At all angles: crossed, nearly parallel, parallel."""
     random = np.random.default_rng(0)
     worst, most = 0.0, 0.0
-    for angle in (1.5, 0.3, 0.09, 0.05, 0.02, 0.003, 0.0):
+    for angle in (1.5, 0.3, 0.05, 0.003, 0.002, 0.0):
         for _ in range(3):
             start = (random.uniform(0, 0.15), random.uniform(-0.01, 0.01), 0.037)
             way = (np.cos(angle), np.sin(angle), 0.0)
@@ -84,8 +84,76 @@ def test_loads_are_minus_the_gradient_of_the_energy(record):
         "crossing law, forces at angles from 90 degrees to parallel",
         "gradient of the energy",
         worst / most,
-        at_most=1e-12,
+        at_most=2e-11,
     )
+
+
+def test_nearly_parallel_rods_push_apart_however_little_they_touch():
+    """Where only a node touches, the middles of elements do not."""
+    for degrees in (0.3, 1.0, 3.0, 5.0):
+        for shift in (0.0, 0.3, 0.5):
+            angle, depth = np.deg2rad(degrees), 1e-3 * RADIUS
+            way = np.array((np.cos(angle), np.sin(angle), 0.0))
+            middle = np.array((0.2 + 0.1 * shift, 0.0, 2 * RADIUS - depth))
+            system, state = crossing(
+                rod(4, 0.4), rod(4, 0.4, tuple(middle - 0.2 * way), tuple(way))
+            )
+            loads, energy, _ = loads_and_slopes(system, state)
+            assert energy > 0
+            # Of one spring, in the middle of its onset.
+            width = 0.01 * RADIUS
+            push = STIFFNESS * (depth + 0.5 * width) ** 2 / (2 * width)
+            assert np.sum(loads["two"].forces[2]) == pytest.approx(push, rel=1e-3)
+
+
+@pytest.mark.parametrize("angle", [1.2, 0.06, 0.02])
+def test_dashpots_and_friction_only_take_energy(angle):
+    """Of rods that are bent and turn, so that places near each other move apart."""
+    random = np.random.default_rng(1)
+    law = {"damping": 0.5, "friction": 0.4, "friction_drag": 3.0}
+    taken = 0.0
+    for _ in range(40):
+        start = (random.uniform(0, 0.1), random.uniform(-0.01, 0.01), 0.037)
+        way = (np.cos(angle), np.sin(angle), 0.0)
+        pair = rod(5, 0.5), rod(5, 0.5, start, way)
+        with_law, state = crossing(*pair, **law)
+        without, _ = crossing(*pair)
+        state = {name: stirred(own, random) for name, own in state.items()}
+        power = 0.0
+        rubbing, sliding = (
+            moving_loads(system, state) for system in (with_law, without)
+        )
+        for name, (loads, spins) in rubbing.items():
+            springs = sliding[name][0]
+            force = np.stack(loads.forces) - np.stack(springs.forces)
+            power += np.sum(force * state[name].velocities)
+            power += np.sum(np.stack(loads.couples) * np.stack(spins))
+        assert power <= 1e-15
+        taken = min(taken, power)
+    assert taken < -1e-3
+
+
+def stirred(state, random):
+    """A state with bent axes and random velocities."""
+    shape = state.positions.shape
+    return replace(
+        state,
+        positions=state.positions + random.normal(0, 1e-3, shape),
+        velocities=jnp.asarray(random.normal(0, 1.0, shape)),
+        angular_momenta=state.angular_momenta
+        + random.normal(0, 1e-3, state.angular_momenta.shape),
+    )
+
+
+@jax.jit
+def moving_loads(system, state):
+    """Loads of contact on each rod, and spins in the frames of its elements."""
+    seen, (contact,) = seen_at_rest(system, state)
+    loads = contact.loads(seen)
+    return {
+        name: (own, jaxrod.angular_velocities(system.members[name].rod, state[name]))
+        for name, own in loads.items()
+    }
 
 
 @pytest.mark.slow
