@@ -30,22 +30,24 @@ DENSITY = 1100.0
 """Of a finger [kg/m^3]."""
 YOUNGS_MODULUS = 5e5
 """[Pa]"""
-BASE = 0.046
+BASE = 0.05
 """Distance of the fingers' roots from the middle of the wrist [m]."""
 AREA, OFFSET = 4e-5, 5e-3
 """Section of a chamber [m^2], and how far from the finger's middle it is [m]."""
-MOST_PRESSURE = 1e5
-"""In the chambers [Pa]: a free finger bends to 12/m, 1.2 rad over its length."""
+MOST_PRESSURE = 1.25e5
+"""In the chambers [Pa]: a free finger bends to 15/m, 1.5 rad over its length."""
 RATE = 15.0
 """Damping of the fingers [1/s]."""
 BALL = 0.03
 """Radius of the ball [m]."""
-BALL_DENSITY = 200.0
+BALL_DENSITY = 100.0
 """[kg/m^3]"""
 GRAVITY = 9.81
 """[m/s^2]"""
 FRICTION = 0.8
 """[1]"""
+STIFFNESS, DAMPING, FRICTION_DRAG = 5e3, 7.0, 7.0
+"""Of the touch of fingers and ball [N/m], [N s/m], [N s/m]."""
 HIGHEST = 0.2
 """Of the wrist above the table, at the start [m]."""
 
@@ -179,10 +181,10 @@ def gripper_body(n_elements: int) -> GripperBody:
         jaxrod.body_contact(
             "fingers",
             "ball",
-            stiffness=5e3,
-            damping=10.0,
+            stiffness=STIFFNESS,
+            damping=DAMPING,
             friction=FRICTION,
-            friction_drag=10.0,
+            friction_drag=FRICTION_DRAG,
         ),
         jaxrod.rigid_contact(
             "ball",

@@ -1,24 +1,25 @@
 r"""Three soft fingers on a wrist grasp a ball on a table and lift it.
 
-Six control values, renewed every 50 ms: pressures in the chambers of the three fingers,
-which bend them inwards when above 0, and the velocity of the wrist along x, y and z, up
-to 0.2 m/s each. Between two control steps they change by 0.5 at most; pressures go in a
-straight line, and so does the wrist, which stays within 0.04 m of the middle to every
-side and between 0.11 m and 0.2 m above the table.
+Four control values, renewed every 0.1 s: the pressure in the chambers of all fingers,
+which are on one line, from -25 kPa (-1), which opens them, to 125 kPa (1); and where
+the wrist is to be along x, y and z: up to 0.02 m from the middle to every side, and
+from 0.11 m (-1) to 0.2 m (1) above the table. Pressure changes by 75 kPa in 0.1 s at
+most and the wrist moves at 0.2 m/s along each axis at most, in straight lines over a
+control step.
 
-The ball (radius 0.03 m, 23 g) begins at rest on the table, up to `spread` from the
-middle along x and along y, below the open fingers. It is to be brought 0.07 m above
-where it lay. The reward of a control step is what the score gains in it, so the return
-of an episode is how much higher the score is at its end; it is about 0 at the start,
-and about 90 with the ball held up:
+The ball (radius 0.03 m, 11 g) begins at rest on the table, up to `spread` from the
+middle along x and along y, below the open fingers. With `lowered` the wrist begins
+somewhere on its straight way down to around the ball. The ball is to be brought 0.07 m
+above where it lay. The reward of a control step is the score after it over the number
+of control steps of an episode, so the return is the mean score:
 
 | points | for |
 |---:|---|
-| 20 | nearness of the ball to the point between the fingers, 0.07 m below the wrist |
-| 30 | with the ball between the fingers, nearness of their tips to its lowest point |
+| 15 | nearness of the ball to the point between the fingers, 0.07 m below the wrist |
+| 35 | with the ball between the fingers, nearness of their tips to its lowest point |
 | 50 | the height of the ball over where it lay, up to 0.07 m |
 
-An episode lasts 80 control steps (4 s). Observed, in this order, everything divided by
+An episode lasts 30 control steps (3 s). Observed, in this order, everything divided by
 the unit in brackets:
 
 | numbers | what |
@@ -26,9 +27,7 @@ the unit in brackets:
 | 3 | the ball's centre from the point between the fingers [0.03 m] |
 | 3 | its velocity [0.1 m/s] |
 | 1 | its height over where it lay [0.07 m] |
-| 3 | the wrist from where it was at the start [0.1 m] |
-| 3 | its velocity in force [0.2 m/s] |
-| 3 | pressures in force [0.1 MPa] |
+| 4 | control values in force [1] |
 | 9 | finger by finger, the tip from the ball's centre [0.03 m] |
 | 9 | finger by finger, the middle from the ball's centre [0.03 m] |
 
@@ -63,25 +62,32 @@ from jaxrod.validation import check_array, check_count
 Variant = Literal["clean"]
 VARIANTS: tuple[Variant, ...] = ("clean",)
 
-CONTROL_PERIOD = 0.05
+CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
-LARGEST_CHANGE = 0.5
-"""Of a control value from one control step to the next [1]."""
-STEPS_PER_ELEMENT = 24
-"""Simulation steps of a control step, per element of a finger: about 0.95 of the
-stability bound at full pressure."""
+SUCTION = 0.2
+"""Pressure for a control value of -1 below that around the fingers, as a share of
+that for 1 above it [1]."""
+SLACK = 2 * SUCTION / (1 + SUCTION) - 1
+"""Control value for the pressure that is around the fingers [1]."""
+RATE = 10.0
+"""Of the control value of the pressure [1/s]."""
 SPEED = 0.2
-"""Of the wrist for a control value of one [m/s]."""
-LOWEST, ASIDE = 0.11, 0.04
+"""Of the wrist along each axis, at most [m/s]."""
+STEPS_PER_ELEMENT = 48
+"""Simulation steps of a control step, per element of a finger: 0.82 of the stability
+bound at full pressure."""
+LOWEST, ASIDE = 0.11, 0.02
 """Height of the wrist above the table at least, its way to every side at most [m]."""
 GRASP = 0.07
 """How far the point between the fingers is below the wrist [m]."""
+NEAR, FAR = 0.015, 0.115
+"""From there to the ball, when it is there and when that no longer counts [m]."""
+OPEN = 0.075
+"""From the furthest tip to the ball's lowest point, when nothing is closed [m]."""
 LIFT = 0.07
 """How far the ball is to be lifted [m]."""
 BALL_SPEED = 0.1
 """Unit of the ball's velocity [m/s]."""
-WRIST = 0.1
-"""Unit of the wrist's displacement [m]."""
 
 
 @pytree
@@ -94,6 +100,8 @@ class GripperParams:
     """Step of the simulation [s]."""
     spread: Float[Array, ""]
     """Largest distance of the ball from the middle at the start, along x and y [m]."""
+    lowered: Float[Array, ""]
+    """Share of the wrist's way down that it may be lowered by at the start [1]."""
 
 
 @pytree
@@ -102,10 +110,8 @@ class GripperState:
 
     body: SystemState
     """Fingers and ball."""
-    wrist: Float[Array, "3"]
-    """Where the wrist is, from where it was at the start [m]."""
-    controls: Float[Array, "6"]
-    """Control values in force: pressures, then velocities of the wrist [1]."""
+    controls: Float[Array, "4"]
+    """Control values in force: pressure, then place of the wrist [1]."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
@@ -116,20 +122,21 @@ class Gripper:
 
     n_elements: int
     substeps: int
-    episode_length: int = 80
+    episode_length: int = 30
     spread: float = 0.01
+    lowered: float = 1.0
     variant: Variant = "clean"
     name: str = "gripper"
 
     @property
     def observation_size(self) -> int:
-        """Ball, wrist, control values, tips and middles of the fingers: 34 numbers."""
-        return 3 + 3 + 1 + 3 + 3 + N_FINGERS + 6 * N_FINGERS
+        """Ball, control values, tips and middles of the fingers: 29 numbers."""
+        return 3 + 3 + 1 + 4 + 6 * N_FINGERS
 
     @property
     def action_size(self) -> int:
-        """Pressure of every finger, velocity of the wrist: 6 numbers."""
-        return N_FINGERS + 3
+        """Pressure, and place of the wrist along three axes: 4 numbers."""
+        return 4
 
     @property
     def control_period(self) -> float:
@@ -144,6 +151,7 @@ class Gripper:
             body=body,
             dt=jnp.asarray(CONTROL_PERIOD / self.substeps, kind),
             spread=jnp.asarray(self.spread, kind),
+            lowered=jnp.asarray(self.lowered, kind),
         )
 
     def reset(
@@ -151,16 +159,22 @@ class Gripper:
     ) -> tuple[Float[Array, " observation"], GripperState]:
         """Fingers open above the ball, the ball somewhere near the middle."""
         kind = params.dt.dtype
-        aside = params.spread * jax.random.uniform(key, (2,), kind, -1.0)
-        ball = params.body.rest["ball"]
+        aside_key, height_key = jax.random.split(key)
+        aside = params.spread * jax.random.uniform(aside_key, (2,), kind, -1.0)
+        lowered = params.lowered * jax.random.uniform(height_key, (), kind)
+        # Straight to where it would be around the ball, which it thus cannot touch.
+        top = jnp.asarray([SLACK, 0.0, 0.0, 1.0], kind)
+        around = jnp.concatenate([top[:1], aside / ASIDE, -top[3:]])
+        controls = top + lowered * (around - top)
+        ball, fingers = params.body.rest["ball"], params.body.rest["fingers"]
+        hanging = fingers.positions + _told(controls)[0][None, :, None]
         place = ball.positions + vectors.pad(aside, 0, 1)[:, None]
         state = GripperState(
             body={
-                **params.body.rest,
+                "fingers": dataclasses.replace(fingers, positions=hanging),
                 "ball": dataclasses.replace(ball, positions=place),
             },
-            wrist=jnp.zeros(3, kind),
-            controls=jnp.zeros(N_FINGERS + 3, kind),
+            controls=controls,
             steps=jnp.zeros((), jnp.int32),
         )
         return self.observe(state), state
@@ -180,27 +194,16 @@ class Gripper:
         dict[str, Array],
     ]:
         """One control period: control values go to the action, as far as they may."""
-        controls = limit_rate(
-            state.controls, jnp.clip(action, -1, 1), jnp.asarray(LARGEST_CHANGE)
-        )
-        n = N_FINGERS
-        way = SPEED * self.substeps * params.dt * controls[n:]
-        least = jnp.asarray([-ASIDE, -ASIDE, LOWEST - HIGHEST], way.dtype)
-        most = jnp.asarray([ASIDE, ASIDE, 0.0], way.dtype)
-        wrist = jnp.clip(state.wrist + way, least, most)
+        period = self.substeps * params.dt
+        fastest = jnp.asarray([RATE, *(SPEED / way for way in _REACH)], period.dtype)
+        controls = limit_rate(state.controls, jnp.clip(action, -1, 1), fastest * period)
         body, flagged = params.body.advance(
-            state.body,
-            (state.wrist, state.controls[:n]),
-            (wrist, controls[:n]),
-            params.dt,
-            self.substeps,
+            state.body, _told(state.controls), _told(controls), params.dt, self.substeps
         )
-        before = _score(state)
         steps = state.steps + 1
         state = GripperState(
             body=body,
-            wrist=jnp.where(flagged, state.wrist, wrist),
-            controls=controls,
+            controls=jnp.where(flagged, state.controls, controls),
             steps=steps,
         )
         info = {
@@ -211,7 +214,7 @@ class Gripper:
         return (
             self.observe(state),
             state,
-            jnp.where(flagged, 0, _score(state) - before),
+            jnp.where(flagged, 0, _score(state) / self.episode_length),
             jnp.zeros((), bool),
             (steps >= self.episode_length) | flagged,
             info,
@@ -237,9 +240,7 @@ class Gripper:
                 (place - _between(state)) / BALL,
                 ball.velocities[:, 0] / BALL_SPEED,
                 _height(state)[None] / LIFT,
-                state.wrist / WRIST,
-                state.controls[N_FINGERS:],
-                state.controls[:N_FINGERS],
+                state.controls,
                 jnp.ravel(nodes[:, :, -1] - place[None, :]) / BALL,
                 jnp.ravel(middle - place[None, :]) / BALL,
             ]
@@ -256,17 +257,30 @@ class Gripper:
         """
         place = state.body["ball"].positions[:, 0]
         time = state.steps * CONTROL_PERIOD
-        closed = jnp.where(time < 1.2, -0.5, 1.0)
-        up = jnp.where(time < 2.2, LOWEST - HIGHEST, LOWEST - HIGHEST + 1.3 * LIFT)
-        over = jnp.where(time < 1.2, place[:2], state.wrist[:2])
-        missing = jnp.append(over, up) - state.wrist
-        velocity = jnp.clip(missing / (2 * SPEED * CONTROL_PERIOD), -1, 1)
-        return jnp.append(jnp.full(N_FINGERS, closed, place.dtype), velocity)
+        pressure = jnp.where(time < 0.8, -1.0, 1.0)
+        height = jnp.where(time < 1.6, -1.0, 1.0)
+        aside = jnp.where(time < 0.8, place[:2] / ASIDE, state.controls[1:3])
+        return jnp.concatenate([pressure[None], aside, height[None]])
+
+
+_REACH = ASIDE, ASIDE, (HIGHEST - LOWEST) / 2
+"""Way of the wrist for a change of its control values by one [m]."""
+
+
+def _told(
+    controls: Float[Array, "4"],
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Place of the wrist from its highest in the middle [m], share of the pressure."""
+    top = jnp.asarray([0.0, 0.0, 1.0], controls.dtype)
+    wrist = (controls[1:] - top) * jnp.asarray(_REACH, controls.dtype)
+    pressure = (1 + SUCTION) / 2 * (controls[0] + 1) - SUCTION
+    return wrist, jnp.broadcast_to(pressure, (N_FINGERS,))
 
 
 def _between(state: GripperState) -> Float[Array, "3"]:
     """The point between the fingers, below the wrist [m]."""
-    return state.wrist + jnp.asarray([0.0, 0.0, HIGHEST - GRASP], state.wrist.dtype)
+    wrist, _ = _told(state.controls)
+    return wrist + jnp.asarray([0.0, 0.0, HIGHEST - GRASP], wrist.dtype)
 
 
 def _height(state: GripperState) -> Float[Array, ""]:
@@ -278,15 +292,15 @@ def _score(state: GripperState) -> Float[Array, ""]:
     """Points, as the module's table gives them."""
     place = state.body["ball"].positions[:, 0]
     apart = vectors.safe_norm(vectors.split(place - _between(state)))
-    start = HIGHEST - GRASP - BALL
     lowest = place - jnp.asarray([0.0, 0.0, BALL], place.dtype)
     tips = state.body["fingers"].positions[:, :, -1] - lowest[None, :]
     furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
+    near = 1 - jnp.clip((apart - NEAR) / (FAR - NEAR), 0, 1)
     # Fingers that close above the ball gain nothing: they could not get around it.
     around = jnp.clip(1.5 - apart / BALL, 0, 1)
-    closed = jnp.clip(1 - furthest / (2 * BALL), 0, 1)
-    return 20 * (1 - apart / start) + 30 * around * closed + 50 * lifted
+    closed = jnp.clip(1 - furthest / OPEN, 0, 1)
+    return 15 * near + 35 * around * closed + 50 * lifted
 
 
 def gripper(
@@ -294,18 +308,21 @@ def gripper(
     *,
     n_elements: int = 8,
     substeps: int | None = None,
-    episode_length: int = 80,
+    episode_length: int = 30,
     spread: float = 0.01,
+    lowered: float = 1.0,
 ) -> Gripper:
     """Makes the gripper.
 
     Args:
         variant: "clean", the only one: the library's own physics.
         n_elements: Elements of every finger, at least 4.
-        substeps: Simulation steps per control step of 50 ms; by default 24 per element.
+        substeps: Simulation steps per control step of 0.1 s; by default 48 per element.
         episode_length: Control steps per episode.
         spread: Largest distance of the ball from the middle at the start, along x and
-            along y, up to 0.03 m [m].
+            along y, up to 0.02 m [m].
+        lowered: Share of its way down to the ball by which the wrist may be lowered at
+            the start, evenly drawn from 0 to this, at most 1.
 
     Raises:
         ValueError: If an argument does not fit.
@@ -316,6 +333,9 @@ def gripper(
     check_count("substeps", steps, 1)
     check_count("episode_length", episode_length, 1)
     aside = float(check_array("spread", spread, [()], "m", non_negative=True))
-    if aside > 0.03:
-        raise ValueError(f"spread must be at most 0.03 m, got {aside:g} m")
-    return Gripper(n_elements, steps, episode_length, aside)
+    if aside > ASIDE:
+        raise ValueError(f"spread must be at most 0.02 m, got {aside:g} m")
+    down = float(check_array("lowered", lowered, [()], "", non_negative=True))
+    if down > 1:
+        raise ValueError(f"lowered must be at most 1, got {down:g}")
+    return Gripper(n_elements, steps, episode_length, aside, down)

@@ -11,6 +11,7 @@ import jaxrod
 from jaxrod import Ramp
 from jaxrod.envs import check_environment, make
 from jaxrod.envs.soft_bodies.gripper_body import BALL, MOST_PRESSURE
+from jaxrod.envs.tasks.gripper import SLACK
 from playing import KEY, check_vmap_is_a_loop, gradient_error, play, start, stepping
 
 
@@ -22,9 +23,29 @@ def placed(state, x, y):
     return dataclasses.replace(state, body={**state.body, "ball": ball})
 
 
+def moved(params, way, ball=0.0):
+    """Parameters with wrist and fingers elsewhere, and the ball."""
+    body = params.body
+    driven, *others = body.fingers.effects
+    path = dataclasses.replace(driven.place, start=driven.place.start + way[None])
+    effects = (dataclasses.replace(driven, place=path), *others)
+    fingers = dataclasses.replace(body.fingers, effects=effects)
+    members = {**body.system.members, "fingers": fingers}
+    rest = {
+        name: dataclasses.replace(
+            body.rest[name], positions=body.rest[name].positions + by
+        )
+        for name, by in (("fingers", way[None, :, None]), ("ball", ball))
+    }
+    system = dataclasses.replace(body.system, members=members)
+    return dataclasses.replace(
+        params, body=dataclasses.replace(body, system=system, rest=rest)
+    )
+
+
 @pytest.mark.slow
 def test_the_script_lifts_the_ball_and_holds_it_from_wherever_it_lies():
-    env = make("gripper")
+    env = make("gripper", lowered=0.0)
     params = env.default_params()
 
     @jax.jit
@@ -36,17 +57,16 @@ def test_the_script_lifts_the_ball_and_holds_it_from_wherever_it_lies():
             _, state, reward, _, _, info = env.step(KEY, state, action, params)
             return state, (reward, info)
 
-        return first, *jax.lax.scan(step, first, length=80)
+        return first, *jax.lax.scan(step, first, length=env.episode_length)
 
     ways = []
     for angle in (0.3, 0.3 + 2 * np.pi / 3):
         x, y = 0.012 * np.cos(angle), 0.012 * np.sin(angle)
         first, last, (rewards, info) = lifted(x, y)
         assert not np.any(info["flagged"])
-        assert info["score"][-1] > 85
-        # What was gained since the first step is what was paid.
-        gained = info["score"][-1] - info["score"][0]
-        np.testing.assert_allclose(np.sum(rewards[1:]), gained, rtol=1e-9)
+        assert info["score"][-1] > 75
+        # The return is the mean score.
+        np.testing.assert_allclose(np.sum(rewards), np.mean(info["score"]), rtol=1e-9)
         # It hangs still, by friction: the wrist is above the height to reach.
         ball = last.body["ball"]
         assert last.body["ball"].positions[2, 0] > 0.12
@@ -60,14 +80,16 @@ def test_the_script_lifts_the_ball_and_holds_it_from_wherever_it_lies():
 
 @pytest.mark.slow
 def test_nothing_moves_while_nothing_is_asked():
-    env = make("gripper", episode_length=6)
-    states, _, _, terminated, truncated, info = play(env, jnp.zeros((6, 6)))
+    env = make("gripper", lowered=0.0, episode_length=6)
+    states, _, _, terminated, truncated, info = play(
+        env, jnp.tile(jnp.asarray([SLACK, 0.0, 0.0, 1.0]), (6, 1))
+    )
     assert not np.any(info["flagged"]) and not np.any(terminated)
     assert truncated.tolist() == [False] * 5 + [True]
     ball = states.body["ball"].positions[..., 0]
     np.testing.assert_allclose(ball[:, :2], ball[:1, :2] * np.ones((6, 1)), atol=1e-12)
     # It sinks in until the table carries it, m g / k.
-    weight = 4 / 3 * np.pi * BALL**3 * 200.0 * 9.81
+    weight = 4 / 3 * np.pi * BALL**3 * 100.0 * 9.81
     np.testing.assert_allclose(BALL - ball[-1, 2], weight / 500.0, rtol=0.02)
     # Fingers hang straight, a little longer.
     nodes = np.asarray(states.body["fingers"].positions[-1])
@@ -77,21 +99,70 @@ def test_nothing_moves_while_nothing_is_asked():
 
 @pytest.mark.slow
 def test_pressure_bends_inwards_and_the_wrist_goes_where_it_is_told():
+    env = make("gripper", lowered=0.0)
+    ways = []
+    for pressure in (1.0, SLACK, -1.0):
+        actions = jnp.tile(jnp.asarray([pressure, 0.7, -0.2, -0.5]), (5, 1))
+        states, obs, *_ = play(env, actions)
+        controls = np.asarray(states.controls)
+        # 0.02 m in a control step at most, of 0.045 m from the middle height.
+        first = [min(pressure, SLACK + 1), 0.7, -0.2, 1 - 0.02 / 0.045]
+        np.testing.assert_allclose(controls[0], first, atol=1e-12)
+        np.testing.assert_allclose(controls[-1], actions[-1], atol=1e-12)
+        np.testing.assert_allclose(obs[-1, 7:11], actions[-1], atol=1e-12)
+        wrist = np.asarray([0.014, -0.004, -1.5 * 0.045])
+        nodes = np.asarray(states.body["fingers"].positions)
+        angles = 2 * np.pi * np.arange(3) / 3
+        roots = 0.05 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1)
+        roots[:, 2] = 0.2
+        np.testing.assert_allclose(nodes[-1, :, :, 0], roots + wrist, atol=1e-9)
+        tips = nodes[-1, :, :2, -1] - wrist[:2]
+        ways.append(np.linalg.norm(tips, axis=1))
+    inwards, straight, outwards = ways
+    assert np.all(inwards < 0.03) and np.all(outwards > 0.06)
+    assert np.all(np.abs(straight - 0.05) < 5e-3)
+
+
+@pytest.mark.slow
+def test_it_does_the_same_elsewhere_on_the_table():
+    env = make("gripper", lowered=0.0, episode_length=8)
+    params = env.default_params()
+    aside = jnp.asarray([0.3, -0.2, 0.0])
+    down = jnp.asarray([0.0, 0.0, -0.08])
+
+    @jax.jit
+    def heights(params):
+        def step(state, action):
+            _, state, _, _, _, info = env.step(KEY, state, action, params)
+            return state, (info["height"], state.body["fingers"].positions[:, :2, -1])
+
+        actions = jnp.tile(jnp.asarray([1.0, 0.05, 0.0, 0.9]), (8, 1))
+        return jax.lax.scan(step, env.reset(KEY, params)[1], actions)[1]
+
+    here, tips = heights(moved(params, down))
+    there, tips_there = heights(moved(params, down + aside, aside[:, None]))
+    # It is held and rolls: the fingers do touch it.
+    assert np.ptp(here) > 1e-3
+    np.testing.assert_allclose(there, here, atol=1e-9)
+    way = np.broadcast_to(aside[:2], tips.shape)
+    np.testing.assert_allclose(tips_there - tips, way, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_lowered_wrist_hangs_around_the_ball_and_touches_nothing():
     env = make("gripper")
-    actions = jnp.tile(jnp.asarray([1.0, 0.0, -1.0, 0.2, 0.0, -0.3]), (8, 1))
-    states, obs, *_ = play(env, actions)
-    controls, wrist = np.asarray(states.controls), np.asarray(states.wrist)
-    np.testing.assert_allclose(controls[0], [0.5, 0, -0.5, 0.2, 0, -0.3], atol=1e-12)
-    np.testing.assert_allclose(controls[2], actions[2], atol=1e-12)
-    np.testing.assert_allclose(wrist[-1], [0.016, 0, -0.024], atol=1e-12)
-    roots = np.asarray(states.body["fingers"].positions[..., 0])
-    way = np.tile(wrist[-1] - wrist[0], (3, 1))
-    np.testing.assert_allclose(roots[-1] - roots[0], way, atol=1e-9)
-    tips = np.asarray(states.body["fingers"].positions[-1, :, :, -1]) - wrist[-1]
-    reach = np.linalg.norm(tips[:, :2], axis=1)
-    assert reach[0] < 0.03 and abs(reach[1] - 0.046) < 5e-3 and reach[2] > 0.06
-    np.testing.assert_allclose(obs[-1, 10:13], controls[-1, 3:], atol=1e-12)
-    np.testing.assert_allclose(obs[-1, 13:16], controls[-1, :3], atol=1e-12)
+    params = env.default_params()
+    _, states = jax.vmap(env.reset, in_axes=(0, None))(
+        jax.random.split(KEY, 64), params
+    )
+    roots = states.body["fingers"].positions[:, :, 2, 0]
+    height = states.controls[:, 3] * 0.045 + 0.155
+    np.testing.assert_allclose(roots, np.repeat(height[:, None], 3, 1), atol=1e-12)
+    assert height.min() < 0.12 and height.max() > 0.19
+    nodes = states.body["fingers"].positions
+    apart = np.linalg.norm(nodes - states.body["ball"].positions[:, None], axis=2)
+    assert apart.min() > BALL + 0.008
+    assert nodes[:, :, 2].min() > 0.008
 
 
 @pytest.mark.slow
@@ -103,7 +174,7 @@ def test_steps_are_stable_at_full_pressure():
     acting = params.body._acting(
         Ramp(none, none, *times), Ramp(all_of_it, all_of_it, *times)
     )
-    assert 0.8 < params.dt / jaxrod.stable_dt(acting).dt < 1
+    assert 0.8 < params.dt / jaxrod.stable_dt(acting, 0.9).dt < 1
     still = params.body.system.at(0.0)
     assert not jaxrod.health(still, params.body.rest, params.dt).flagged
     check_environment(env)
@@ -111,35 +182,19 @@ def test_steps_are_stable_at_full_pressure():
 
 @pytest.mark.slow
 def test_slopes_through_a_touch_are_those_of_finite_differences():
-    env = make("gripper", episode_length=6)
+    env = make("gripper", lowered=0.0, episode_length=4)
     params = env.default_params()
     # Low enough for the fingers to close on the ball.
-    down = jnp.asarray([0.0, 0.0, -0.08])
-    rest = params.body.rest
-    lowered = dataclasses.replace(
-        rest["fingers"], positions=rest["fingers"].positions + down[None, :, None]
-    )
-    fingers = params.body.fingers
-    driven, *others = fingers.effects
-    path = dataclasses.replace(driven.place, start=driven.place.start + down[None])
-    effects = (dataclasses.replace(driven, place=path), *others)
-    members = {
-        **params.body.system.members,
-        "fingers": dataclasses.replace(fingers, effects=effects),
-    }
-    system = dataclasses.replace(params.body.system, members=members)
-    body = dataclasses.replace(
-        params.body, system=system, rest={**rest, "fingers": lowered}
-    )
-    params = dataclasses.replace(params, body=body)
+    params = moved(params, jnp.asarray([0.0, 0.0, -0.08]))
     # Within all limits, where the return has a slope.
-    actions = jnp.tile(jnp.asarray([0.9, 0.85, 0.8, 0.02, -0.01, -0.1]), (6, 1))
+    actions = jnp.tile(jnp.asarray([0.9, 0.02, -0.01, 0.93]), (4, 1))
+    actions = actions.at[:, 0].set(jnp.asarray([0.3, 0.95, 0.9, 0.95]))
     assert gradient_error(env, actions, params) < 1e-6
 
 
 @pytest.mark.slow
 def test_a_crash_freezes_it_pays_nothing_and_truncates():
-    env = make("gripper")
+    env = make("gripper", lowered=0.0)
     params, state = start(env)
     fingers = state.body["fingers"]
     broken = dataclasses.replace(
@@ -147,11 +202,11 @@ def test_a_crash_freezes_it_pays_nothing_and_truncates():
     )
     crashed = dataclasses.replace(state, body={**state.body, "fingers": broken})
     obs, after, reward, terminated, truncated, info = stepping(env)(
-        KEY, crashed, jnp.ones(6), params
+        KEY, crashed, jnp.ones(4), params
     )
     assert truncated and not terminated and info["flagged"] and reward == 0
     np.testing.assert_array_equal(after.body["fingers"].positions, fingers.positions)
-    np.testing.assert_array_equal(after.wrist, state.wrist)
+    np.testing.assert_array_equal(after.controls, state.controls)
     assert np.all(np.isfinite(obs))
 
 
@@ -168,8 +223,9 @@ def test_vmap_is_a_loop_and_numbers_are_single():
         ({"n_elements": 3}, "n_elements"),
         ({"substeps": 0}, "substeps"),
         ({"episode_length": 0}, "episode_length"),
-        ({"spread": 0.04}, "spread must be at most 0.03 m, got 0.04 m"),
+        ({"spread": 0.04}, "spread must be at most 0.02 m, got 0.04 m"),
         ({"spread": -0.01}, "spread"),
+        ({"lowered": 1.5}, "lowered"),
     ],
 )
 def test_bad_options_are_named(options, said):
