@@ -185,18 +185,21 @@ def test_collision_keeps_momenta(record):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("place", "way"),
+    ("place", "way", "h"),
     [
-        ((0.12, -0.12, 0.037), (0, 1, 0)),
-        ((0.03, 0.0, 0.036), (1, 0, 0)),
-        ((0.03, -0.003, 0.036), (1, 0.05, 0)),
-        ((0.12, -0.12, 0.0), (0, 1, 0)),
-        ((0.12, -0.12, 0.0401), (0, 1, 0)),
+        ((0.12, -0.12, 0.037), (0, 1, 0), 1e-6),
+        ((0.03, 0.0, 0.036), (1, 0, 0), 1e-4),
+        ((0.03, -0.003, 0.036), (1, 0.05, 0), 1e-6),
+        ((0.12, -0.12, 0.0), (0, 1, 0), 1e-6),
+        ((0.12, -0.12, 0.0401), (0, 1, 0), 1e-6),
     ],
     ids=["crossing", "parallel", "nearly parallel", "coincident", "onset"],
 )
-def test_gradient_of_a_run(place, way, record):
-    """Through a rod's fall on another with friction, against central differences."""
+def test_gradient_of_a_run(place, way, h, record):
+    """Through a rod's fall on another with friction, against central differences.
+
+    Where rods are parallel to a thousandth, what differences round off is large.
+    """
     one, of_one = rod(3, 0.3)
     two, of_two = rod(3, 0.3, place, way)
     system, state = crossing((one, of_one), (two, of_two), damping=0.5, friction=0.3)
@@ -212,7 +215,6 @@ def test_gradient_of_a_run(place, way, record):
         return jnp.sum(weights * after["one"].velocities)
 
     slope = float(jax.jit(jax.grad(ended))(0.2))
-    h = 1e-6
     difference = float((ended(0.2 + h) - ended(0.2 - h)) / (2 * h))
     assert np.isfinite(slope)
     record(
