@@ -69,8 +69,8 @@ to. A semicolon separates values in the order of the algorithms named.
 IN_OUR_PHYSICS = """\
 ## What differs where obstacles are met in the library's physics
 
-In the variant `clean` a control step of the same two tasks takes a sixtieth
-(`structured`) and a twentieth of the time ([how fast the tasks are](environments.md)),
+In the variant `clean` a control step of the same two tasks takes a twelfth
+(`structured`) and a ninth of the time ([how fast the tasks are](environments.md)),
 and the number of control steps is nobody's: more environments, two to six million
 control steps, actions that are held for 4 or 7 ms. With `--variant clean`,
 `jaxrod reproduce` has these instead of the rows of these cases above; TRPO and DDPG,
