@@ -5,24 +5,23 @@
 Both libraries run the scenes of `system_speed` with more and fewer elements, in
 float64, each with steps as large as it takes: ours `stable_dt`; PyElastica's those of
 its example, and twice and four times that as long as the motion stays what it is. Each
-library is compared with itself with many elements, for their laws of friction and of
-joints are not the same; how far apart the two limits are is printed too. Errors: of the
-snake's speed in its fourth and fifth period; of the way of the free end of the two rods
-over a second. Root mean squares, relative.
+library is compared with itself with many elements (PyElastica's snake with a quarter of
+the step), for their laws of friction and of joints are not the same; how far apart the
+two limits are is printed too. Errors: of the snake's speed in its fourth and fifth
+period; of the way of the free end of the two rods over a second. Root mean squares,
+relative.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from benchmarks.system_speed import Scene, joint, processor, snake
+from benchmarks.system_speed import Scene, joint, on_one_core, processor, snake
 
 SHARE = 0.01
 """Error for which the two are compared [1]."""
@@ -186,10 +185,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=list(CASES))
     options = parser.parse_args()
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    jax.config.update("jax_enable_x64", True)
-    jaxrod.configure_cpu(devices=1)
+    on_one_core()
     for name in options.scenes:
         measure(name)
 

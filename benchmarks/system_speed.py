@@ -360,16 +360,21 @@ def measure(name: str, seconds: float) -> None:
         )
 
 
+def on_one_core() -> None:
+    """Keeps this process on one core, in float64."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    jax.config.update("jax_enable_x64", True)
+    jaxrod.configure_cpu(devices=1)
+
+
 def main() -> None:
     """Measures the scenes that are named, or all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=list(SCENES))
     parser.add_argument("--seconds", type=float, default=2.0)
     options = parser.parse_args()
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    jax.config.update("jax_enable_x64", True)
-    jaxrod.configure_cpu(devices=1)
+    on_one_core()
     for name in options.scenes:
         measure(name, options.seconds)
 

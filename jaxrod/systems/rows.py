@@ -86,7 +86,7 @@ def summed(values: Array, index: Indices, size: int) -> Array:
 def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
     """Consecutive indices: the first of them, and from and to which they are listed.
 
-    `None` if they are too many, or no fewer than half the indices.
+    `None` if they are too many, or more than half as many as the indices.
     """
     cuts = np.flatnonzero(np.diff(index.values) != 1) + 1
     bounds = [0, *cuts.tolist(), len(index)]

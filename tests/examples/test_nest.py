@@ -24,3 +24,18 @@ def test_rods_settle_in_the_cylinder_and_no_contact_is_missed():
         drop = np.asarray(state["rods"].positions)[:, 2].mean() - z.mean()
         assert 0 < drop < 4 * example.RADIUS
         assert np.mean(z[20:]) > np.mean(z[:10]) + 2 * example.RADIUS
+
+
+@pytest.mark.slow
+def test_energy_only_falls_while_a_nest_settles():
+    """Three layers that come to rest on each other, by friction and in air."""
+    with jax.enable_x64(True):
+        system, state, dt = load("nest").nest(30)
+        energy = jax.jit(lambda moved: jaxrod.total_energy(system, moved))
+        run = jax.jit(jaxrod.advance, static_argnums=3)
+        found = []
+        for _ in range(25):
+            state = run(system, state, dt, int(0.06 / dt))
+            found.append(float(energy(state)))
+        assert not jaxrod.health(system, state, dt).flagged
+        assert np.all(np.diff(found) < 0)
