@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod.composite import Composite, Stepper
 from jaxrod.effects.time import Clock
+from jaxrod.lanes.steps import stepped
 from jaxrod.scene import Evolvable, Model
 from jaxrod.stepping.checks import (
     check_arguments,
@@ -202,7 +203,11 @@ def _run(
     """At least one step."""
     integrator = stepper(scene, state, dt, first)
     cycles = n_steps - integrator.steps_of_end
-    return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
+    carry = integrator.begin(state)
+    after = stepped(integrator, carry, cycles)
+    if after is None:
+        after = loop(integrator.cycle, carry, cycles)
+    return integrator.end(after)
 
 
 def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper:
