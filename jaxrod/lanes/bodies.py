@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
+from jaxrod.lanes.transport import room_for
 from jaxrod.lanes.vector_code import BYTES, TYPES, Writer
 
 ALIGNMENT = 64
@@ -33,7 +34,7 @@ class Region:
         step = BYTES[kind] * self.lanes
         aligned = min(ALIGNMENT, max(step, 1))
         start = -(-self.size // aligned) * aligned
-        self.size = start + count * step
+        self.size = start + room_for(kind, count, self.lanes) * step
         return start
 
     def room(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
 from collections import deque
@@ -16,8 +17,17 @@ import jax.numpy as jnp
 
 from jaxrod.lanes import rules
 from jaxrod.lanes.cycle import Cycle, Plan, adjoint_cycle, chosen
+from jaxrod.lanes.cycle import Ends as CycleEnds
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.kernel import Entries, Kernel, Step, adjoint_kernel, step_kernel
+from jaxrod.lanes.kernel import (
+    Ends,
+    Entries,
+    Kernel,
+    Step,
+    adjoint_kernel,
+    run_kernel,
+    step_kernel,
+)
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, supported
 
@@ -113,7 +123,9 @@ def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
     if flags is None:
         shared = (True,) * plan.cycle.n_constants
     try:
-        if name == "jaxrod_cycles":
+        if plan.ends is not None:
+            kernel = _run_kernel(plan.cycle, plan.ends, shared)
+        elif name == "jaxrod_cycles":
             kernel = _steps_kernel(plan.cycle, shared, plan.keeps)
         else:
             kernel = _back_kernel(plan.cycle, plan.moving, shared)
@@ -134,11 +146,13 @@ def _call(
     rows = (rods,) if plan.batch is not None else ()
     cycle = plan.cycle
     results = [(a.shape, a.dtype) for a in cycle.avals]
+    if plan.ends is not None:
+        results = [(a.shape, a.dtype) for a in plan.ends.made]
     kept, room = 0, kernel.room + 64
     if name == "jaxrod_cycles" and plan.keeps:
         results += [((plan.n_kept, *a.shape), a.dtype) for a in cycle.avals]
         kept = plan.n_kept
-    if name != "jaxrod_cycles":
+    if name == "jaxrod_cycles_adjoint":
         constants = [v.aval for v in cycle.closed.jaxpr.invars[: cycle.n_constants]]
         results = [
             (a.shape, a.dtype)
@@ -167,6 +181,35 @@ def _steps_kernel(cycle: Cycle, shared: tuple[bool, ...], keeps: bool) -> Kernel
 
 
 @lru_cache(maxsize=64)
+def _run_kernel(cycle: Cycle, ends: CycleEnds, shared: tuple[bool, ...]) -> Kernel:
+    step, unroller, inputs = _unrolled(cycle, shared)
+    graph, n = step.graph, cycle.n_constants
+    avals = ends.given[n:]
+    first = len(inputs)
+    given = [
+        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
+        for i, aval in enumerate(avals)
+    ]
+    begun = unroller.run(ends.begin, [*inputs[:n], *given])
+    ended = unroller.run(ends.end, inputs)
+    _check_length(len(graph))
+    return run_kernel(
+        step,
+        Ends(
+            [_entries(aval) for aval in avals],
+            [array.reshape(-1).tolist() for array in begun],
+            [_entries(aval) for aval in ends.made],
+            [array.reshape(-1).tolist() for array in ended],
+        ),
+        _width(cycle),
+    )
+
+
+def _entries(aval: Any) -> Entries:
+    return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
+
+
+@lru_cache(maxsize=64)
 def _back_kernel(
     cycle: Cycle, moving: tuple[bool, ...], shared: tuple[bool, ...]
 ) -> Kernel:
@@ -192,7 +235,7 @@ def _back_kernel(
     _check_length(len(graph))
     outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
     adjoint = Step(graph, step.constants, carry, outputs)
-    return adjoint_kernel(step, adjoint, range(len(floats)), _width(cycle))
+    return adjoint_kernel(step, adjoint, len(floats), _width(cycle))
 
 
 def _unrolled(cycle: Cycle, shared: tuple[bool, ...]) -> tuple[Step, Unroller, Any]:

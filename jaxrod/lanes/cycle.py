@@ -34,6 +34,26 @@ class Cycle:
         return list(jaxpr_as_fun(self.closed)(*constants, *carry))
 
 
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """What a run begins and ends with, as programs."""
+
+    begin: Any
+    """Closed jaxpr: constants and what is given to the first carry."""
+    end: Any
+    """Closed jaxpr: constants and the last carry to what is made."""
+
+    @property
+    def given(self) -> Any:
+        """Shapes and types of what is given, after the constants."""
+        return [v.aval for v in self.begin.jaxpr.invars]
+
+    @property
+    def made(self) -> Any:
+        """Shapes and types of what is made."""
+        return [v.aval for v in self.end.jaxpr.outvars]
+
+
 @dataclass(frozen=True)
 class Batch:
     """Rods of an operation, and which operands have a row for each of them."""
@@ -54,6 +74,8 @@ class Plan:
     keeps: bool = False
     """Whether carries on the way are results too."""
     batch: Batch | None = None
+    ends: Ends | None = None
+    """Of a whole run."""
 
     @property
     def every(self) -> int:

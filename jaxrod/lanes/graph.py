@@ -92,7 +92,7 @@ class Graph:
         if node is None:
             node = self._folded(operation, arguments, kind)
             if node is None:
-                rate = max(self.rates[a] for a in arguments)
+                rate = max(UNIFORM, *(self.rates[a] for a in arguments))
                 node = self._new(operation, arguments, kind, rate)
             self._known[key] = node
         return node

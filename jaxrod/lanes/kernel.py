@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from jaxrod.lanes.bodies import Memory, Region, body
 from jaxrod.lanes.functions import function_text, needed_by
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.transport import transport_text
+from jaxrod.lanes.transport import in_squares, transport_text
 from jaxrod.lanes.vector_code import BYTES, Writer
 
 
@@ -60,6 +60,20 @@ class Step:
     """Nodes of the next carry, an array each."""
 
 
+@dataclass(frozen=True)
+class Ends:
+    """What comes before the first step and after the last, in the graph of the step."""
+
+    given: Sequence[Entries]
+    """The arrays from which the first carry is made."""
+    begun: Sequence[Sequence[int]]
+    """Nodes of the first carry."""
+    made: Sequence[Entries]
+    """The arrays that are made of the last carry."""
+    ended: Sequence[Sequence[int]]
+    """Their nodes."""
+
+
 def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
     """The kernel that repeats a step.
 
@@ -72,39 +86,76 @@ def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
         checkpoints: Whether carries are kept on the way, every so many steps.
     """
     plan = _Plan(step, width)
-    now, then = Region("%now", width), Region("%then", width)
-    places = plan.carry_places(now)
-    then.size = now.size
-    plan.memory.arrays.update(
-        {
-            len(step.constants) + i: (now, place)
-            for i, place in enumerate(places)
-        }
-    )
+    now, then, places = plan.carry_buffers()
     plan.prepare([node for nodes in step.outputs for node in nodes])
-    plan.write_body("step", _goals(step, then, places), ("%now", "%then"))
-    n_carry = len(step.carry)
-    first_carry = 1 + len(step.constants)
-    fetches = [
-        plan.transport("fetch", entries, f"%in{first_carry + i}", "%now0", place)
-        for i, (entries, place) in enumerate(zip(step.carry, places, strict=True))
-    ]
-    brings = [
-        plan.transport("bring", entries, f"%out{i}", "%now2", place)
-        for i, (entries, place) in enumerate(zip(step.carry, places, strict=True))
-    ]
-    marks = [
+    plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
+    n_carry, first_carry = len(step.carry), 1 + len(step.constants)
+    marks = "".join(
         plan.transport("bring", entries, f"%out{n_carry + i}", "%now1", place, "%kept", "%j")
         for i, (entries, place) in enumerate(zip(step.carry, places, strict=True))
-    ]
-    n_results = n_carry * (2 if checkpoints else 1) + 1
+    )
     start = plan.regions()
     text = f"""
 {plan.fetch_own()}
-%now0 = getelementptr i8, ptr %room, i64 {start}
-%then0 = getelementptr i8, ptr %room, i64 {start + now.room()}
-{"".join(fetches)}
+{plan.pointers(start, now0=now, then0=then)}
+{plan.fetch_all(step.carry, places, first_carry, "%now0")}
 call void @fixed(ptr %shared, ptr %own)
+{_SEGMENTS.replace("MARKS", marks if checkpoints else "")}
+{plan.bring_all(step.carry, places, "%now1")}
+br label %block_done
+"""
+    n_operands = first_carry + n_carry
+    n_results = n_carry * (2 if checkpoints else 1) + 1
+    module = plan.module(text, n_operands, n_results)
+    room = start + now.room() + then.room()
+    return Kernel(module, n_operands, n_results, room, 0, plan.operations)
+
+
+def run_kernel(step: Step, ends: Ends, width: int) -> Kernel:
+    """The kernel of a whole run: what begins it, the steps, and what ends it.
+
+    Operands: counts, constants, what is given. Results: what is made; room.
+
+    Args:
+        step: What is repeated.
+        ends: What comes before and after.
+        width: Lanes of a vector.
+    """
+    plan = _Plan(step, width)
+    now, then, places = plan.carry_buffers()
+    given, made = Region("%given", width), Region("%made", width)
+    given_places = [given.place(e.kind, e.size) for e in ends.given]
+    made_places = [made.place(e.kind, e.size) for e in ends.made]
+    first_given = len(step.constants) + len(step.carry)
+    for i, place in enumerate(given_places):
+        plan.memory.arrays[first_given + i] = given, place
+    every_output = (*step.outputs, *ends.begun, *ends.ended)
+    plan.prepare([node for nodes in every_output for node in nodes])
+    plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
+    goals = _goals(ends.begun, step.carry, now, places)
+    plan.write_body("begin", goals, [given, now])
+    goals = _goals(ends.ended, ends.made, made, made_places)
+    plan.write_body("end", goals, [now, made])
+    first = 1 + len(step.constants)
+    start = plan.regions()
+    text = f"""
+{plan.fetch_own()}
+{plan.pointers(start, now0=now, then0=then, given=given, made=made)}
+{plan.fetch_all(ends.given, given_places, first, "%given")}
+call void @fixed(ptr %shared, ptr %own)
+call void @begin(ptr %shared, ptr %own, ptr %given, ptr %now0)
+{_SEGMENTS.replace("MARKS", "")}
+call void @end(ptr %shared, ptr %own, ptr %now1, ptr %made)
+{plan.bring_all(ends.made, made_places, "%made")}
+br label %block_done
+"""
+    n_operands, n_results = first + len(ends.given), len(ends.made) + 1
+    module = plan.module(text, n_operands, n_results)
+    room = start + sum(region.room() for region in (now, then, given, made))
+    return Kernel(module, n_operands, n_results, room, 0, plan.operations)
+
+
+_SEGMENTS = """
 br label %segments
 segments:
 %j = phi i64 [0, %blocks], [%j1, %segment_done]
@@ -116,7 +167,7 @@ segments:
 %some = icmp sgt i64 %rest, 0
 br i1 %some, label %segment, label %finished
 segment:
-{"".join(marks) if checkpoints else ""}
+MARKS
 br label %steps_loop
 steps_loop:
 %i = phi i64 [0, %segment], [%i1, %steps_loop]
@@ -132,19 +183,14 @@ segment_done:
 %j1 = add i64 %j, 1
 br label %segments
 finished:
-{"".join(brings).replace("%now2", "%now1")}
-br label %block_done
 """
-    room = start + 2 * now.room()
-    n_operands = first_carry + n_carry
-    module = plan.module(text, n_operands, n_results)
-    return Kernel(module, n_operands, n_results, room, 0, plan.operations)
+"""All steps, in stretches between checkpoints; the last carry is at `%now1`."""
 
 
 def adjoint_kernel(
     step: Step,
     adjoint: Step,
-    seeds: Sequence[int],
+    n_seeds: int,
     width: int,
 ) -> Kernel:
     """The kernel that goes back through the steps.
@@ -157,54 +203,39 @@ def adjoint_kernel(
         adjoint: Constants and (cotangents, sums) to the next ones, in the graph of
             the step, whose carry it reads too: `adjoint.carry` are the cotangents of
             the carry and, after them, of constants, which are summed up.
-        seeds: Which arrays of `adjoint.carry` are given; the others begin with zero.
+        n_seeds: How many arrays of `adjoint.carry` are given; the rest begins with
+            zero.
         width: Lanes of a vector.
     """
     plan = _Plan(step, width)
-    now, then = Region("%now", width), Region("%then", width)
-    places = plan.carry_places(now)
+    now, then, places = plan.carry_buffers()
     n_constants, n_carry = len(step.constants), len(step.carry)
-    for i, place in enumerate(places):
-        plan.memory.arrays[n_constants + i] = now, place
     before, after = Region("%cotangents", width), Region("%earlier", width)
     back_places = [before.place(e.kind, e.size) for e in adjoint.carry]
+    after.size = before.size
     for i, place in enumerate(back_places):
         plan.memory.arrays[n_constants + n_carry + i] = before, place
     plan.prepare(
         [node for nodes in (*step.outputs, *adjoint.outputs) for node in nodes]
     )
-    plan.write_body("step", _goals(step, then, places), ("%now", "%then"))
-    plan.write_body(
-        "adjoint",
-        _goals(adjoint, after, back_places),
-        ("%now", "%cotangents", "%earlier"),
-    )
+    plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
+    goals = _goals(adjoint.outputs, adjoint.carry, after, back_places)
+    plan.write_body("adjoint", goals, [now, before, after])
     first_mark = 1 + n_constants
     first_seed = first_mark + n_carry
-    marks = [
+    marks = "".join(
         plan.transport("fetch", e, f"%in{first_mark + i}", "%kept0", place, "%kept", "%j")
         for i, (e, place) in enumerate(zip(step.carry, places, strict=True))
-    ]
-    given = [
-        plan.transport("fetch", adjoint.carry[k], f"%in{first_seed + i}", "%back0", place)
-        for i, (k, place) in enumerate((k, back_places[k]) for k in seeds)
-    ]
-    brings = [
-        plan.transport("bring", entries, f"%out{i}", "%back1", place)
-        for i, (entries, place) in enumerate(
-            zip(adjoint.carry, back_places, strict=True)
-        )
-    ]
+    )
+    seeds = adjoint.carry[:n_seeds]
     start = plan.regions()
-    kept = start + 2 * before.room()
+    kept = start + before.room() + after.room()
     size = now.room()
     text = f"""
 {plan.fetch_own()}
-%back0 = getelementptr i8, ptr %room, i64 {start}
-%other0 = getelementptr i8, ptr %room, i64 {start + before.room()}
-%kept0 = getelementptr i8, ptr %room, i64 {kept}
+{plan.pointers(start, back0=before, other0=after, kept0=now)}
 call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.room()}, i1 false)
-{"".join(given)}
+{plan.fetch_all(seeds, back_places[:n_seeds], first_seed, "%back0")}
 call void @fixed(ptr %shared, ptr %own)
 %j0 = sub i64 %kept, 1
 br label %segments
@@ -218,7 +249,7 @@ segment:
 %begun = mul i64 %j, %every
 %rest = sub i64 %steps, %begun
 %length = call i64 @llvm.smin.i64(i64 %rest, i64 %every)
-{"".join(marks)}
+{marks}
 %last = sub i64 %length, 1
 br label %again_test
 again_test:
@@ -247,10 +278,10 @@ segment_done:
 %j1 = sub i64 %j, 1
 br label %segments
 finished:
-{"".join(brings)}
+{plan.bring_all(adjoint.carry, back_places, "%back1")}
 br label %block_done
 """
-    n_operands = first_seed + len(seeds)
+    n_operands = first_seed + n_seeds
     n_results = len(adjoint.carry) + 1
     plan.declared.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
     module = plan.module(text, n_operands, n_results)
@@ -265,6 +296,7 @@ class _Plan:
         self.memory = Memory(step.graph, width)
         self.functions: list[str] = []
         self.n_transports = 0
+        self.transported: set[str] = set()
         self.operations = 0
         self.writers: list[Writer] = []
         self.declared: set[str] = {"declare i64 @llvm.smin.i64(i64, i64)"}
@@ -275,9 +307,44 @@ class _Plan:
             place = self.memory.give(i, region, entries.kind, entries.size)
             self.constant_places.append(place)
 
-    def carry_places(self, region: Region) -> list[int]:
-        """Places for the carry, in one of its buffers."""
-        return [region.place(e.kind, e.size) for e in self.step.carry]
+    def carry_buffers(self) -> tuple[Region, Region, list[int]]:
+        """Two buffers for the carry, and the places in each of them."""
+        now, then = Region("%now", self.width), Region("%then", self.width)
+        places = [now.place(e.kind, e.size) for e in self.step.carry]
+        then.size = now.size
+        for i, place in enumerate(places):
+            self.memory.arrays[len(self.step.constants) + i] = now, place
+        return now, then, places
+
+    def pointers(self, start: int, **regions: Region) -> str:
+        """Where regions begin in the room, one after another."""
+        lines = []
+        for name, region in regions.items():
+            lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")
+            start += region.room()
+        return "".join(lines)
+
+    def fetch_all(
+        self,
+        arrays: Sequence[Entries],
+        places: Sequence[int],
+        first: int,
+        region: str,
+    ) -> str:
+        """Fetches operands from the `first` on."""
+        return "".join(
+            self.transport("fetch", entries, f"%in{first + i}", region, place)
+            for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
+        )
+
+    def bring_all(
+        self, arrays: Sequence[Entries], places: Sequence[int], region: str
+    ) -> str:
+        """Brings results, from the first one on."""
+        return "".join(
+            self.transport("bring", entries, f"%out{i}", region, place)
+            for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
+        )
 
     def prepare(self, outputs: Sequence[int]) -> None:
         """Functions for what does not change from step to step."""
@@ -309,10 +376,10 @@ class _Plan:
         self,
         name: str,
         goals: Sequence[tuple[int, Region, int]],
-        pointers: Sequence[str],
+        regions: Sequence[Region],
     ) -> None:
-        """The function of a step."""
-        names = ["%shared", "%own", *pointers]
+        """A function that runs once for each block, or in every step."""
+        names = ["%shared", "%own", *[region.pointer for region in regions]]
         text, writer = body(name, self.memory, self.width, VARYING, goals, names)
         self.functions.append(text)
         self.writers.append(writer)
@@ -357,6 +424,7 @@ class _Plan:
     ) -> str:
         """A call that moves an array; with rows, one of several of each rod."""
         self.n_transports += 1
+        self.transported.add(entries.kind)
         mark = f"%t{self.n_transports}"
         size = entries.size
         lines = f"{mark} = getelementptr i8, ptr {region}, i64 {place}\n"
@@ -365,15 +433,16 @@ class _Plan:
             lines += f"{mark}s = mul i64 {rows}, {size}\n"
             lines += f"{mark}o = mul i64 {row}, {size}\n"
             stride, offset = f"{mark}s", f"{mark}o"
+        squares = in_squares(entries.kind, size, self.width)
+        name = f"{word}_squares" if squares else word
         return lines + (
-            f"call void @{word}_{entries.kind}(ptr {array}, i64 {stride}, "
+            f"call void @{name}_{entries.kind}(ptr {array}, i64 {stride}, "
             f"i64 {offset}, i64 {size}, i64 %first, i64 %rods, ptr {mark})\n"
         )
 
     def module(self, per_block: str, n_operands: int, n_results: int) -> str:
         """All of the module but how it is called."""
-        kinds = {e.kind for e in (*self.step.constants, *self.step.carry)}
-        kinds |= set(self.step.graph.kinds) & {"f32", "f64"}
+        kinds = self.transported
         texts = list(self.functions)
         declared = set(self.declared)
         for kind in sorted(kinds):
@@ -431,14 +500,17 @@ ret void
 
 
 def _goals(
-    step: Step, region: Region, places: Sequence[int]
+    outputs: Sequence[Sequence[int]],
+    arrays: Sequence[Entries],
+    region: Region,
+    places: Sequence[int],
 ) -> list[tuple[int, Region, int]]:
-    """Where the outputs of a step go, element after element of the rod.
+    """Where outputs go, element after element of the rod.
 
     What is worked out for neighbours is then worked out together.
     """
     ordered = []
-    for nodes, entries, place in zip(step.outputs, step.carry, places, strict=True):
+    for nodes, entries, place in zip(outputs, arrays, places, strict=True):
         size = BYTES[entries.kind] * region.lanes
         for k, node in enumerate(nodes):
             along = k / max(len(nodes), 1)

@@ -1,7 +1,8 @@
 """Repeated steps as one operation of JAX: batched, differentiated, run by lanes or XLA.
 
-Three primitives share their operands: a count of steps, constants and a carry.
+Their first operands are a count of steps, and constants.
 
+- `jaxrod_run`: what is made of what is given, by all steps and what is before and after.
 - `jaxrod_cycles`: the carry after all steps; if asked, carries on the way as well.
 - `jaxrod_cycles_tangent`: its tangent; linear in the tangents it is given.
 - `jaxrod_cycles_adjoint`: the transpose of that, from the carries on the way.
@@ -20,19 +21,30 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import Primitive
+from jax.extend.core import Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from jaxrod.lanes.choice import lowered_by_lanes
 from jaxrod.lanes.cycle import Batch, Cycle, Plan, chosen, filled, parted, tangent_cycle
 
 
+run_p = Primitive("jaxrod_run")
 cycles_p = Primitive("jaxrod_cycles")
 tangent_p = Primitive("jaxrod_cycles_tangent")
 adjoint_p = Primitive("jaxrod_cycles_adjoint")
 
 
 # What they mean, for one rod ------------------------------------------------------
+
+
+def _run(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
+    ends, cycle = plan.ends, plan.cycle
+    assert ends is not None
+    constants, given = parted(arrays, cycle.n_constants)
+    carry = jaxpr_as_fun(ends.begin)(*constants, *given)
+    inner = Plan(cycle, plan.length)
+    after = cycles_p.bind(steps, *constants, *carry, plan=inner)
+    return list(jaxpr_as_fun(ends.end)(*constants, *after))
 
 
 def _cycles(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
@@ -139,6 +151,7 @@ def meaning(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
 
 
 _MEANINGS = {
+    run_p: meaning(_run),
     cycles_p: meaning(_cycles),
     tangent_p: meaning(_tangent),
     adjoint_p: meaning(_adjoint),
@@ -152,7 +165,9 @@ def _abstract(primitive: Primitive) -> Callable[..., Any]:
         constants = [v.aval for v in plan.cycle.closed.jaxpr.invars]
         rows = () if plan.batch is None else (plan.batch.size,)
         results = [(a.shape, a.dtype) for a in carry]
-        if primitive is tangent_p:
+        if plan.ends is not None:
+            results = [(a.shape, a.dtype) for a in plan.ends.made]
+        elif primitive is tangent_p:
             results = [(a.shape, a.dtype) for a in floats]
         elif primitive is adjoint_p:
             moving = chosen(constants[: plan.cycle.n_constants], plan.moving)
@@ -223,6 +238,8 @@ def _shareable(primitive: Primitive, plan: Plan) -> list[bool]:
     n_constants, n_carry = plan.cycle.n_constants, len(plan.cycle.avals)
     n_floats = sum(plan.cycle.floating)
     constants = [True] * n_constants
+    if plan.ends is not None:
+        return [*constants, *[False] * (len(plan.ends.given) - n_constants)]
     if primitive is cycles_p:
         return [*constants, *[False] * n_carry]
     if primitive is adjoint_p:
@@ -374,7 +391,7 @@ def _lowering(primitive: Primitive) -> Callable[..., Any]:
     return rule
 
 
-for _primitive in (cycles_p, tangent_p, adjoint_p):
+for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):
     _primitive.multiple_results = True
     _primitive.def_abstract_eval(_abstract(_primitive))
     _primitive.def_impl(jax.jit(_MEANINGS[_primitive], static_argnames="plan"))
@@ -382,8 +399,10 @@ for _primitive in (cycles_p, tangent_p, adjoint_p):
     mlir.register_lowering(
         _primitive, mlir.lower_fun(_MEANINGS[_primitive], multiple_results=True)
     )
+mlir.register_lowering(run_p, _lowering(run_p), platform="cpu")
 mlir.register_lowering(cycles_p, _lowering(cycles_p), platform="cpu")
 mlir.register_lowering(adjoint_p, _lowering(adjoint_p), platform="cpu")
+ad.primitive_jvps[run_p] = _by_meaning(run_p)
 ad.primitive_jvps[cycles_p] = _cycles_jvp
 ad.primitive_jvps[tangent_p] = _by_meaning(tangent_p)
 ad.primitive_jvps[adjoint_p] = _by_meaning(adjoint_p)

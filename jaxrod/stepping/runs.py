@@ -203,11 +203,10 @@ def _run(
     """At least one step."""
     integrator = stepper(scene, state, dt, first)
     cycles = n_steps - integrator.steps_of_end
-    carry = integrator.begin(state)
-    after = stepped(integrator, carry, cycles)
-    if after is None:
-        after = loop(integrator.cycle, carry, cycles)
-    return integrator.end(after)
+    after = stepped(integrator, state, cycles)
+    if after is not None:
+        return after
+    return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
 
 
 def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper:
