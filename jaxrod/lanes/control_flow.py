@@ -96,5 +96,16 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
     return results
 
 
+@rule("custom_linear_solve")
+def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
+    """The solution of linear equations, by the solver that comes with them."""
+    lengths = equation.params["const_lengths"]
+    begin = lengths.matvec + lengths.vecmat
+    consts = arrays[begin : begin + lengths.solve]
+    right = arrays[sum(lengths) :]
+    solver = _closed(equation.params["jaxprs"].solve)
+    return unroller.run(solver, [*consts, *right])
+
+
 def _closed(jaxpr: Any) -> Any:
     return jaxpr if hasattr(jaxpr, "consts") else ClosedJaxpr(jaxpr, ())

@@ -68,6 +68,11 @@ def processor() -> str:
     return f"{version} {llvm.get_host_cpu_name()} {features}"
 
 
+def compiled_kernels() -> int:
+    """How many kernels this process has compiled."""
+    return len(_engines)
+
+
 def registered(kernel: Kernel) -> str:
     """Compiles a kernel, unless it was, and makes it known to XLA; its name there."""
     import llvmlite.binding as llvm

@@ -258,11 +258,13 @@ def _cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
     cycle = plan.cycle
     steps, *arrays = primals
     rates, moved = parted(tangents[1:], cycle.n_constants)
+    if plan.length == 0:
+        return arrays[cycle.n_constants :], list(moved)
     moving = tuple(
         not isinstance(t, ad.Zero) and jnp.issubdtype(a.dtype, jnp.floating)
         for t, a in zip(rates, arrays, strict=False)
     )
-    plan = replace(plan, moving=moving, keeps=plan.length is not None and plan.length > 0)
+    plan = replace(plan, moving=moving, keeps=plan.length is not None)
     made = cycles_p.bind(steps, *arrays, plan=replace(plan, moving=()))
     n_carry = len(cycle.avals)
     carry, kept = made[:n_carry], made[n_carry:]
@@ -296,7 +298,7 @@ def _cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
     )
     floats = iter(after)
     results = [
-        next(floats) if is_float else ad.Zero.from_primal_value(array)
+        next(floats) if is_float else _without(array)
         for array, is_float in zip(carry, cycle.floating, strict=True)
     ]
     return carry, results
@@ -369,7 +371,7 @@ def _by_meaning(primitive: Primitive) -> Callable[..., Any]:
         rates = [t for t, fixed in zip(tangents, known, strict=True) if not fixed]
         made, after = jax.jvp(of, moving, rates)
         return made, [
-            ad.Zero.from_primal_value(m) if t.dtype == jax.dtypes.float0 else t
+            _without(m) if t.dtype == jax.dtypes.float0 else t
             for m, t in zip(made, after, strict=True)
         ]
 
@@ -407,6 +409,11 @@ ad.primitive_jvps[cycles_p] = _cycles_jvp
 ad.primitive_jvps[tangent_p] = _by_meaning(tangent_p)
 ad.primitive_jvps[adjoint_p] = _by_meaning(adjoint_p)
 ad.primitive_transposes[tangent_p] = _tangent_transpose
+
+
+def _without(array: Any) -> Any:
+    """The tangent of an array that has none."""
+    return ad.Zero(jax.core.ShapedArray(array.shape, jax.dtypes.float0))
 
 
 # Small things ---------------------------------------------------------------------

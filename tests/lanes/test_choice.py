@@ -1,0 +1,86 @@
+"""Which is taken, lanes or XLA, and what is said about it."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import pytest
+from lanes.test_runs import hanging, shaken
+
+import jaxrod
+from jaxrod.lanes import call_frame, choice
+from jaxrod.lanes.choice import lane_choices, use_lanes
+
+
+def advanced(rods):
+    """Runs a batch; what was chosen for it."""
+    scene, state, dt = hanging(4)
+    before = len(lane_choices())
+    run = lambda s: jaxrod.advance(scene, s, dt, 3)  # noqa: E731
+    jax.jit(jax.vmap(run))(shaken(state, rods, 0))
+    return lane_choices()[before:]
+
+
+def test_a_large_batch_takes_lanes_and_a_small_one_does_not():
+    use_lanes("auto")
+    assert [made.taken for made in advanced(64)] == [True]
+    refused = advanced(2)
+    assert not any(made.taken for made in refused)
+    assert "fewer than" in refused[-1].why
+
+
+def test_never_means_never():
+    use_lanes("never")
+    assert advanced(64) == []
+
+
+def test_what_lanes_do_not_know_is_left_to_xla_in_one_line():
+    @jaxrod.pytree
+    class Sorted(jaxrod.Effect):
+        def loads(self, rod, motion):
+            x, y, z = motion.position
+            return jaxrod.Loads(forces=(jnp.sort(x) * 1e-3, 0 * y, 0 * z))
+
+    scene, state, dt = hanging(4)
+    scene = jaxrod.make_scene(scene.rod, *scene.effects, Sorted())
+    many = shaken(state, 8, 0)
+    found = jax.jit(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 3)))(many)
+    last = lane_choices()[-1]
+    assert not last.taken and "sort" in last.why and "\n" not in last.why
+    use_lanes("never")
+    expected = jax.jit(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 3)))(many)
+    assert jnp.array_equal(found.positions, expected.positions)
+
+
+@pytest.mark.parametrize("mode", ["sometimes", "", None])
+def test_a_mode_there_is_not_is_refused_in_words(mode):
+    with pytest.raises(ValueError, match="auto, always, never"):
+        use_lanes(mode)
+
+
+def test_a_mode_in_the_environment_that_there_is_not_is_refused_in_words():
+    command = "import jaxrod; from jaxrod.lanes.choice import lane_mode; lane_mode()"
+    made = subprocess.run(
+        [sys.executable, "-c", command],
+        env={**os.environ, "JAXROD_LANES": "on"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert made.returncode != 0 and "JAXROD_LANES must be one of" in made.stderr
+
+
+def test_an_interface_with_another_layout_is_not_used(monkeypatch):
+    changed = call_frame.header().replace("void* data;", "void* elsewhere;", 1)
+    assert changed != call_frame.header()
+    monkeypatch.setattr(call_frame, "header", lambda: changed)
+    words = call_frame.unknown_layout.__wrapped__()
+    assert words is not None and "XLA_FFI_Buffer" in words
+
+
+def test_a_step_that_is_too_long_is_left_to_xla(monkeypatch):
+    monkeypatch.setattr(choice, "MOST_OPERATIONS", 1000)
+    refused = advanced(9)[-1]
+    assert not refused.taken and "longer than 1000" in refused.why
