@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/installed
 PYTEST_FLAGS ?= -n 2 --dist worksteal
 # What is installed. Where torch comes with CUDA, "sb3" takes gigabytes: its tests are
 # left out without it.
-EXTRAS ?= rl,viz,gym,brax,test
+EXTRAS ?= rl,viz,gym,brax,lanes,test
 
 DEMO := runs/demo
 # Enough to learn the task in about two minutes on two cores.

@@ -114,6 +114,7 @@ _NAMES = {
     "effects.supports": ("Hinge", "Pin", "hinge", "pin"),
     "effects.time": ("Clock", "Schedule"),
     "installation.backend": ("configure_cpu",),
+    "lanes.choice": ("LaneChoice", "lane_choices", "use_lanes"),
     "methods.consistent": ("Consistent", "consistent"),
     "methods.implicit": ("Implicit", "implicit"),
     "methods.planar": ("Planar", "planar"),

@@ -123,6 +123,9 @@ from jaxrod.effects.time import Schedule as Schedule
 from jaxrod.geometry import rotations as rotations
 from jaxrod.geometry import vectors as vectors
 from jaxrod.installation.backend import configure_cpu as configure_cpu
+from jaxrod.lanes.choice import LaneChoice as LaneChoice
+from jaxrod.lanes.choice import lane_choices as lane_choices
+from jaxrod.lanes.choice import use_lanes as use_lanes
 from jaxrod.methods.consistent import Consistent as Consistent
 from jaxrod.methods.consistent import consistent as consistent
 from jaxrod.methods.implicit import Implicit as Implicit

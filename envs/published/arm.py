@@ -126,9 +126,7 @@ class _DrivenArm:
         state, muscles = given
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
 
-    def cycle(
-        self, carry: tuple[Any, Muscles, Array]
-    ) -> tuple[Any, Muscles, Array]:
+    def cycle(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles, Array]:
         """Muscles, kick, and a drift to the next kick."""
         kicked, muscles = self._kicked(carry)
         moved = self.stepper.drift(kicked, self.stepper.dt)

@@ -62,7 +62,9 @@ def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
     square, left = array, abs(exponent)
     while left:
         if left & 1:
-            result = square if result is None else graph.each("mul", kind, result, square)
+            result = (
+                square if result is None else graph.each("mul", kind, result, square)
+            )
         left >>= 1
         if left:
             square = graph.each("mul", kind, square, square)

@@ -95,9 +95,7 @@ class Memory:
         region, offset = self.arrays[place[0]]
         return region, offset + place[1] * BYTES[self.graph.kinds[node]] * region.lanes
 
-    def _placed(
-        self, kept: dict[int, None], rate: int, region: Region
-    ) -> list[int]:
+    def _placed(self, kept: dict[int, None], rate: int, region: Region) -> list[int]:
         graph = self.graph
         chosen = [
             node

@@ -62,7 +62,10 @@ def unknown_layout() -> str | None:
     for name, expected in _BEGINNINGS.items():
         if _fields(name)[: len(expected)] != expected:
             return f"jaxlib's {name} has another layout than the one known"
-    for constant in ("XLA_FFI_Extension_Metadata = 1", "XLA_FFI_ExecutionStage_EXECUTE = 3"):
+    for constant in (
+        "XLA_FFI_Extension_Metadata = 1",
+        "XLA_FFI_ExecutionStage_EXECUTE = 3",
+    ):
         if constant not in header():
             return f"jaxlib's header does not say {constant}"
     if None in api_version():

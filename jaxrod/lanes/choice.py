@@ -265,16 +265,17 @@ def _check_length(operations: int) -> None:
 
 def _width(cycle: Cycle) -> int:
     """Rods of a vector: of the widest floats of the carry."""
-    sizes = [
-        aval.dtype.itemsize for aval in chosen(cycle.avals, cycle.floating)
-    ] or [4]
+    sizes = [aval.dtype.itemsize for aval in chosen(cycle.avals, cycle.floating)] or [4]
     return max(vector_bytes() // max(sizes), 2)
 
 
 def _note(choice: LaneChoice) -> None:
     _choices.append(choice)
     _log.info(
-        "%s for %d rods: %s", "lanes" if choice.taken else "XLA", choice.rods, choice.why
+        "%s for %d rods: %s",
+        "lanes" if choice.taken else "XLA",
+        choice.rods,
+        choice.why,
     )
 
 

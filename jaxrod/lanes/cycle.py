@@ -103,9 +103,7 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
         )
 
         def of(moved: list[Any], floats: list[Any]) -> tuple[list[Any], list[Any]]:
-            made = cycle(
-                filled(fixed, moving, moved), filled(now, floating, floats)
-            )
+            made = cycle(filled(fixed, moving, moved), filled(now, floating, floats))
             return chosen(made, floating), made
 
         _, after, made = jax.jvp(
@@ -130,9 +128,7 @@ def adjoint_cycle(plan: Plan) -> Any:
         fixed, now, cotangents = parted(arrays, len(constants), len(carry))
 
         def of(moved: list[Any], floats: list[Any]) -> list[Any]:
-            made = cycle(
-                filled(fixed, moving, moved), filled(now, floating, floats)
-            )
+            made = cycle(filled(fixed, moving, moved), filled(now, floating, floats))
             return chosen(made, floating)
 
         _, transpose = jax.vjp(of, chosen(fixed, moving), chosen(now, floating))

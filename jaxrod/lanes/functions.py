@@ -116,7 +116,9 @@ class _Lines:
         many = self.type(kind)
         full = f"@llvm.{name}.v{self.width}{kind}"
         self.declared.add(f"declare {many} {full}({', '.join([many] * len(given))})")
-        return self.new(f"call {many} {full}({', '.join(f'{many} {g}' for g in given)})")
+        return self.new(
+            f"call {many} {full}({', '.join(f'{many} {g}' for g in given)})"
+        )
 
     def series(self, at: str, coefficients: list[float], kind: str) -> str:
         """A polynomial, lowest power first."""
@@ -244,9 +246,7 @@ def _whole(width: int, value: int, size: str = "i32") -> str:
     return "<" + ", ".join([f"{size} {value}"] * width) + ">"
 
 
-def _finished(
-    code: _Lines, name: str, kind: str, result: str
-) -> tuple[str, set[str]]:
+def _finished(code: _Lines, name: str, kind: str, result: str) -> tuple[str, set[str]]:
     many = code.type(kind)
     body = "\n".join(["entry:", *code.lines, f"ret {many} {result}"])
     text = f"define internal {many} @{name}_{kind}({many} %x) {{\n{body}\n}}\n"

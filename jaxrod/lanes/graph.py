@@ -111,9 +111,7 @@ class Graph:
 
     def each(self, operation: str, kind: str, *arrays: Any) -> np.ndarray:
         """An operation on the entries of arrays of nodes."""
-        return self.mapped(
-            lambda *entries: self.add(operation, entries, kind), *arrays
-        )
+        return self.mapped(lambda *entries: self.add(operation, entries, kind), *arrays)
 
     def value(self, node: int) -> Any:
         """The number of a constant node, or `None`."""
@@ -137,7 +135,9 @@ class Graph:
                     seen[node] = 1
                     stack.append((node, True))
                     stack.extend(
-                        (a, False) for a in reversed(self.arguments[node]) if not seen[a]
+                        (a, False)
+                        for a in reversed(self.arguments[node])
+                        if not seen[a]
                     )
         return order
 

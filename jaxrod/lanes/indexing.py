@@ -107,7 +107,9 @@ def _targets(
     mode = str(equation.params["mode"])
     if numbers.operand_batching_dims:
         raise NotUnrolled("lanes do not scatter along two batches")
-    inner = [axis for axis in range(len(shape)) if axis not in numbers.inserted_window_dims]
+    inner = [
+        axis for axis in range(len(shape)) if axis not in numbers.inserted_window_dims
+    ]
     targets: list[int | None] = []
     for position in np.ndindex(*updates.shape):
         start = np.zeros(len(shape), int)
@@ -140,7 +142,9 @@ def _known(unroller: Unroller, indices: Any) -> Any:
 
 def _evaluated(equation: Any, params: dict[str, Any], *arrays: Any) -> Any:
     with jax.ensure_compile_time_eval():
-        return np.asarray(equation.primitive.bind(*map(jax.numpy.asarray, arrays), **params))
+        return np.asarray(
+            equation.primitive.bind(*map(jax.numpy.asarray, arrays), **params)
+        )
 
 
 def _chosen(

@@ -91,7 +91,9 @@ def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
     plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
     n_carry, first_carry = len(step.carry), 1 + len(step.constants)
     marks = "".join(
-        plan.transport("bring", entries, f"%out{n_carry + i}", "%now1", place, "%kept", "%j")
+        plan.transport(
+            "bring", entries, f"%out{n_carry + i}", "%now1", place, "%kept", "%j"
+        )
         for i, (entries, place) in enumerate(zip(step.carry, places, strict=True))
     )
     start = plan.regions()
@@ -224,7 +226,9 @@ def adjoint_kernel(
     first_mark = 1 + n_constants
     first_seed = first_mark + n_carry
     marks = "".join(
-        plan.transport("fetch", e, f"%in{first_mark + i}", "%kept0", place, "%kept", "%j")
+        plan.transport(
+            "fetch", e, f"%in{first_mark + i}", "%kept0", place, "%kept", "%j"
+        )
         for i, (e, place) in enumerate(zip(step.carry, places, strict=True))
     )
     seeds = adjoint.carry[:n_seeds]
@@ -393,7 +397,10 @@ class _Plan:
         lines = []
         for i, entries in enumerate(self.step.constants):
             if entries.rate == UNIFORM:
-                size, place = BYTES[entries.kind] * entries.size, self.constant_places[i]
+                size, place = (
+                    BYTES[entries.kind] * entries.size,
+                    self.constant_places[i],
+                )
                 lines.append(
                     f"%copy{i} = getelementptr i8, ptr %shared, i64 {place}\n"
                     f"call void @llvm.memcpy.p0.p0.i64(ptr %copy{i}, ptr %in{1 + i}, "
@@ -460,9 +467,9 @@ class _Plan:
             text, more = function_text(operation, kind, width)
             texts.append(text)
             declared |= more
-        loads = [
-            _pointer(f"%in{i}", "%operands", i) for i in range(n_operands)
-        ] + [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
+        loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)] + [
+            _pointer(f"%out{i}", "%results", i) for i in range(n_results)
+        ]
         memory = self.memory
         counts = "".join(
             f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"

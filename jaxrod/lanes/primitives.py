@@ -27,7 +27,6 @@ from jax.interpreters import ad, batching, mlir
 from jaxrod.lanes.choice import lowered_by_lanes
 from jaxrod.lanes.cycle import Batch, Cycle, Plan, chosen, filled, parted, tangent_cycle
 
-
 run_p = Primitive("jaxrod_run")
 cycles_p = Primitive("jaxrod_cycles")
 tangent_p = Primitive("jaxrod_cycles_tangent")
@@ -385,12 +384,29 @@ def _lowering(primitive: Primitive) -> Callable[..., Any]:
     by_xla = mlir.lower_fun(_MEANINGS[primitive], multiple_results=True)
 
     def rule(context: Any, *operands: Any, plan: Plan) -> Any:
-        program = lowered_by_lanes(primitive.name, plan)
+        program = None
+        if _on_one_device(context):
+            program = lowered_by_lanes(primitive.name, plan)
         if program is None:
             return by_xla(context, *operands, plan=plan)
         return mlir.lower_fun(program, multiple_results=True)(context, *operands)
 
     return rule
+
+
+def _on_one_device(context: Any) -> bool:
+    """Whether the compiler has no rods to spread: it cannot cut a kernel's arrays.
+
+    Within `shard_map` each device has rods of its own, and a kernel for them.
+    """
+    where = context.module_context.axis_context
+    if hasattr(where, "num_devices"):
+        return bool(where.num_devices in (None, 1))
+    if hasattr(where, "manual_axes"):
+        return (
+            set(where.mesh.axis_names) <= set(where.manual_axes) or where.mesh.size == 1
+        )
+    return False
 
 
 for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):

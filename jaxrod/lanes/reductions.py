@@ -58,7 +58,9 @@ def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
     made: list[Any] = []
     for row in rows:
         last = made[-1] if made else None
-        joined = row if last is None else unroller.graph.each(operation, kind, last, row)
+        joined = (
+            row if last is None else unroller.graph.each(operation, kind, last, row)
+        )
         made.append(joined)
     result = np.stack(made) if made else rows
     result = result[::-1] if backwards else result

@@ -9,4 +9,11 @@ from jaxrod.lanes import (
 )
 from jaxrod.lanes.unroll import RULES
 
-__all__ = ["RULES", "arithmetic", "control_flow", "indexing", "rearranging", "reductions"]
+__all__ = [
+    "RULES",
+    "arithmetic",
+    "control_flow",
+    "indexing",
+    "rearranging",
+    "reductions",
+]

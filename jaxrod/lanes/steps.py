@@ -29,9 +29,7 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     constants = [_settled(leaf) for leaf in constants]
     n = len(constants)
 
-    def part(
-        name: str, argument: Any
-    ) -> tuple[Any, Any, list[jax.ShapeDtypeStruct]]:
+    def part(name: str, argument: Any) -> tuple[Any, Any, list[jax.ShapeDtypeStruct]]:
         """A method as a closed jaxpr, the tree of its result, and what it is given."""
         leaves, tree = jax.tree.flatten(argument)
         result: list[Any] = []
@@ -39,7 +37,9 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
         def method(*arrays: Any) -> list[Any]:
             stepper = jax.tree.unflatten(structure, arrays[:n])
             bound: Callable[[Any], Any] = getattr(stepper, name)
-            made, made_tree = jax.tree.flatten(bound(jax.tree.unflatten(tree, arrays[n:])))
+            made, made_tree = jax.tree.flatten(
+                bound(jax.tree.unflatten(tree, arrays[n:]))
+            )
             result.append(made_tree)
             return [_settled(leaf) for leaf in made]
 
@@ -56,7 +56,10 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     for closed in (begin, cycle, end):
         words = words or supported(closed.jaxpr)
     after = [(a.shape, a.dtype) for a in cycle.out_avals]
-    if words is None and (cycled, after) != (carried, [(a.shape, a.dtype) for a in carry]):
+    if words is None and (cycled, after) != (
+        carried,
+        [(a.shape, a.dtype) for a in carry],
+    ):
         words = "what a step makes is not of the type of what it is given"
     if words is not None:
         refused(words)

@@ -184,8 +184,12 @@ def _turned_over(
             if i & distance:
                 continue
             a, b = names[i], names[i + distance]
-            upper = [t if not t & distance else width + t - distance for t in range(width)]
-            lower = [t + distance if not t & distance else width + t for t in range(width)]
+            upper = [
+                t if not t & distance else width + t - distance for t in range(width)
+            ]
+            lower = [
+                t + distance if not t & distance else width + t for t in range(width)
+            ]
             for place, order in ((i, upper), (i + distance, lower)):
                 name = f"%s{distance}_{place}"
                 mask = ", ".join(f"i32 {t}" for t in order)

@@ -37,7 +37,14 @@ _WHOLE = {"add": "add", "sub": "sub", "mul": "mul"}
 _COMPARE_FLOATS = {
     **{"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
 }
-_COMPARE_WHOLE = {"eq": "eq", "ne": "ne", "lt": "lt", "le": "le", "gt": "gt", "ge": "ge"}
+_COMPARE_WHOLE = {
+    "eq": "eq",
+    "ne": "ne",
+    "lt": "lt",
+    "le": "le",
+    "gt": "gt",
+    "ge": "ge",
+}
 INTRINSICS = {
     "abs": "fabs",
     "sqrt": "sqrt",
@@ -158,7 +165,9 @@ class Writer:
 
     def _float(self, operation: str, names: list[str], kind: str) -> str:
         if operation in _FLOAT:
-            line = f"{_FLOAT[operation]} contract {self.type(kind)} {names[0]}, {names[1]}"
+            line = (
+                f"{_FLOAT[operation]} contract {self.type(kind)} {names[0]}, {names[1]}"
+            )
             return self.new(line)
         if operation == "neg":
             return self.new(f"fneg {self.type(kind)} {names[0]}")
@@ -263,7 +272,9 @@ class Writer:
         suffix = kind if self.width == 1 else f"v{self.width}{kind}"
         full = f"@llvm.{name}.{suffix}"
         self.declared.add(f"declare {many} {full}({', '.join([many] * len(names))})")
-        return self.new(f"call {many} {full}({', '.join(f'{many} {n}' for n in names)})")
+        return self.new(
+            f"call {many} {full}({', '.join(f'{many} {n}' for n in names)})"
+        )
 
     def _convert(self, name: str, before: str, after: str) -> str:
         many_before, many_after = self.type(before), self.type(after)

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod.composite import Composite, Stepper
 from jaxrod.effects.time import Clock
+from jaxrod.lanes.choice import lane_mode
 from jaxrod.scene import Evolvable, Model
 from jaxrod.stepping.checks import (
     check_arguments,
@@ -46,7 +47,8 @@ def step(
     """
     begin = check_first(scene, first, 1)
     dt = check_arguments(scene, state, dt, begin)
-    return _static_compiled(scene, with_memory(scene, state), dt, 1, begin)
+    state = with_memory(scene, state)
+    return _static_compiled(scene, state, dt, 1, begin, lane_mode())
 
 
 def advance(
@@ -97,10 +99,11 @@ def advance(
     state = with_memory(scene, state)
     if is_traced(scene, state, dt, n_steps, begin):
         if isinstance(n_steps, int):
-            return _static_compiled(scene, state, dt, n_steps, begin)
-        return _traced_compiled(scene, state, dt, n_steps, begin)
+            return _static_compiled(scene, state, dt, n_steps, begin, lane_mode())
+        return _traced_compiled(scene, state, dt, n_steps, begin, lane_mode())
     near_bound = check_step(scene.recalling(state), dt, state)
-    after = _traced_compiled(scene, state, dt, jnp.asarray(n_steps), begin)
+    count = jnp.asarray(n_steps)
+    after = _traced_compiled(scene, state, dt, count, begin, lane_mode())
     if near_bound or scene.remembers:
         check_step(scene.recalling(after), dt, after)
     return after
@@ -141,9 +144,9 @@ def rollout(
     dt = check_arguments(scene, state, dt, begin)
     state = with_memory(scene, state)
     if is_traced(scene, state, dt, begin):
-        return _rollout_compiled(scene, state, dt, records, every, begin)
+        return _rollout_compiled(scene, state, dt, records, every, begin, lane_mode())
     near_bound = check_step(scene.recalling(state), dt, state)
-    states = _rollout_compiled(scene, state, dt, records, every, begin)
+    states = _rollout_compiled(scene, state, dt, records, every, begin, lane_mode())
     if near_bound or scene.remembers:
         last = jax.tree.map(lambda leaf: leaf[-1], states)
         check_step(scene.recalling(last), dt, last)
@@ -172,8 +175,18 @@ def rollout_times(
 
 
 def _run_traced(
-    scene: Model, state: Any, dt: Array, n_steps: Array, first: Array | None
+    scene: Model,
+    state: Any,
+    dt: Array,
+    n_steps: Array,
+    first: Array | None,
+    lanes: str,
 ) -> Any:
+    """A run of a traced number of steps.
+
+    `lanes`, how they are used, is looked up where it matters; as an argument it keeps
+    programs that were compiled under another mode apart.
+    """
     state = with_memory(scene, state)
     after = _run(scene, state, dt, n_steps, first)
     return jax.tree.map(
@@ -182,7 +195,12 @@ def _run_traced(
 
 
 def _run_static(
-    scene: Model, state: Any, dt: Array, n_steps: int, first: Array | None
+    scene: Model,
+    state: Any,
+    dt: Array,
+    n_steps: int,
+    first: Array | None,
+    lanes: str,
 ) -> Any:
     state = with_memory(scene, state)
     if n_steps == 0:
@@ -216,11 +234,11 @@ def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper
 
 # Within another jit these change nothing. Under a transformation alone they keep a
 # run from being compiled again in every call.
-_traced_compiled = jax.jit(_run_traced)
-_static_compiled = jax.jit(_run_static, static_argnames="n_steps")
+_traced_compiled = jax.jit(_run_traced, static_argnames="lanes")
+_static_compiled = jax.jit(_run_static, static_argnames=("n_steps", "lanes"))
 
 
-@jax.jit(static_argnames=("records", "every"))
+@jax.jit(static_argnames=("records", "every", "lanes"))
 def _rollout_compiled(
     scene: Model,
     state: Any,
@@ -228,12 +246,13 @@ def _rollout_compiled(
     records: int,
     every: int,
     first: Array | None,
+    lanes: str,
 ) -> Any:
     state = with_memory(scene, state)
 
     def block(state: Any, count: Array | None) -> Any:
         begin = None if first is None or count is None else first + every * count
-        return _run_static(scene, state, dt, every, begin)
+        return _run_static(scene, state, dt, every, begin, lanes)
 
     def record(carry: Any, count: Array | None) -> tuple[Any, Any]:
         after = jax.checkpoint(block, prevent_cse=False)(carry, count)

@@ -95,7 +95,10 @@ def _pad(pool):
 def _slice(pool):
     a = pool.some("f")
     starts = [int(pool.rng.integers(0, n)) for n in a.shape]
-    limits = [int(pool.rng.integers(s + 1, n + 1)) for s, n in zip(starts, a.shape, strict=True)]
+    limits = [
+        int(pool.rng.integers(s + 1, n + 1))
+        for s, n in zip(starts, a.shape, strict=True)
+    ]
     strides = [int(pool.rng.integers(1, 3)) for _ in a.shape]
     return lax.slice(a, starts, limits, strides)
 
@@ -197,13 +200,22 @@ OPERATIONS = (
     *map(_unary, (lax.floor, lax.ceil, jnp.round, lax.is_finite, lax.logistic)),
     *map(_unary, (lax.square, lax.atan, lax.asinh, lax.cbrt, lax.erfc)),
     _unary(lambda x: lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO)),
-    *(_unary(lambda x, k=k: _safe(lambda y: y**k, 0.2, 3)(x)) for k in (-3, -1, 0, 3, 5)),
-    *(_unary(_safe(f, -5, 5)) for f in (lax.exp, lax.exp2, lax.expm1, lax.sinh, lax.cosh)),
+    *(
+        _unary(lambda x, k=k: _safe(lambda y: y**k, 0.2, 3)(x))
+        for k in (-3, -1, 0, 3, 5)
+    ),
+    *(
+        _unary(_safe(f, -5, 5))
+        for f in (lax.exp, lax.exp2, lax.expm1, lax.sinh, lax.cosh)
+    ),
     *(_unary(_safe(f, *_POSITIVE)) for f in (lax.log, lax.log1p, lax.sqrt, lax.rsqrt)),
     *(_unary(_safe(f, -0.9, 0.9)) for f in (lax.asin, lax.acos, lax.atanh, lax.tan)),
     _unary(_safe(lax.acosh, 1.1, 10)),
     *(_binary(f) for f in (lax.lt, lax.le, lax.gt, lax.ge, lax.eq, lax.ne)),
-    *(_binary(f, "b") for f in (lax.bitwise_and, lax.bitwise_or, lax.bitwise_xor, lax.eq)),
+    *(
+        _binary(f, "b")
+        for f in (lax.bitwise_and, lax.bitwise_or, lax.bitwise_xor, lax.eq)
+    ),
     _unary(lax.bitwise_not, "b"),
     *(_binary(f, "i") for f in (lax.add, lax.sub, lax.mul, lax.max, lax.min)),
     # Not by zero: XLA's compiler itself dies of a quotient of known numbers by zero.
@@ -217,7 +229,10 @@ OPERATIONS = (
     _unary(lambda x: jnp.asarray(x, bool), "f"),
     _unary(lambda x: jnp.asarray(x, jnp.int32), "b"),
     *(_along(lambda a, k, f=f: f(a, axis=k)) for f in (jnp.sum, jnp.max, jnp.min)),
-    *(_along(lambda a, k, f=f: f(a, axis=k)) for f in (jnp.cumsum, jnp.argmax, jnp.argmin)),
+    *(
+        _along(lambda a, k, f=f: f(a, axis=k))
+        for f in (jnp.cumsum, jnp.argmax, jnp.argmin)
+    ),
     _along(lambda a, k: jnp.prod(jnp.clip(a, -2, 2), axis=k)),
     _along(lambda a, k: lax.cummax(a, axis=k, reverse=True)),
     _along(lambda a, k: jnp.any(a, axis=k), "b"),
@@ -232,7 +247,11 @@ OPERATIONS = (
     _unary(lambda x: jnp.tile(x, 2) if x.ndim else x),
     _unary(lambda x: jnp.broadcast_to(x, (2, *x.shape))),
     _unary(lambda x: x + jnp.arange(x.size, dtype=x.dtype).reshape(x.shape)),
-    _unary(lambda x: lax.clamp(-1.0, x, jnp.asarray(1, x.dtype)) if False else jnp.clip(x, -1, 1)),
+    _unary(
+        lambda x: (
+            lax.clamp(-1.0, x, jnp.asarray(1, x.dtype)) if False else jnp.clip(x, -1, 1)
+        )
+    ),
     *(_select, _pad, _slice, _dynamic_slice, _dynamic_update, _gather, _scatter),
     *(_scan, _loop, _branch, _matrix, _einsum, _derivative),
 )
@@ -282,7 +301,9 @@ def difference(seed):
 
     cycle, constants, carry, dtype = random_program(seed)
     n = len(constants)
-    closed = jax.make_jaxpr(lambda *a: cycle(list(a[:n]), list(a[n:])))(*constants, *carry)
+    closed = jax.make_jaxpr(lambda *a: cycle(list(a[:n]), list(a[n:])))(
+        *constants, *carry
+    )
     rng = np.random.default_rng(seed)
     many = [
         jnp.asarray(np.asarray(c)[None] + rng.normal(size=(RODS, *c.shape)), c.dtype)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from physics.actuators import actuators
 
 import jaxrod
+from physics.actuators import actuators
 
 METHODS = ("consistent", "pyelastica", "planar", "torsion free", "planar pyelastica")
 

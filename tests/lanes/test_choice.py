@@ -7,18 +7,18 @@ import sys
 import jax
 import jax.numpy as jnp
 import pytest
-from lanes.test_runs import hanging, shaken
 
 import jaxrod
 from jaxrod.lanes import call_frame, choice
 from jaxrod.lanes.choice import lane_choices, use_lanes
+from lanes.test_runs import hanging, shaken
 
 
 def advanced(rods):
     """Runs a batch; what was chosen for it."""
     scene, state, dt = hanging(4)
     before = len(lane_choices())
-    run = lambda s: jaxrod.advance(scene, s, dt, 3)  # noqa: E731
+    run = lambda s: jaxrod.advance(scene, s, dt, 3)
     jax.jit(jax.vmap(run))(shaken(state, rods, 0))
     return lane_choices()[before:]
 

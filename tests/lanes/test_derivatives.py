@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lanes.scenes import arm, random_scene, shaken
-from lanes.test_runs import RODS, apart, both, hanging
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices
+from lanes.scenes import arm, random_scene, shaken
+from lanes.test_runs import RODS, apart, both, hanging
 
 
 def height(scene, state, dt, n):
@@ -66,7 +66,7 @@ def test_forward_mode_is_that_of_xla(traced):
     many = shaken(state, RODS, 0)
 
     def rates(many, dt, n):
-        one = lambda dt, s: jaxrod.advance(scene, s, dt, n if traced else 9)  # noqa: E731
+        one = lambda dt, s: jaxrod.advance(scene, s, dt, n if traced else 9)
         return jax.vmap(lambda s: jax.jvp(lambda t: one(t, s), (dt,), (1.0,)))(many)
 
     taken, expected = both(rates, many, dt, jnp.int32(9))
@@ -78,7 +78,7 @@ def test_second_derivatives_are_those_of_xla():
     many = shaken(state, 4, 0)
 
     def curvature(many, dt):
-        one = lambda dt, s: height(scene, s, dt, 5)  # noqa: E731
+        one = lambda dt, s: height(scene, s, dt, 5)
         return jax.vmap(lambda s: jax.hessian(one)(dt, s))(many)
 
     taken, expected = both(curvature, many, dt)
@@ -121,7 +121,7 @@ def test_optimising_through_lanes_needs_no_memory_that_grows_with_steps():
     many = shaken(state, 4, 0)
 
     def program(n):
-        total = lambda m: jnp.sum(jax.vmap(lambda s: height(scene, s, 1e-4, n))(m))  # noqa: E731
+        total = lambda m: jnp.sum(jax.vmap(lambda s: height(scene, s, 1e-4, n))(m))
         lowered = jax.jit(jax.grad(total, allow_int=True)).lower(many)
         return lowered.compile().memory_analysis().temp_size_in_bytes
 

@@ -41,7 +41,9 @@ def units(found, expected, dtype):
         ("tanh", np.tanh, 50.0, 2.5),
     ],
 )
-def test_a_function_is_right_over_its_whole_range(name, reference, largest, most, dtype):
+def test_a_function_is_right_over_its_whole_range(
+    name, reference, largest, most, dtype
+):
     largest = min(largest, 85.0) if (name, dtype) == ("exp", "float32") else largest
     numbers = everywhere(1e-30, largest).astype(dtype)
     found = by_lanes(getattr(lax, name), jnp.asarray(numbers))
@@ -70,12 +72,12 @@ def test_an_extreme_is_not_a_number_if_one_of_two_is_not(name):
 
 
 def test_whole_numbers_are_divided_as_xla_defines_it():
-    rows = jnp.asarray(
-        [[7, 2], [-7, 2], [7, 0], [-(2**31), -1], [5, -3]], jnp.int32
-    )
+    rows = jnp.asarray([[7, 2], [-7, 2], [7, 0], [-(2**31), -1], [5, -3]], jnp.int32)
     for function in (lax.div, lax.rem):
         pair = jax.make_jaxpr(lambda x, f=function: jnp.full(2, f(x[0], x[1])))(rows[0])
         plan = Plan(Cycle(pair, 0), None)
-        run = jax.jit(jax.vmap(lambda x, p=plan: cycles_p.bind(jnp.int32(1), x, plan=p)[0]))
+        run = jax.jit(
+            jax.vmap(lambda x, p=plan: cycles_p.bind(jnp.int32(1), x, plan=p)[0])
+        )
         expected = jax.jit(jax.vmap(lambda x, f=function: f(x[0], x[1])))(rows)
         np.testing.assert_array_equal(np.asarray(run(rows))[:, 0], np.asarray(expected))

@@ -1,6 +1,7 @@
 """Programs made at random: lanes and XLA come to the same numbers."""
 
 import pytest
+
 from lanes.programs import difference
 
 

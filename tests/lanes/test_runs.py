@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lanes.scenes import arm, random_scene, shaken
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.machine_code import compiled_kernels
+from lanes.scenes import arm, random_scene, shaken
 
 RODS = 5
 ROUNDING = 1e-11
@@ -98,7 +98,10 @@ def test_parameters_of_each_rod_and_rows_of_rows():
     rod, state = arm(5)
 
     def run(stiffness, pull, state):
-        effects = (jaxrod.clamp(state), jaxrod.gravity(jnp.array([0.0, -1.0, 0.0]) * pull))
+        effects = (
+            jaxrod.clamp(state),
+            jaxrod.gravity(jnp.array([0.0, -1.0, 0.0]) * pull),
+        )
         scene = jaxrod.make_scene(rod, *effects)
         scene = jax.tree.map(lambda leaf: leaf * stiffness, scene)
         return jaxrod.advance(scene, state, 1e-4, 10).positions
@@ -130,9 +133,7 @@ def test_a_system_of_rods_and_bodies_is_the_same():
         {"arm": jaxrod.make_scene(rod), "other": jaxrod.make_scene(other)},
         jaxrod.ball_joint(("arm", "finish"), ("other", "start"), states, stiffness=1e4),
     )
-    pulled = jax.tree.map(
-        lambda x: jnp.broadcast_to(x, (RODS, *x.shape)), states
-    )
+    pulled = jax.tree.map(lambda x: jnp.broadcast_to(x, (RODS, *x.shape)), states)
     pulled["arm"] = shaken(state, RODS, 3)
     dt = 0.5 * jaxrod.stable_dt(system).dt
     run = jax.vmap(lambda states: jaxrod.advance(system, states, dt, 30))
@@ -163,9 +164,15 @@ def test_single_precision_is_as_near_to_double_as_xlas():
         many = shaken(state, RODS, seed)
         use_lanes("never")
         reference = jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 200))(many)
-        halved = jax.tree.map(lambda leaf: jnp.asarray(leaf, "float32"), (scene, many, dt))
-        for mode, found in zip(("always", "never"), both(_advanced, *halved), strict=True):
-            errors[mode].append(float(jnp.max(jnp.abs(found.positions - reference.positions))))
+        halved = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf, "float32"), (scene, many, dt)
+        )
+        for mode, found in zip(
+            ("always", "never"), both(_advanced, *halved), strict=True
+        ):
+            errors[mode].append(
+                float(jnp.max(jnp.abs(found.positions - reference.positions)))
+            )
     assert np.median(errors["always"]) <= 1.5 * np.median(errors["never"])
 
 
