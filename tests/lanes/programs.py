@@ -279,7 +279,7 @@ def random_program(seed):
         pool = Pool(np.random.default_rng(inner_seed), [*constants, *carry])
         for pick in picks:
             made = OPERATIONS[pick](pool)
-            if made.size <= 60:
+            if 0 < made.size <= 60:
                 pool.arrays.append(made)
         after = []
         for array in carry:
