@@ -11,9 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
@@ -37,7 +35,7 @@ from jaxrod.envs.published.contact import PublishedContact
 from jaxrod.envs.published.law import ViscousDrag
 from jaxrod.envs.published.muscles import MuscleParams, Muscles, contract, relaxed
 from jaxrod.methods.planar_verlet import PlaneName
-from jaxrod.methods.verlet import Verlet
+from jaxrod.stepping.loops import integrated
 from jaxrod.structure import pytree
 
 CONTACT_STIFFNESS = 8e4
@@ -95,25 +93,8 @@ class PublishedArm:
             state = advance(self.scene(muscles.couples), state, dt, n_steps)
             return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
-        def driven_by(couples: Array) -> Verlet:
-            return replace(stepper, scene=self.scene(couples))
-
-        def cycle(
-            carry: tuple[Any, Muscles], given: tuple[Array, Array]
-        ) -> tuple[tuple[Any, Muscles], None]:
-            motion, muscles = carry
-            drift, renewed = given
-            muscles = contract(muscles, controls, motion.lengths, renewed, self.muscles)
-            kicked = driven_by(muscles.couples).kick(motion)
-            return (stepper.drift(kicked, drift), muscles), None
-
-        # From kick to kick it is a whole step, from the last one half a step.
-        drifts = dt * jnp.ones(n_steps, dt.dtype).at[-1].set(0.5)
-        renewed = jnp.zeros(n_steps, bool).at[0].set(True)
-        (motion, muscles), _ = lax.scan(
-            jax.checkpoint(cycle), (stepper.begin(state), muscles), (drifts, renewed)
-        )
-        state = stepper.leave(motion)
+        driven = _DrivenArm(self, stepper, controls)
+        state, muscles = integrated(driven, (state, muscles), n_steps - 1)
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
     def scene(self, couples: Float[Array, "3 n"] | None = None) -> Scene:
@@ -129,6 +110,43 @@ class PublishedArm:
         if couples is not None:
             effects = (*effects, ElementCouples(couples))
         return Scene(self.rod, effects, self.method)
+
+
+@pytree
+class _DrivenArm:
+    """The arm with muscles that change in every step: from kick to kick."""
+
+    arm: PublishedArm
+    stepper: Any
+    """Of the arm without its muscles."""
+    controls: Float[Array, "3 n_controls"]
+
+    def begin(self, given: tuple[RodState, Muscles]) -> tuple[Any, Muscles, Array]:
+        """The first drift; the last entry says that the action is new."""
+        state, muscles = given
+        return self.stepper.begin(state), muscles, jnp.ones((), bool)
+
+    def cycle(
+        self, carry: tuple[Any, Muscles, Array]
+    ) -> tuple[Any, Muscles, Array]:
+        """Muscles, kick, and a drift to the next kick."""
+        kicked, muscles = self._kicked(carry)
+        moved = self.stepper.drift(kicked, self.stepper.dt)
+        return moved, muscles, jnp.zeros((), bool)
+
+    def end(self, carry: tuple[Any, Muscles, Array]) -> tuple[RodState, Muscles]:
+        """The last kick, and half a drift."""
+        kicked, muscles = self._kicked(carry)
+        moved = self.stepper.drift(kicked, 0.5 * self.stepper.dt)
+        return self.stepper.leave(moved), muscles
+
+    def _kicked(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles]:
+        motion, muscles, renewed = carry
+        muscles = contract(
+            muscles, self.controls, motion.lengths, renewed, self.arm.muscles
+        )
+        driven = replace(self.stepper, scene=self.arm.scene(muscles.couples))
+        return driven.kick(motion), muscles
 
 
 def published_arm(

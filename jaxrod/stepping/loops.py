@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 from jax import lax
 from jaxtyping import Array
 
+from jaxrod.lanes.steps import stepped
+
 Carry = TypeVar("Carry")
+
+
+def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
+    """What an integrator makes of a state: its beginning, its cycles, its end.
+
+    Args:
+        integrator: A pytree with methods `begin`, `cycle` and `end`.
+        state: What it begins with.
+        n_cycles: How many cycles; an `int` if it is to be differentiated in reverse.
+    """
+    by_lanes = stepped(integrator, state, n_cycles)
+    if by_lanes is not None:
+        return by_lanes
+    begun = integrator.begin(state)
+    if isinstance(n_cycles, int):
+        return integrator.end(repeat(integrator.cycle, begun, n_cycles))
+    return integrator.end(repeat_traced(integrator.cycle, begun, n_cycles))
 
 
 def repeat_traced(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
@@ -20,7 +19,7 @@ from jaxrod.stepping.checks import (
     check_records,
     check_step,
 )
-from jaxrod.stepping.loops import repeat, repeat_traced
+from jaxrod.stepping.loops import integrated
 from jaxrod.stepping.memory import with_memory
 from jaxrod.validation import as_array, check_count, is_traced
 
@@ -176,7 +175,7 @@ def _run_traced(
     scene: Model, state: Any, dt: Array, n_steps: Array, first: Array | None
 ) -> Any:
     state = with_memory(scene, state)
-    after = _run(scene, state, dt, n_steps, first, repeat_traced)
+    after = _run(scene, state, dt, n_steps, first)
     return jax.tree.map(
         lambda after, before: jnp.where(n_steps > 0, after, before), after, state
     )
@@ -188,21 +187,15 @@ def _run_static(
     state = with_memory(scene, state)
     if n_steps == 0:
         return state
-    return _run(scene, state, dt, n_steps, first, repeat)
+    return _run(scene, state, dt, n_steps, first)
 
 
 def _run(
-    scene: Model,
-    state: Any,
-    dt: Array,
-    n_steps: int | Array,
-    first: Array | None,
-    loop: Callable[[Callable[[Any], Any], Any, Any], Any],
+    scene: Model, state: Any, dt: Array, n_steps: int | Array, first: Array | None
 ) -> Any:
     """At least one step."""
     integrator = stepper(scene, state, dt, first)
-    cycles = n_steps - integrator.steps_of_end
-    return integrator.end(loop(integrator.cycle, integrator.begin(state), cycles))
+    return integrated(integrator, state, n_steps - integrator.steps_of_end)
 
 
 def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper:

@@ -1,0 +1,181 @@
+"""Rules of unrolling for what works on numbers one by one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxrod.lanes.graph import DTYPES, Graph
+from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
+
+_SAME_NAME = (
+    *("add", "sub", "mul", "div", "rem", "neg", "abs", "max", "min", "sqrt"),
+    *("floor", "ceil", "and", "or", "xor", "not"),
+    *("shift_left", "shift_right_logical", "shift_right_arithmetic"),
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+    *("asinh", "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "cbrt"),
+    *("erf", "erfc", "pow"),
+)
+_COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
+
+
+@rule(*_SAME_NAME)
+def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
+    """An operation that is one of the graph's own."""
+    kind = kind_of(equation.outvars[0].aval)
+    _check_kind(equation, kind)
+    return unroller.graph.each(equation.primitive.name, kind, *arrays)
+
+
+@rule("add_any")
+def added(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
+    """A sum of cotangents."""
+    return unroller.graph.each("add", kind_of(equation.outvars[0].aval), *arrays)
+
+
+@rule(*_COMPARISONS)
+def compared(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
+    """A comparison of numbers of one kind."""
+    return unroller.graph.each(equation.primitive.name, "b1", *arrays)
+
+
+@rule("rsqrt")
+def inverse_root(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """One over a square root."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    return graph.each("rsqrt", kind, array)
+
+
+@rule("square")
+def squared(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """A square."""
+    return unroller.graph.each("mul", kind_of(equation.outvars[0].aval), array, array)
+
+
+@rule("integer_pow")
+def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """A whole power, by squaring."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    exponent = equation.params["y"]
+    result = None
+    square, left = array, abs(exponent)
+    while left:
+        if left & 1:
+            result = square if result is None else graph.each("mul", kind, result, square)
+        left >>= 1
+        if left:
+            square = graph.each("mul", kind, square, square)
+    one = np.full(array.shape, graph.constant(1, kind), np.int64)
+    if result is None:
+        return one
+    return result if exponent > 0 else graph.each("div", kind, one, result)
+
+
+@rule("sign")
+def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """-1, 0 or 1; of a zero and of not-a-number, itself."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    zero = graph.constant(0, kind)
+    if kind[0] not in "fi":
+        raise NotUnrolled(f"lanes have no sign of numbers of type {DTYPES[kind]}")
+
+    def of(number: int) -> int:
+        above = graph.add("gt", (number, zero), "b1")
+        below = graph.add("lt", (number, zero), "b1")
+        least = graph.constant(-1, kind)
+        rest = graph.add("select", (below, least, number), kind)
+        return graph.add("select", (above, graph.constant(1, kind), rest), kind)
+
+    return graph.mapped(of, array)
+
+
+@rule("logistic")
+def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """1 / (1 + exp(-x))."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    one = graph.constant(1, kind)
+
+    def of(number: int) -> int:
+        decay = graph.add("exp", (graph.add("neg", (number,), kind),), kind)
+        return graph.add("div", (one, graph.add("add", (one, decay), kind)), kind)
+
+    return graph.mapped(of, array)
+
+
+@rule("round")
+def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """The next whole number; of halves, the even one or the one farther from zero."""
+    to_even = equation.params["rounding_method"].value == 1
+    operation = "round_even" if to_even else "round_away"
+    return unroller.graph.each(operation, kind_of(equation.outvars[0].aval), array)
+
+
+@rule("is_finite")
+def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """Neither infinite nor not-a-number."""
+    graph, kind = unroller.graph, kind_of(equation.invars[0].aval)
+    limit = graph.constant(np.inf, kind)
+    size = graph.each("abs", kind, array)
+    return graph.each("lt", "b1", size, np.full(array.shape, limit, np.int64))
+
+
+@rule("clamp")
+def clamped(unroller: Unroller, equation: Any, low: Any, array: Any, high: Any) -> Any:
+    """A number brought between two others."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    return graph.each("min", kind, graph.each("max", kind, low, array), high)
+
+
+@rule("select_n")
+def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
+    """One of several numbers."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    if kind_of(equation.invars[0].aval) == "b1":
+        return graph.each("select", kind, which, cases[1], cases[0])
+    index_kind = kind_of(equation.invars[0].aval)
+    result = cases[0]
+    for i, case in enumerate(cases[1:], 1):
+        number = np.full((), graph.constant(i, index_kind), np.int64)
+        chosen = graph.each("eq", "b1", which, number)
+        result = graph.each("select", kind, chosen, case, result)
+    return result
+
+
+@rule("convert_element_type")
+def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """The same numbers as another kind."""
+    graph = unroller.graph
+    before = kind_of(equation.invars[0].aval)
+    return converted_nodes(graph, array, before, kind_of(equation.outvars[0].aval))
+
+
+def converted_nodes(graph: Graph, array: Any, before: str, after: str) -> Any:
+    """Nodes of one kind as nodes of another."""
+    if before == after:
+        return array
+    if after == "b1":
+        zero = np.full(array.shape, graph.constant(0, before), np.int64)
+        return graph.each("ne", "b1", array, zero)
+    return graph.each("convert", after, array)
+
+
+@rule("copy", "copy_p", "stop_gradient", "optimization_barrier", "pvary")
+def unchanged(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
+    """What means something only to a compiler."""
+    return list(arrays)
+
+
+def _check_kind(equation: Any, kind: str) -> None:
+    """Of whole numbers and truths, only what the machine's own operations do."""
+    name = equation.primitive.name
+    floats_only = name not in _WHOLE
+    if (floats_only and kind[0] != "f") or (kind == "b1" and name not in _LOGIC):
+        raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")
+
+
+_LOGIC = frozenset({"and", "or", "xor", "not"})
+_WHOLE = _LOGIC | {
+    *("add", "sub", "mul", "div", "rem", "neg", "abs", "max", "min"),
+    *("shift_left", "shift_right_logical", "shift_right_arithmetic"),
+}

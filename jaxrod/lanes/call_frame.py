@@ -1,0 +1,155 @@
+"""The call of a kernel by XLA: its typed foreign function interface, by offsets.
+
+A handler is a function that gets one pointer, to a frame that names the buffers. Its
+layout is that of `xla/ffi/api/c_api.h`, which comes with jaxlib; the offsets used here
+hold only if that file says what it said when they were written, which is looked at
+before the first call.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+import jax
+
+_EXPECTED = {
+    "XLA_FFI_Extension_Base": ("struct_size", "type", "next"),
+    "XLA_FFI_Api_Version": (
+        *("struct_size", "extension_start", "major_version", "minor_version"),
+    ),
+    "XLA_FFI_Error_Create_Args": ("struct_size", "extension_start", "message", "errc"),
+    "XLA_FFI_Buffer": (
+        *("struct_size", "extension_start", "dtype", "data", "rank", "dims"),
+    ),
+    "XLA_FFI_Args": ("struct_size", "extension_start", "size", "types", "args"),
+    "XLA_FFI_Rets": ("struct_size", "extension_start", "size", "types", "rets"),
+    "XLA_FFI_Metadata_Extension": ("extension_base", "metadata"),
+}
+"""Fields of the structures that are read, in order."""
+_BEGINNINGS = {
+    "XLA_FFI_CallFrame": (
+        *("struct_size", "extension_start", "api", "ctx", "stage", "args", "rets"),
+    ),
+    "XLA_FFI_Metadata": ("struct_size", "api_version", "traits"),
+    "XLA_FFI_Api": (
+        *("struct_size", "extension_start", "api_version", "internal_api"),
+        "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create)",
+    ),
+}
+"""First fields of structures that may grow."""
+
+
+@cache
+def header() -> str:
+    """The header of the interface, without comments; empty if it is not there."""
+    try:
+        file = Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h"
+        return re.sub(r"//[^\n]*", "", file.read_text())
+    except (OSError, AttributeError):
+        return ""
+
+
+@cache
+def unknown_layout() -> str | None:
+    """Why the interface is not the one known here, in words; `None` if it is."""
+    if not header():
+        return "jaxlib's header of foreign functions is not found"
+    for name, expected in _EXPECTED.items():
+        if _fields(name) != expected:
+            return f"jaxlib's {name} has another layout than the one known"
+    for name, expected in _BEGINNINGS.items():
+        if _fields(name)[: len(expected)] != expected:
+            return f"jaxlib's {name} has another layout than the one known"
+    for constant in ("XLA_FFI_Extension_Metadata = 1", "XLA_FFI_ExecutionStage_EXECUTE = 3"):
+        if constant not in header():
+            return f"jaxlib's header does not say {constant}"
+    if None in api_version():
+        return "jaxlib's header does not say its version"
+    return None
+
+
+def api_version() -> tuple[int | None, int | None]:
+    """Major and minor version of the interface, as the header says."""
+    numbers: list[int | None] = []
+    for word in ("MAJOR", "MINOR"):
+        found = re.search(rf"#define XLA_FFI_API_{word} (\d+)", header())
+        numbers.append(int(found.group(1)) if found else None)
+    return numbers[0], numbers[1]
+
+
+def handler_text(name: str, n_operands: int, n_results: int) -> str:
+    """The handler of a kernel in LLVM's language.
+
+    It answers what XLA asks when it is registered, refuses a call with other numbers
+    of buffers than the kernel's, and calls `@kernel`.
+    """
+    major, minor = api_version()
+    words = f"jaxrod: a kernel of {n_operands} operands was called with others"
+    return f"""
+@words = private constant [{len(words) + 1} x i8] c"{words}\\00"
+define ptr @{name}(ptr %frame) nounwind {{
+entry:
+%pe = getelementptr i8, ptr %frame, i64 8
+%e = load ptr, ptr %pe
+%none = icmp eq ptr %e, null
+br i1 %none, label %check, label %asked
+asked:
+%pt = getelementptr i8, ptr %e, i64 8
+%t = load i32, ptr %pt
+%is = icmp eq i32 %t, 1
+br i1 %is, label %answer, label %check
+answer:
+%pm = getelementptr i8, ptr %e, i64 24
+%m = load ptr, ptr %pm
+%pmajor = getelementptr i8, ptr %m, i64 24
+store i32 {major}, ptr %pmajor
+%pminor = getelementptr i8, ptr %m, i64 28
+store i32 {minor}, ptr %pminor
+ret ptr null
+check:
+%pstage = getelementptr i8, ptr %frame, i64 32
+%stage = load i32, ptr %pstage
+%pn = getelementptr i8, ptr %frame, i64 56
+%n = load i64, ptr %pn
+%pr = getelementptr i8, ptr %frame, i64 96
+%r = load i64, ptr %pr
+%a = icmp eq i32 %stage, 3
+%b = icmp eq i64 %n, {n_operands}
+%c = icmp eq i64 %r, {n_results}
+%ab = and i1 %a, %b
+%abc = and i1 %ab, %c
+br i1 %abc, label %work, label %refuse
+refuse:
+%error = alloca [32 x i8], align 8
+store i64 32, ptr %error
+%ee = getelementptr i8, ptr %error, i64 8
+store ptr null, ptr %ee
+%em = getelementptr i8, ptr %error, i64 16
+store ptr @words, ptr %em
+%ec = getelementptr i8, ptr %error, i64 24
+store i32 13, ptr %ec
+%papi = getelementptr i8, ptr %frame, i64 16
+%api = load ptr, ptr %papi
+%pcreate = getelementptr i8, ptr %api, i64 48
+%create = load ptr, ptr %pcreate
+%made = call ptr %create(ptr %error)
+ret ptr %made
+work:
+%poperands = getelementptr i8, ptr %frame, i64 72
+%operands = load ptr, ptr %poperands
+%presults = getelementptr i8, ptr %frame, i64 112
+%results = load ptr, ptr %presults
+call void @kernel(ptr %operands, ptr %results)
+ret ptr null
+}}
+"""
+
+
+def _fields(name: str) -> tuple[str, ...]:
+    found = re.search(rf"struct {name} \{{(.*?)\n\}}", header(), re.S)
+    if found is None:
+        return ()
+    parts = (part.strip() for part in found.group(1).split(";"))
+    return tuple(re.split(r"[\s*]+", part)[-1] for part in parts if part)

@@ -1,0 +1,285 @@
+"""The choice between lanes and XLA, and a record of what was chosen and why."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxrod.lanes import rules
+from jaxrod.lanes.cycle import Cycle, Plan, adjoint_cycle, chosen
+from jaxrod.lanes.cycle import Ends as CycleEnds
+from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
+from jaxrod.lanes.kernel import (
+    Ends,
+    Entries,
+    Kernel,
+    Step,
+    adjoint_kernel,
+    run_kernel,
+    step_kernel,
+)
+from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
+from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, supported
+
+AUTO, ALWAYS, NEVER = "auto", "always", "never"
+MODES = (AUTO, ALWAYS, NEVER)
+FEWEST_RODS = 4
+"""A batch of fewer is left to XLA."""
+MOST_OPERATIONS = 120_000
+"""Of a step; longer ones do not fit the processor's memory for instructions, and take
+more than a quarter of a minute to compile."""
+
+_log = logging.getLogger("jaxrod.lanes")
+_mode = [os.environ.get("JAXROD_LANES", AUTO)]
+
+
+@dataclass(frozen=True)
+class LaneChoice:
+    """What one compiled run is done by."""
+
+    taken: bool
+    """Whether lanes do it; XLA does otherwise."""
+    why: str
+    """In words."""
+    rods: int
+    """Of the batch; 1 without one."""
+    operations: int = 0
+    """Of a step of one rod."""
+    seconds: float = 0.0
+    """That it took to write and compile the step [s]."""
+
+
+_choices: deque[LaneChoice] = deque(maxlen=100)
+
+
+def use_lanes(mode: str) -> None:
+    """Says when lanes are used by what is compiled from now on.
+
+    Args:
+        mode: `"auto"`, where they are faster, `"always"`, wherever they can be,
+            or `"never"`. The environment variable `JAXROD_LANES` says it at the start.
+
+    Raises:
+        ValueError: If it is none of these.
+    """
+    if mode not in MODES:
+        raise ValueError(f"mode must be one of {', '.join(MODES)}; got {mode!r}")
+    _mode[0] = mode
+
+
+def lane_choices() -> list[LaneChoice]:
+    """The latest choices between lanes and XLA, one for each compiled run."""
+    return list(_choices)
+
+
+def lane_mode() -> str:
+    """When lanes are used; a program compiled under one mode is not used in another."""
+    if _mode[0] not in MODES:
+        raise ValueError(
+            f"JAXROD_LANES must be one of {', '.join(MODES)}; got {_mode[0]!r}"
+        )
+    return _mode[0]
+
+
+def lanes_wanted() -> bool:
+    """Whether runs are made so that lanes may take them."""
+    return lane_mode() != NEVER and not_here() is None and _on_cpu()
+
+
+def refused(words: str, rods: int = 1) -> None:
+    """Notes that XLA does a run, and why."""
+    _note(LaneChoice(False, words, rods))
+
+
+def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
+    """The program of an operation by lanes, or `None` where XLA is to do it.
+
+    Args:
+        name: Of the primitive.
+        plan: Its structure.
+    """
+    rods = plan.batch.size if plan.batch is not None else 1
+    mode = lane_mode()
+    if mode == NEVER or not_here() is not None or rods == 0:
+        return None
+    if mode == AUTO and rods < FEWEST_RODS:
+        refused(f"fewer than {FEWEST_RODS} rods", rods)
+        return None
+    begun = time.perf_counter()
+    flags = plan.batch.rows if plan.batch is not None else None
+    shared = tuple(
+        flags is None or not row for row in (flags or ())[: plan.cycle.n_constants]
+    )
+    if flags is None:
+        shared = (True,) * plan.cycle.n_constants
+    try:
+        if plan.ends is not None:
+            kernel = _run_kernel(plan.cycle, plan.ends, shared)
+        elif name == "jaxrod_cycles":
+            kernel = _steps_kernel(plan.cycle, shared, plan.keeps)
+        else:
+            kernel = _back_kernel(plan.cycle, plan.moving, shared)
+    except NotUnrolled as words:
+        refused(str(words), rods)
+        return None
+    target = registered(kernel)
+    seconds = time.perf_counter() - begun
+    words = f"lanes of {vector_bytes()} bytes"
+    _note(LaneChoice(True, words, rods, kernel.operations, seconds))
+    return _call(target, kernel, name, plan, rods)
+
+
+def _call(
+    target: str, kernel: Kernel, name: str, plan: Plan, rods: int
+) -> Callable[..., Any]:
+    """The call of a kernel from JAX."""
+    rows = (rods,) if plan.batch is not None else ()
+    cycle = plan.cycle
+    results = [(a.shape, a.dtype) for a in cycle.avals]
+    if plan.ends is not None:
+        results = [(a.shape, a.dtype) for a in plan.ends.made]
+    kept, room = 0, kernel.room + 64
+    if name == "jaxrod_cycles" and plan.keeps:
+        results += [((plan.n_kept, *a.shape), a.dtype) for a in cycle.avals]
+        kept = plan.n_kept
+    if name == "jaxrod_cycles_adjoint":
+        constants = [v.aval for v in cycle.closed.jaxpr.invars[: cycle.n_constants]]
+        results = [
+            (a.shape, a.dtype)
+            for a in (
+                *chosen(cycle.avals, cycle.floating),
+                *chosen(constants, plan.moving),
+            )
+        ]
+        kept = plan.n_kept
+        room += kernel.kept * plan.every
+    shapes = [jax.ShapeDtypeStruct((*rows, *shape), dtype) for shape, dtype in results]
+    shapes.append(jax.ShapeDtypeStruct((room,), jnp.uint8))
+    every = plan.every if kept else 2**31 - 1
+    call = jax.ffi.ffi_call(target, shapes)
+
+    def program(steps: Any, *arrays: Any) -> list[Any]:
+        counts = [jnp.asarray(n, jnp.int32) for n in (steps, every, rods, kept)]
+        return list(call(jnp.stack(counts), *arrays))[:-1]
+
+    return program
+
+
+@lru_cache(maxsize=64)
+def _steps_kernel(cycle: Cycle, shared: tuple[bool, ...], keeps: bool) -> Kernel:
+    return step_kernel(_unrolled(cycle, shared)[0], _width(cycle), checkpoints=keeps)
+
+
+@lru_cache(maxsize=64)
+def _run_kernel(cycle: Cycle, ends: CycleEnds, shared: tuple[bool, ...]) -> Kernel:
+    step, unroller, inputs = _unrolled(cycle, shared)
+    graph, n = step.graph, cycle.n_constants
+    avals = ends.given[n:]
+    first = len(inputs)
+    given = [
+        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
+        for i, aval in enumerate(avals)
+    ]
+    begun = unroller.run(ends.begin, [*inputs[:n], *given])
+    ended = unroller.run(ends.end, inputs)
+    _check_length(len(graph))
+    return run_kernel(
+        step,
+        Ends(
+            [_entries(aval) for aval in avals],
+            [array.reshape(-1).tolist() for array in begun],
+            [_entries(aval) for aval in ends.made],
+            [array.reshape(-1).tolist() for array in ended],
+        ),
+        _width(cycle),
+    )
+
+
+def _entries(aval: Any) -> Entries:
+    return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
+
+
+@lru_cache(maxsize=64)
+def _back_kernel(
+    cycle: Cycle, moving: tuple[bool, ...], shared: tuple[bool, ...]
+) -> Kernel:
+    step, unroller, inputs = _unrolled(cycle, shared)
+    graph = step.graph
+    plan = Plan(cycle, 0, moving)
+    closed = adjoint_cycle(plan)
+    floats = chosen(step.carry, cycle.floating)
+    sums = chosen(step.constants, moving)
+    carry = [Entries(e.kind, e.size, VARYING) for e in (*floats, *sums)]
+    first = len(step.constants) + len(step.carry)
+    given = [
+        graph.inputs(first + i, v.aval.shape, kind_of(v.aval), VARYING)
+        for i, v in enumerate(closed.jaxpr.outvars)
+    ]
+    made = unroller.run(closed, [*inputs, *given[: len(floats)]])
+    total = [
+        graph.each("add", e.kind, old, new)
+        for e, old, new in zip(
+            sums, given[len(floats) :], made[len(floats) :], strict=True
+        )
+    ]
+    _check_length(len(graph))
+    outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
+    adjoint = Step(graph, step.constants, carry, outputs)
+    return adjoint_kernel(step, adjoint, len(floats), _width(cycle))
+
+
+def _unrolled(cycle: Cycle, shared: tuple[bool, ...]) -> tuple[Step, Unroller, Any]:
+    graph = Graph()
+    unroller = Unroller(graph)
+    inputs, entries = [], []
+    for i, variable in enumerate(cycle.closed.jaxpr.invars):
+        rate = VARYING
+        if i < cycle.n_constants:
+            rate = UNIFORM if shared[i] else FIXED
+        kind = kind_of(variable.aval)
+        inputs.append(graph.inputs(i, variable.aval.shape, kind, rate))
+        entries.append(Entries(kind, inputs[-1].size, rate))
+    made = unroller.run(cycle.closed, inputs)
+    _check_length(len(graph))
+    outputs = [array.reshape(-1).tolist() for array in made]
+    constants, carry = entries[: cycle.n_constants], entries[cycle.n_constants :]
+    return Step(graph, constants, carry, outputs), unroller, inputs
+
+
+def _check_length(operations: int) -> None:
+    if operations > MOST_OPERATIONS:
+        raise NotUnrolled(
+            f"a step of {operations} operations is longer than {MOST_OPERATIONS}"
+        )
+
+
+def _width(cycle: Cycle) -> int:
+    """Rods of a vector: of the widest floats of the carry."""
+    sizes = [
+        aval.dtype.itemsize for aval in chosen(cycle.avals, cycle.floating)
+    ] or [4]
+    return max(vector_bytes() // max(sizes), 2)
+
+
+def _note(choice: LaneChoice) -> None:
+    _choices.append(choice)
+    _log.info(
+        "%s for %d rods: %s", "lanes" if choice.taken else "XLA", choice.rods, choice.why
+    )
+
+
+def _on_cpu() -> bool:
+    return jax.default_backend() == "cpu"
+
+
+__all__ = ["rules", "supported"]

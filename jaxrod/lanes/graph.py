@@ -1,0 +1,255 @@
+"""Scalar programs: operations on single numbers, each value worked out once.
+
+A node is an integer. Its operation, its arguments and its kind (`f32`, `f64`, `i8` to
+`i64`, `u8` to `u64`, `b1`) are kept in lists beside each other. The same operation of
+the same arguments is the same node; what is known when the program is made is folded.
+
+Nothing is folded that would change a number. A sum with zero drops the sign of a zero,
+and a product with a zero that is written in the program is zero whatever it multiplies,
+not-a-number and infinity too: what multiplies it is left out of the program.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+DTYPES = {
+    "f32": np.dtype(np.float32),
+    "f64": np.dtype(np.float64),
+    "i8": np.dtype(np.int8),
+    "i16": np.dtype(np.int16),
+    "i32": np.dtype(np.int32),
+    "i64": np.dtype(np.int64),
+    "u8": np.dtype(np.uint8),
+    "u16": np.dtype(np.uint16),
+    "u32": np.dtype(np.uint32),
+    "u64": np.dtype(np.uint64),
+    "b1": np.dtype(np.bool_),
+}
+"""Kinds of numbers, and the types of arrays they come from."""
+KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
+
+UNIFORM, FIXED, VARYING = 1, 2, 3
+"""How often a value changes: once for all rods, once for each, or with every step.
+Constants are 0."""
+
+_COMMUTE = frozenset({"add", "mul", "and", "or", "xor", "eq", "ne"})
+
+
+class Graph:
+    """Nodes of a scalar program, in the order in which they were made."""
+
+    def __init__(self) -> None:
+        self.operations: list[str] = []
+        self.arguments: list[tuple[int, ...]] = []
+        self.kinds: list[str] = []
+        self.rates: list[int] = []
+        self.values: dict[int, Any] = {}
+        """Of constants."""
+        self.places: dict[int, tuple[int, int]] = {}
+        """Of inputs: which array, and which of its entries."""
+        self._known: dict[Any, int] = {}
+
+    def __len__(self) -> int:
+        return len(self.operations)
+
+    def constant(self, value: Any, kind: str) -> int:
+        """A number written in the program."""
+        number = np.asarray(value).astype(DTYPES[kind])[()]
+        key = ("constant", kind, number.tobytes())
+        node = self._known.get(key)
+        if node is None:
+            node = self._new("constant", (), kind, 0)
+            self._known[key] = node
+            self.values[node] = number
+        return node
+
+    def constants(self, array: Any) -> np.ndarray:
+        """Nodes of all entries of an array of known numbers."""
+        array = np.asarray(array)
+        kind = KINDS[array.dtype]
+        return self.mapped(lambda value: self.constant(value, kind), array)
+
+    def inputs(self, which: int, shape: tuple[int, ...], kind: str, rate: int) -> Any:
+        """Nodes of all entries of an array that the program is given."""
+        nodes = np.empty(shape, np.int64)
+        flat = nodes.reshape(-1)
+        for entry in range(flat.size):
+            flat[entry] = node = self._new("input", (), kind, rate)
+            self.places[node] = (which, entry)
+        return nodes
+
+    def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
+        """A node: an old one if it was worked out before, or known."""
+        if operation in _COMMUTE and arguments[0] > arguments[1]:
+            arguments = (arguments[1], arguments[0])
+        key = (operation, arguments, kind)
+        node = self._known.get(key)
+        if node is None:
+            node = self._folded(operation, arguments, kind)
+            if node is None:
+                rate = max(UNIFORM, *(self.rates[a] for a in arguments))
+                node = self._new(operation, arguments, kind, rate)
+            self._known[key] = node
+        return node
+
+    def mapped(self, function: Callable[..., int], *arrays: Any) -> np.ndarray:
+        """A function of the entries of arrays, broadcast against each other."""
+        shaped = np.broadcast_arrays(*arrays)
+        nodes = np.empty(shaped[0].shape, np.int64)
+        columns = [array.reshape(-1).tolist() for array in shaped]
+        if isinstance(arrays[0], np.ndarray) and arrays[0].dtype != np.int64:
+            columns[0] = list(shaped[0].reshape(-1))
+        nodes.reshape(-1)[:] = [
+            function(*entries) for entries in zip(*columns, strict=True)
+        ]
+        return nodes
+
+    def each(self, operation: str, kind: str, *arrays: Any) -> np.ndarray:
+        """An operation on the entries of arrays of nodes."""
+        return self.mapped(
+            lambda *entries: self.add(operation, entries, kind), *arrays
+        )
+
+    def value(self, node: int) -> Any:
+        """The number of a constant node, or `None`."""
+        return self.values.get(node)
+
+    def needed(self, outputs: Iterable[int]) -> list[int]:
+        """All nodes on which outputs depend, neighbours together.
+
+        Depth first, output after output: what is worked out for one element is used
+        before the next one is begun.
+        """
+        order: list[int] = []
+        seen = bytearray(len(self))
+        for output in outputs:
+            stack = [(output, False)]
+            while stack:
+                node, expanded = stack.pop()
+                if expanded:
+                    order.append(node)
+                elif not seen[node]:
+                    seen[node] = 1
+                    stack.append((node, True))
+                    stack.extend(
+                        (a, False) for a in reversed(self.arguments[node]) if not seen[a]
+                    )
+        return order
+
+    def _new(
+        self, operation: str, arguments: tuple[int, ...], kind: str, rate: int
+    ) -> int:
+        self.operations.append(operation)
+        self.arguments.append(arguments)
+        self.kinds.append(kind)
+        self.rates.append(rate)
+        return len(self.operations) - 1
+
+    def _folded(
+        self, operation: str, arguments: tuple[int, ...], kind: str
+    ) -> int | None:
+        """The node of a simpler operation with the same result, if there is one."""
+        known = [self.values.get(a) for a in arguments]
+        if operation == "select":
+            return _chosen(arguments, known)
+        if all(value is not None for value in known):
+            return self._worked_out(operation, known, kind)
+        if kind == "b1":
+            return self._folded_logic(operation, arguments, known)
+        first, *rest = arguments
+        if operation in ("add", "mul"):
+            for one, other, number in (
+                (arguments[1], arguments[0], known[0]),
+                (arguments[0], arguments[1], known[1]),
+            ):
+                if number is None:
+                    continue
+                if operation == "add" and number == 0:
+                    return one
+                if operation == "mul" and number == 1:
+                    return one
+                if operation == "mul" and number == 0:
+                    return other
+                if operation == "mul" and number == -1 and kind[0] == "f":
+                    return self.add("neg", (one,), kind)
+        if operation == "sub" and known[1] is not None and known[1] == 0:
+            return first
+        if operation == "sub" and known[0] is not None and known[0] == 0:
+            return self.add("neg", (rest[0],), kind)
+        if operation == "div" and known[1] is not None and kind[0] == "f":
+            return self._divided(first, known[1], kind)
+        if operation == "neg" and self.operations[first] == "neg":
+            return self.arguments[first][0]
+        if operation in ("and", "or") and first == rest[0]:
+            return first
+        return None
+
+    def _folded_logic(
+        self, operation: str, arguments: tuple[int, ...], known: list[Any]
+    ) -> int | None:
+        if operation == "not" and self.operations[arguments[0]] == "not":
+            return self.arguments[arguments[0]][0]
+        if operation not in ("and", "or"):
+            return None
+        for one, number in ((arguments[1], known[0]), (arguments[0], known[1])):
+            if number is None:
+                continue
+            if operation == "and":
+                return one if number else self.constant(False, "b1")
+            return self.constant(True, "b1") if number else one
+        return arguments[0] if arguments[0] == arguments[1] else None
+
+    def _divided(self, node: int, by: Any, kind: str) -> int | None:
+        """A quotient by a power of two is a product, exactly."""
+        if by == 1:
+            return node
+        mantissa, exponent = math.frexp(float(by))
+        if abs(mantissa) == 0.5 and abs(exponent) < 100:
+            return self.add("mul", (node, self.constant(1 / by, kind)), kind)
+        return None
+
+    def _worked_out(self, operation: str, known: list[Any], kind: str) -> int | None:
+        function = _FUNCTIONS.get(operation)
+        if function is None or (operation == "div" and kind[0] != "f"):
+            return None
+        with np.errstate(all="ignore"):
+            return self.constant(function(*known), kind)
+
+
+def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
+    """`select(where, if_true, if_false)` of which the answer is known."""
+    if known[0] is not None:
+        return arguments[1] if known[0] else arguments[2]
+    return arguments[1] if arguments[1] == arguments[2] else None
+
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": np.divide,
+    "neg": lambda a: -a,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "min": np.minimum,
+    "max": np.maximum,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b,
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "gt": lambda a, b: a > b,
+    "ge": lambda a, b: a >= b,
+    "and": lambda a, b: a & b,
+    "or": lambda a, b: a | b,
+    "xor": lambda a, b: a ^ b,
+    "not": lambda a: ~a,
+    "convert": lambda a: a,
+}
+"""Of operations that are worked out while the program is made if all is known."""

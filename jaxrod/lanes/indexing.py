@@ -1,0 +1,184 @@
+"""Rules of unrolling for numbers picked by their places.
+
+Places that are known are looked up while the program is made. Of a place that changes,
+all numbers it may point to are at hand and one is chosen, as long as they are few.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
+
+MOST_CHOICES = 64
+"""Places that one index may point to; more are left to XLA."""
+
+
+@rule("dynamic_slice")
+def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
+    """A box at a place; beyond the edge, the last box within."""
+    sizes = equation.params["slice_sizes"]
+    kind = kind_of(equation.outvars[0].aval)
+
+    def box(at: Sequence[int]) -> Any:
+        return array[tuple(slice(a, a + s) for a, s in zip(at, sizes, strict=True))]
+
+    rooms = [n - s for n, s in zip(array.shape, sizes, strict=True)]
+    return _chosen(unroller, equation, 1, kind, starts, rooms, box)
+
+
+@rule("dynamic_update_slice")
+def replaced(
+    unroller: Unroller, equation: Any, array: Any, update: Any, *starts: Any
+) -> Any:
+    """An array with a box in it replaced."""
+    kind = kind_of(equation.outvars[0].aval)
+
+    def changed(at: Sequence[int]) -> Any:
+        result = array.copy()
+        places = zip(at, update.shape, strict=True)
+        result[tuple(slice(a, a + s) for a, s in places)] = update
+        return result
+
+    rooms = [n - s for n, s in zip(array.shape, update.shape, strict=True)]
+    return _chosen(unroller, equation, 2, kind, starts, rooms, changed)
+
+
+@rule("gather")
+def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any:
+    """Boxes at places, if the places are known."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    outside = equation.params["fill_value"]
+    if outside is None:
+        outside = np.nan if kind[0] == "f" else 0
+    known = _known(unroller, indices)
+    if known is not None:
+        # One more place, for what is filled in.
+        params = {**equation.params, "fill_value": np.int32(-1)}
+        places = np.arange(array.size, dtype=np.int32).reshape(array.shape)
+        found = _evaluated(equation, params, places, known)
+        nodes = np.append(array.reshape(-1), graph.constant(outside, kind))
+        return nodes[found]
+    raise NotUnrolled("lanes do not gather from places that change")
+
+
+@rule("scatter", "scatter-add", "scatter-mul", "scatter-min", "scatter-max")
+def scattered(
+    unroller: Unroller, equation: Any, array: Any, indices: Any, updates: Any
+) -> Any:
+    """Boxes written to places, or joined to what is there, if the places are known."""
+    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    known = _known(unroller, indices)
+    if known is None:
+        raise NotUnrolled("lanes do not scatter to places that change")
+    operation = {
+        "scatter-add": "add",
+        "scatter-mul": "mul",
+        "scatter-min": "min",
+        "scatter-max": "max",
+    }.get(equation.primitive.name)
+    result = array.reshape(-1).copy()
+    flat = updates.reshape(-1)
+    # Where each number goes: mark it alone, and see what changed.
+    for number, target in enumerate(_targets(equation, array.shape, known, updates)):
+        if target is None:
+            continue
+        if operation is None:
+            result[target] = flat[number]
+        else:
+            pair = (int(result[target]), int(flat[number]))
+            result[target] = graph.add(operation, pair, kind)
+    return result.reshape(array.shape)
+
+
+def _targets(
+    equation: Any, shape: tuple[int, ...], known: Any, updates: Any
+) -> list[int | None]:
+    """The place in the flat array for each update; `None` for one that is dropped."""
+    numbers = equation.params["dimension_numbers"]
+    window = numbers.update_window_dims
+    rows = [axis for axis in range(updates.ndim) if axis not in window]
+    mode = str(equation.params["mode"])
+    if numbers.operand_batching_dims:
+        raise NotUnrolled("lanes do not scatter along two batches")
+    inner = [axis for axis in range(len(shape)) if axis not in numbers.inserted_window_dims]
+    targets: list[int | None] = []
+    for position in np.ndindex(*updates.shape):
+        start = np.zeros(len(shape), int)
+        row = known[tuple(position[axis] for axis in rows)]
+        for axis, value in zip(
+            numbers.scatter_dims_to_operand_dims, np.atleast_1d(row), strict=True
+        ):
+            start[axis] = value
+        place, inside = start.copy(), True
+        for axis, update_axis in zip(inner, window, strict=True):
+            place[axis] += position[update_axis]
+            room = shape[axis] - updates.shape[update_axis]
+            inside &= 0 <= start[axis] <= room
+        for axis in numbers.inserted_window_dims:
+            inside &= 0 <= start[axis] < shape[axis]
+        if not inside and "CLIP" in mode:
+            raise NotUnrolled("lanes do not scatter with clipped places")
+        flat = int(np.ravel_multi_index(place, shape)) if inside else None
+        targets.append(flat)
+    return targets
+
+
+def _known(unroller: Unroller, indices: Any) -> Any:
+    """The numbers of an array of nodes, if all are known."""
+    values = [unroller.graph.value(int(node)) for node in indices.reshape(-1)]
+    if any(value is None for value in values):
+        return None
+    return np.array(values, np.int32).reshape(indices.shape)
+
+
+def _evaluated(equation: Any, params: dict[str, Any], *arrays: Any) -> Any:
+    with jax.ensure_compile_time_eval():
+        return np.asarray(equation.primitive.bind(*map(jax.numpy.asarray, arrays), **params))
+
+
+def _chosen(
+    unroller: Unroller,
+    equation: Any,
+    first_index: int,
+    kind: str,
+    starts: Sequence[Any],
+    rooms: Sequence[int],
+    result_at: Callable[[Sequence[int]], Any],
+) -> Any:
+    """The result at a place, clamped to where there is room."""
+    graph = unroller.graph
+    ranges = []
+    for start, room in zip(starts, rooms, strict=True):
+        value = graph.value(int(start))
+        fixed = None if value is None else min(max(int(value), 0), room)
+        ranges.append(range(room + 1) if fixed is None else (fixed,))
+    if math.prod(map(len, ranges)) > MOST_CHOICES:
+        raise NotUnrolled(f"an index that changes has more than {MOST_CHOICES} choices")
+    result = None
+    for at in itertools.product(*ranges):
+        candidate = result_at(at)
+        if result is None:
+            result = candidate
+            continue
+        chosen = graph.constant(True, "b1")
+        for axis, (start, room) in enumerate(zip(starts, rooms, strict=True)):
+            if len(ranges[axis]) > 1:
+                index_kind = kind_of(equation.invars[first_index + axis].aval)
+                within = _clamped(graph, int(start), room, index_kind)
+                number = graph.constant(at[axis], index_kind)
+                same = graph.add("eq", (within, number), "b1")
+                chosen = graph.add("and", (chosen, same), "b1")
+        result = graph.each("select", kind, np.int64(chosen), candidate, result)
+    return result
+
+
+def _clamped(graph: Any, start: int, room: int, kind: str) -> int:
+    lowest, highest = graph.constant(0, kind), graph.constant(room, kind)
+    return graph.add("min", (graph.add("max", (start, lowest), kind), highest), kind)

@@ -1,0 +1,125 @@
+"""Machine code: a kernel's text compiled by LLVM for this processor."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import hashlib
+import threading
+from functools import cache
+from typing import Any
+
+import jax
+
+from jaxrod.lanes.call_frame import handler_text, unknown_layout
+from jaxrod.lanes.kernel import Kernel
+
+_LIBRARY = (
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+    *("asinh", "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "cbrt"),
+    *("erf", "erfc", "pow", "fma", "fmaf", "floor", "floorf", "ceil", "ceilf"),
+    *("trunc", "truncf", "round", "roundf", "roundeven", "roundevenf", "fmod"),
+    *("fmodf", "memcpy", "memset", "memmove"),
+)
+"""Functions of the C library that compiled code may call."""
+_engines: dict[str, Any] = {}
+"""Compiled kernels by name, kept as long as the process lives: programs call them."""
+_lock = threading.Lock()
+
+
+@cache
+def not_here() -> str | None:
+    """Why kernels cannot be compiled here, in words; `None` where they can."""
+    try:
+        import llvmlite.binding as llvm
+    except ImportError:
+        return "llvmlite is not installed (pip install 'jaxrod[lanes]')"
+    words = unknown_layout()
+    if words is not None:
+        return words
+    try:
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        _target_machine()
+    except RuntimeError as error:
+        return f"LLVM has no code for this processor: {error}"
+    missing = _name_library()
+    return f"the C library has no {missing}" if missing else None
+
+
+@cache
+def vector_bytes() -> int:
+    """Bytes of the widest vectors of this processor."""
+    import llvmlite.binding as llvm
+
+    features = llvm.get_host_cpu_features()
+    if features.get("avx512f"):
+        return 64
+    return 32 if features.get("avx") else 16
+
+
+@cache
+def processor() -> str:
+    """Name and features of this processor, and LLVM's version."""
+    import llvmlite.binding as llvm
+
+    version = ".".join(map(str, llvm.llvm_version_info))
+    features = llvm.get_host_cpu_features().flatten()
+    return f"{version} {llvm.get_host_cpu_name()} {features}"
+
+
+def registered(kernel: Kernel) -> str:
+    """Compiles a kernel, unless it was, and makes it known to XLA; its name there."""
+    import llvmlite.binding as llvm
+
+    digest = hashlib.sha256((processor() + kernel.text).encode()).hexdigest()[:24]
+    name = f"jaxrod_lanes_{digest}"
+    with _lock:
+        if name in _engines:
+            return name
+        text = kernel.text + handler_text(name, kernel.n_operands, kernel.n_results)
+        module = llvm.parse_assembly(text)
+        module.verify()
+        machine = _target_machine()
+        engine = llvm.create_mcjit_compiler(module, machine)
+        engine.finalize_object()
+        address = engine.get_function_address(name)
+        _engines[name] = engine
+        jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu")
+    return name
+
+
+def _target_machine() -> Any:
+    import llvmlite.binding as llvm
+
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=2,
+    )
+
+
+def _name_library() -> str | None:
+    """Tells LLVM where the functions of the C library are; the name of a missing one."""
+    import llvmlite.binding as llvm
+
+    found = ctypes.util.find_library("m")
+    libraries = [ctypes.CDLL(None), *([ctypes.CDLL(found)] if found else [])]
+    for name in _LIBRARY:
+        for library in libraries:
+            function = getattr(library, name, None)
+            if function is not None:
+                address = ctypes.cast(function, ctypes.c_void_p).value
+                llvm.add_symbol(name, address)
+                break
+        else:
+            return name
+    return None
+
+
+def _capsule(address: int) -> Any:
+    make = ctypes.pythonapi.PyCapsule_New
+    make.restype = ctypes.py_object
+    make.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    return make(address, None, None)

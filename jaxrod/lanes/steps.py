@@ -1,0 +1,80 @@
+"""The steps of a run, made so that lanes may take them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxrod.lanes.choice import lanes_wanted, refused, supported
+from jaxrod.lanes.cycle import Cycle, Ends, Plan
+
+
+def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
+    """What an integrator makes of a state by its cycles; `None` where XLA is to loop.
+
+    Args:
+        integrator: A pytree with methods `begin`, `cycle` and `end`.
+        given: What it begins with.
+        n_times: How many cycles, an `int` or traced.
+    """
+    if not lanes_wanted():
+        return None
+    from jaxrod.lanes.primitives import run_p
+
+    constants, structure = jax.tree.flatten(integrator)
+    constants = [_settled(leaf) for leaf in constants]
+    n = len(constants)
+
+    def part(
+        name: str, argument: Any
+    ) -> tuple[Any, Any, list[jax.ShapeDtypeStruct]]:
+        """A method as a closed jaxpr, the tree of its result, and what it is given."""
+        leaves, tree = jax.tree.flatten(argument)
+        result: list[Any] = []
+
+        def method(*arrays: Any) -> list[Any]:
+            stepper = jax.tree.unflatten(structure, arrays[:n])
+            bound: Callable[[Any], Any] = getattr(stepper, name)
+            made, made_tree = jax.tree.flatten(bound(jax.tree.unflatten(tree, arrays[n:])))
+            result.append(made_tree)
+            return [_settled(leaf) for leaf in made]
+
+        closed = jax.make_jaxpr(method)(*constants, *leaves)
+        return closed, result[0], leaves
+
+    state = [_settled(leaf) for leaf in jax.tree.leaves(given)]
+    state_tree = jax.tree.structure(given)
+    begin, carried, _ = part("begin", jax.tree.unflatten(state_tree, state))
+    carry = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in begin.out_avals]
+    cycle, cycled, _ = part("cycle", jax.tree.unflatten(carried, carry))
+    end, made_tree, _ = part("end", jax.tree.unflatten(carried, carry))
+    words = None
+    for closed in (begin, cycle, end):
+        words = words or supported(closed.jaxpr)
+    after = [(a.shape, a.dtype) for a in cycle.out_avals]
+    if words is None and (cycled, after) != (carried, [(a.shape, a.dtype) for a in carry]):
+        words = "what a step makes is not of the type of what it is given"
+    if words is not None:
+        refused(words)
+        return None
+    made = run_p.bind(
+        jnp.asarray(n_times, jnp.int32),
+        *constants,
+        *state,
+        plan=Plan(
+            Cycle(cycle, n),
+            n_times if isinstance(n_times, int) else None,
+            ends=Ends(begin, end),
+        ),
+    )
+    return jax.tree.unflatten(made_tree, made)
+
+
+def _settled(leaf: Any) -> Any:
+    """An array whose type is its own, not that of what it is joined with."""
+    array = jnp.asarray(leaf)
+    return lax.convert_element_type(array, array.dtype)

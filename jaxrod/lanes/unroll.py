@@ -1,0 +1,132 @@
+"""Unrolling: a jaxpr of arrays read as a program of single numbers.
+
+Every array becomes an array of nodes of a graph. What only moves numbers about
+(slices, pads, transposes, ...) costs nothing: it relabels. What works on numbers makes
+one node for every number. Loops of a known length are gone through, branches are all
+taken and chosen from, nested calls are entered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import Literal
+
+from jaxrod.lanes.graph import KINDS, Graph
+
+MOST_NODES = 400_000
+"""Longer programs take minutes to compile."""
+
+
+class NotUnrolled(Exception):
+    """A program that cannot be read, or would be too long, in one line of words."""
+
+
+class Unroller:
+    """Reads jaxprs into one graph."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+
+    def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
+        """Arrays of nodes that a closed jaxpr makes of arrays of nodes.
+
+        Raises:
+            NotUnrolled: If something in it is not known here.
+        """
+        jaxpr = closed.jaxpr
+        values: dict[Any, Any] = {}
+        for variable, const in zip(jaxpr.constvars, closed.consts, strict=True):
+            values[variable] = self.known(const, variable.aval)
+        for variable, array in zip(jaxpr.invars, arrays, strict=True):
+            values[variable] = array
+
+        def read(atom: Any) -> Any:
+            if isinstance(atom, Literal):
+                return self.known(atom.val, atom.aval)
+            return values[atom]
+
+        for equation in jaxpr.eqns:
+            name = equation.primitive.name
+            rule = RULES.get(name)
+            if rule is None:
+                raise NotUnrolled(f"lanes do not know the primitive '{name}'")
+            made = rule(self, equation, *[read(atom) for atom in equation.invars])
+            results = made if isinstance(made, list) else [made]
+            for variable, result in zip(equation.outvars, results, strict=True):
+                result = np.asarray(result, np.int64)
+                if result.shape != variable.aval.shape:
+                    raise AssertionError(
+                        f"{name}: {result.shape}, not {variable.aval.shape}"
+                    )
+                values[variable] = result
+            if len(self.graph) > MOST_NODES:
+                raise NotUnrolled(f"the program has more than {MOST_NODES} operations")
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def known(self, value: Any, aval: Any) -> Any:
+        """Nodes of an array whose numbers are known."""
+        return self.graph.constants(
+            np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
+        )
+
+
+def kind_of(aval: Any) -> str:
+    """The kind of the numbers of an array.
+
+    Raises:
+        NotUnrolled: If lanes have no such numbers.
+    """
+    kind = KINDS.get(np.dtype(aval.dtype)) if _plain(aval.dtype) else None
+    if kind is None:
+        raise NotUnrolled(f"lanes have no numbers of type {aval.dtype}")
+    return kind
+
+
+def kind_dtype(aval: Any) -> np.dtype:
+    """The type of the numbers of an array, known to lanes."""
+    kind_of(aval)
+    return np.dtype(aval.dtype)
+
+
+def _plain(dtype: Any) -> bool:
+    return isinstance(dtype, np.dtype) or not jax.dtypes.issubdtype(
+        dtype, jax.dtypes.extended
+    )
+
+
+Rule = Callable[..., Any]
+RULES: dict[str, Rule] = {}
+"""By the name of the primitive: `(unroller, equation, *arrays)` to the result."""
+
+
+def rule(*names: str) -> Callable[[Rule], Rule]:
+    """Says which primitives a rule is of."""
+
+    def note(function: Rule) -> Rule:
+        for name in names:
+            RULES[name] = function
+        return function
+
+    return note
+
+
+def supported(jaxpr: Any) -> str | None:
+    """Why a jaxpr cannot be unrolled, as far as names and types tell; else `None`."""
+    for variable in (*jaxpr.invars, *jaxpr.constvars):
+        if not hasattr(variable.aval, "dtype"):
+            return f"lanes have no {variable.aval}"
+    for equation in jaxpr.eqns:
+        if equation.primitive.name not in RULES:
+            return f"lanes do not know the primitive '{equation.primitive.name}'"
+        for value in equation.params.values():
+            for inner in value if isinstance(value, tuple | list) else (value,):
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    words = supported(inner)
+                    if words is not None:
+                        return words
+    return None

@@ -1,0 +1,339 @@
+"""Random small programs: each is run by lanes and by XLA, and the results compared.
+
+    PYTHONPATH=tests python tests/lanes/programs.py --count 10000 [--first SEED]
+
+A program takes constants and a carry of random shapes through some operations picked at
+random among all that lanes know, and makes a carry of the same shapes of what comes out.
+It is repeated a few times over a batch that is no multiple of the lanes.
+"""
+
+import argparse
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+RODS = 5
+CYCLES = 2
+
+
+class Pool:
+    """Arrays made so far, by the kind of their numbers."""
+
+    def __init__(self, rng, arrays):
+        self.rng = rng
+        self.arrays = list(arrays)
+
+    def some(self, kind):
+        """An array of a kind: float, integer or truth; made if there is none."""
+        tests = {"f": jnp.floating, "i": jnp.integer, "b": jnp.bool_}
+        fitting = [a for a in self.arrays if jnp.issubdtype(a.dtype, tests[kind])]
+        if fitting:
+            return fitting[self.rng.integers(len(fitting))]
+        source = self.arrays[self.rng.integers(len(self.arrays))]
+        if kind == "b":
+            return source > 0
+        if kind == "i":
+            return jnp.asarray(jnp.clip(source, -50, 50), jnp.int32)
+        return jnp.asarray(source, self.arrays[0].dtype)
+
+    def like(self, array, kind):
+        """An array of a kind in the shape of another, and of its type if of its kind."""
+        made = fitted(self.some(kind), array.shape)
+        same = np.dtype(array.dtype).kind == np.dtype(made.dtype).kind
+        return jnp.asarray(made, array.dtype) if same else made
+
+
+def fitted(array, shape):
+    """The entries of an array in another shape, repeated or cut."""
+    size = int(np.prod(shape, dtype=int))
+    flat = jnp.reshape(array, (-1,))
+    if flat.shape[0] < size:
+        flat = jnp.tile(flat, -(-size // flat.shape[0]))
+    return jnp.reshape(flat[:size], shape)
+
+
+def _binary(function, kind="f"):
+    def apply(pool):
+        a = pool.some(kind)
+        return function(a, pool.like(a, kind))
+
+    return apply
+
+
+def _unary(function, kind="f"):
+    return lambda pool: function(pool.some(kind))
+
+
+def _along(function, kind="f"):
+    """A function that takes an axis, of an array that has one."""
+
+    def apply(pool):
+        a = pool.some(kind)
+        a = a[None] if a.ndim == 0 else a
+        return function(a, int(pool.rng.integers(a.ndim)))
+
+    return apply
+
+
+def _select(pool):
+    a = pool.some("f")
+    return jnp.where(pool.like(a, "b"), a, pool.like(a, "f"))
+
+
+def _pad(pool):
+    a = pool.some("f")
+    config = [tuple(int(n) for n in pool.rng.integers(-1, 3, 2)) for _ in a.shape]
+    config = [
+        (max(lo, -1), max(hi, 0), int(pool.rng.integers(0, 2))) for lo, hi in config
+    ]
+    return lax.pad(a, jnp.zeros((), a.dtype), config)
+
+
+def _slice(pool):
+    a = pool.some("f")
+    starts = [int(pool.rng.integers(0, n)) for n in a.shape]
+    limits = [int(pool.rng.integers(s + 1, n + 1)) for s, n in zip(starts, a.shape, strict=True)]
+    strides = [int(pool.rng.integers(1, 3)) for _ in a.shape]
+    return lax.slice(a, starts, limits, strides)
+
+
+def _dynamic_slice(pool):
+    a = pool.some("f")
+    if a.ndim == 0 or a.size > 30:
+        return a
+    sizes = [int(pool.rng.integers(1, n + 1)) for n in a.shape]
+    index = jnp.sum(pool.some("i")) % 7 - 2
+    return lax.dynamic_slice(a, [index] * a.ndim, sizes)
+
+
+def _dynamic_update(pool):
+    a = pool.some("f")
+    if a.ndim == 0 or a.size > 30:
+        return a
+    sizes = [int(pool.rng.integers(1, n + 1)) for n in a.shape]
+    index = jnp.sum(pool.some("i")) % 7 - 2
+    return lax.dynamic_update_slice(a, fitted(pool.some("f"), sizes), [index] * a.ndim)
+
+
+def _gather(pool):
+    a = pool.some("f")
+    a = a[None] if a.ndim == 0 else a
+    places = np.asarray(pool.rng.integers(-a.shape[0], a.shape[0], 4))
+    return a[places]
+
+
+def _scatter(pool):
+    a = pool.some("f")
+    a = a[None] if a.ndim == 0 else a
+    places = np.asarray(pool.rng.integers(0, a.shape[0], 3))
+    values = fitted(pool.some("f"), (3, *a.shape[1:]))
+    if pool.rng.integers(2):
+        return a.at[places].add(values)
+    return a.at[np.unique(places)].set(values[: len(np.unique(places))])
+
+
+def _scan(pool):
+    a, carry = pool.some("f"), pool.some("f")
+    rows = fitted(a, (3, *carry.shape))
+
+    def turn(c, row):
+        c = jnp.tanh(c + row)
+        return c, c * row
+
+    last, made = lax.scan(turn, carry, rows, reverse=bool(pool.rng.integers(2)))
+    return made if pool.rng.integers(2) else last
+
+
+def _loop(pool):
+    count = int(pool.rng.integers(1, 4))
+    return lax.fori_loop(0, count, lambda i, c: jnp.sin(c) + i, pool.some("f"))
+
+
+def _branch(pool):
+    a = pool.some("f")
+    index = jnp.sum(pool.some("i")) % 3
+    cases = [lambda x: x * 2, jnp.sin, lambda x: -x]
+    if pool.rng.integers(2):
+        return lax.switch(index, cases, a)
+    return lax.cond(index > 0, cases[0], cases[2], a)
+
+
+def _matrix(pool):
+    a = fitted(pool.some("f"), (2, 3))
+    return a @ fitted(pool.some("f"), (3, 2))
+
+
+def _einsum(pool):
+    a = fitted(pool.some("f"), (2, 3, 2))
+    return jnp.einsum("bij,bjk->bik", a, fitted(pool.some("f"), (2, 2, 3)))
+
+
+def _derivative(pool):
+    """Brings in what only appears in derivatives."""
+    a = pool.some("f")
+    b = pool.like(a, "f")
+
+    def function(x):
+        return jnp.sum(jnp.where(b > 0, jnp.sin(x) * b, x * x)[..., None][..., 0])
+
+    return jax.grad(function)(a)
+
+
+def _safe(function, least, most):
+    """A function over a part of its range."""
+    return lambda x: function(jnp.clip(x, least, most))
+
+
+_POSITIVE = (1e-2, 1e3)
+OPERATIONS = (
+    *map(_binary, (lax.add, lax.sub, lax.mul, lax.max, lax.min, lax.atan2)),
+    _binary(lambda a, b: a / (jnp.abs(b) + 0.5)),
+    _binary(lambda a, b: lax.rem(a, jnp.abs(b) + 0.5)),
+    _binary(lambda a, b: jnp.clip(jnp.abs(a), 0.1, 5) ** jnp.clip(b, -3, 3)),
+    *map(_unary, (lax.neg, lax.abs, lax.sign, lax.sin, lax.cos, lax.tanh, lax.erf)),
+    *map(_unary, (lax.floor, lax.ceil, jnp.round, lax.is_finite, lax.logistic)),
+    *map(_unary, (lax.square, lax.atan, lax.asinh, lax.cbrt, lax.erfc)),
+    _unary(lambda x: lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO)),
+    *(_unary(lambda x, k=k: _safe(lambda y: y**k, 0.2, 3)(x)) for k in (-3, -1, 0, 3, 5)),
+    *(_unary(_safe(f, -5, 5)) for f in (lax.exp, lax.exp2, lax.expm1, lax.sinh, lax.cosh)),
+    *(_unary(_safe(f, *_POSITIVE)) for f in (lax.log, lax.log1p, lax.sqrt, lax.rsqrt)),
+    *(_unary(_safe(f, -0.9, 0.9)) for f in (lax.asin, lax.acos, lax.atanh, lax.tan)),
+    _unary(_safe(lax.acosh, 1.1, 10)),
+    *(_binary(f) for f in (lax.lt, lax.le, lax.gt, lax.ge, lax.eq, lax.ne)),
+    *(_binary(f, "b") for f in (lax.bitwise_and, lax.bitwise_or, lax.bitwise_xor, lax.eq)),
+    _unary(lax.bitwise_not, "b"),
+    *(_binary(f, "i") for f in (lax.add, lax.sub, lax.mul, lax.max, lax.min, lax.div)),
+    *(_binary(f, "i") for f in (lax.rem, lax.bitwise_and, lax.bitwise_or, lax.bitwise_xor)),
+    *(_binary(f, "i") for f in (lax.shift_left, lax.shift_right_arithmetic)),
+    *(_binary(f, "i") for f in (lax.shift_right_logical, lax.lt, lax.eq, lax.ge)),
+    *(_unary(f, "i") for f in (lax.neg, lax.abs, lax.sign, lax.bitwise_not)),
+    _unary(lambda x: jnp.asarray(x, jnp.float32), "i"),
+    _unary(lambda x: jnp.asarray(x, jnp.int32), "f"),
+    _unary(lambda x: jnp.asarray(x, bool), "f"),
+    _unary(lambda x: jnp.asarray(x, jnp.int32), "b"),
+    *(_along(lambda a, k, f=f: f(a, axis=k)) for f in (jnp.sum, jnp.max, jnp.min)),
+    *(_along(lambda a, k, f=f: f(a, axis=k)) for f in (jnp.cumsum, jnp.argmax, jnp.argmin)),
+    _along(lambda a, k: jnp.prod(jnp.clip(a, -2, 2), axis=k)),
+    _along(lambda a, k: lax.cummax(a, axis=k, reverse=True)),
+    _along(lambda a, k: jnp.any(a, axis=k), "b"),
+    _along(lambda a, k: jnp.all(a, axis=k), "b"),
+    _along(lambda a, k: jnp.flip(a, axis=k)),
+    _along(lambda a, k: jnp.concatenate([a, a], axis=k)),
+    _along(lambda a, k: jnp.stack([a, -a], axis=k)),
+    _along(lambda a, k: jnp.expand_dims(a, k)),
+    _along(lambda a, k: jnp.moveaxis(a, k, 0)),
+    _along(lambda a, k: jnp.split(jnp.concatenate([a, a], axis=k), 2, axis=k)[1]),
+    _unary(lambda x: jnp.reshape(x, (-1,))),
+    _unary(lambda x: jnp.tile(x, 2) if x.ndim else x),
+    _unary(lambda x: jnp.broadcast_to(x, (2, *x.shape))),
+    _unary(lambda x: x + jnp.arange(x.size, dtype=x.dtype).reshape(x.shape)),
+    _unary(lambda x: lax.clamp(-1.0, x, jnp.asarray(1, x.dtype)) if False else jnp.clip(x, -1, 1)),
+    *(_select, _pad, _slice, _dynamic_slice, _dynamic_update, _gather, _scatter),
+    *(_scan, _loop, _branch, _matrix, _einsum, _derivative),
+)
+
+
+def random_program(seed):
+    """A program and what it is given: `(cycle, constants, carry)`; two rows are shared."""
+    rng = np.random.default_rng(seed)
+    dtype = (jnp.float32, jnp.float64)[rng.integers(2)]
+
+    def shape():
+        return tuple(int(n) for n in rng.integers(1, 4, rng.integers(0, 3)))
+
+    constants = [jnp.asarray(rng.normal(size=shape()), dtype) for _ in range(2)]
+    carry = [
+        jnp.asarray(rng.normal(size=shape()), dtype),
+        jnp.asarray(rng.normal(size=shape()), dtype),
+        jnp.asarray(rng.integers(-9, 9, shape()), jnp.int32),
+        jnp.asarray(rng.integers(0, 2, shape()), bool),
+    ]
+    picks = rng.integers(0, len(OPERATIONS), rng.integers(3, 9))
+    inner_seed = int(rng.integers(2**31))
+
+    def cycle(constants, carry):
+        pool = Pool(np.random.default_rng(inner_seed), [*constants, *carry])
+        for pick in picks:
+            made = OPERATIONS[pick](pool)
+            if made.size <= 60:
+                pool.arrays.append(made)
+        after = []
+        for array in carry:
+            kind = {"f": "f", "i": "i", "b": "b"}[np.dtype(array.dtype).kind]
+            made = fitted(pool.some(kind), array.shape)
+            if kind == "f":
+                made = jnp.tanh(0.3 * jnp.asarray(made, array.dtype)) + 0.1 * array
+            after.append(jnp.asarray(made, array.dtype))
+        return after
+
+    return cycle, constants, carry, dtype
+
+
+def difference(seed):
+    """The largest difference of a random program, in units of what rounding allows."""
+    from jaxrod.lanes.choice import lane_choices, use_lanes
+    from jaxrod.lanes.cycle import Cycle, Plan
+    from jaxrod.lanes.primitives import cycles_p
+
+    cycle, constants, carry, dtype = random_program(seed)
+    n = len(constants)
+    closed = jax.make_jaxpr(lambda *a: cycle(list(a[:n]), list(a[n:])))(*constants, *carry)
+    rng = np.random.default_rng(seed)
+    many = [
+        jnp.asarray(np.asarray(c)[None] + rng.normal(size=(RODS, *c.shape)), c.dtype)
+        if c.dtype == dtype
+        else jnp.asarray(
+            np.roll(np.broadcast_to(c, (RODS, *c.shape)), rng.integers(3), 0), c.dtype
+        )
+        for c in carry
+    ]
+    own = jnp.stack([constants[1] * (1 + 0.1 * r) for r in range(RODS)])
+    plan = Plan(Cycle(closed, n), None)
+
+    def run(own, *carry):
+        given = (jnp.int32(CYCLES), constants[0], own, *carry)
+        return cycles_p.bind(*given, plan=plan)
+
+    use_lanes("always")
+    taken = jax.jit(jax.vmap(run))(own, *many)
+    if not lane_choices()[-1].taken:
+        return None, lane_choices()[-1].why
+    use_lanes("never")
+    expected = jax.jit(jax.vmap(lambda *a: run(*a)))(own, *many)
+    scale = {jnp.float32: 2e-4, jnp.float64: 1e-11}[dtype]
+    worst = 0.0
+    for a, b in zip(taken, expected, strict=True):
+        a, b = np.asarray(a, float), np.asarray(b, float)
+        bad = np.isnan(a) != np.isnan(b)
+        apart = np.where(np.isnan(a), 0.0, np.abs(a - b)) / (1 + np.abs(b))
+        worst = max(worst, float(np.max(apart / scale, initial=0.0)), 1e9 * bad.any())
+    return worst, str(closed)
+
+
+def main(arguments):
+    """Compares programs and prints those that differ."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    options = parser.parse_args(arguments)
+    jax.config.update("jax_enable_x64", True)
+    bad = left = 0
+    for seed in range(options.first, options.first + options.count):
+        if seed % 200 == 0:
+            jax.clear_caches()
+        worst, program = difference(seed)
+        if worst is None:
+            left += 1
+            print(f"{seed}: left to XLA: {program}", flush=True)
+        elif worst > 1:
+            bad += 1
+            print(f"{seed}: {worst:.3g}", flush=True)
+    print(f"{options.count} programs, {bad} differ, {left} left to XLA")
+    return bad
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
