@@ -73,7 +73,7 @@ def arm(n: int, *, dtype: str = "float32", **how: Any) -> tuple[Any, Any, Any]:
         jaxrod.exponential_damping(4.0),
         jaxrod.gravity((0.0, -9.81, 0.0)),
     ]
-    if how.get("twist", True):
+    if "method" not in how:
         couples = jnp.zeros((3, n), state.positions.dtype).at[0].set(0.3)
         effects.append(jaxrod.ElementCouples(couples))
     scene = jaxrod.make_scene(rod, *effects, **how)
@@ -103,7 +103,7 @@ SPEED: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
     "n = 100": lambda: arm(100),
     "n = 20, float64": lambda: arm(20, dtype="float64"),
     "n = 20, planar": lambda: _planar(20),
-    "n = 20, without twist": lambda: arm(20, twist=False),
+    "n = 20, without twist": lambda: arm(20, method=jaxrod.torsion_free()),
     "`tracking`, clean, n = 30": lambda: of_task("tracking"),
     "`reaching`, clean, n = 20": lambda: of_task("reaching"),
     "`structured`, clean, n = 40, contact": lambda: of_task("structured"),

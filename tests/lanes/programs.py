@@ -224,7 +224,7 @@ OPERATIONS = (
     *(_binary(f, "i") for f in (lax.shift_left, lax.shift_right_arithmetic)),
     *(_binary(f, "i") for f in (lax.shift_right_logical, lax.lt, lax.eq, lax.ge)),
     *(_unary(f, "i") for f in (lax.neg, lax.abs, lax.sign, lax.bitwise_not)),
-    _unary(lambda x: jnp.asarray(x, jnp.float32), "i"),
+    lambda pool: jnp.asarray(pool.some("i"), pool.arrays[0].dtype),
     _unary(lambda x: jnp.asarray(x, jnp.int32), "f"),
     _unary(lambda x: jnp.asarray(x, bool), "f"),
     _unary(lambda x: jnp.asarray(x, jnp.int32), "b"),
