@@ -85,15 +85,18 @@ def of_task(name: str) -> tuple[Any, Any, Any]:
     env = make(name, variant="clean")
     params = env.default_params()
     _, state = env.reset(jax.random.key(0), params)
+    turning = {"tracking": 2, "reaching": 3, "structured": 1, "unstructured": 2}[name]
     random = np.random.default_rng(0)
-    if name == "tracking":
-        controls = random.uniform(-0.3, 0.3, 2 * params.spline.n_controls)
-        scene = env.scene(state.arm, jnp.asarray(controls, jnp.float32), params)
-        return scene, state.arm, params.dt
-    controls = random.uniform(-0.3, 0.3, (3, params.arm.spline.n_controls))
-    controls[{"reaching": 3, "structured": 1, "unstructured": 2}[name] :] = 0
-    scene = params.arm.scene(jnp.asarray(controls, jnp.float32), state.arm)
-    return scene, state.arm, params.dt
+    n_controls = params.arm.spline.n_controls
+    controls = random.uniform(-0.3, 0.3, (3, n_controls))
+    controls[turning:] = 0
+    scene = params.arm.scene(jnp.asarray(controls), state.arm)
+
+    def single(leaf: Any) -> Any:
+        floating = jnp.issubdtype(leaf.dtype, jnp.floating)
+        return jnp.asarray(leaf, jnp.float32) if floating else leaf
+
+    return jax.tree.map(single, (scene, state.arm, params.dt))
 
 
 SPEED: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
