@@ -229,7 +229,7 @@ def written(table: str, lines: list[str]) -> None:
     _, after = rest.split(end)
     machine = f"Measured on: {processor_and_versions()}."
     body = "\n".join([HEADS[table], *lines, "", machine, ""])
-    write_atomically(PAGE, before + begin + body + end + after)
+    write_atomically(PAGE, (before + begin + body + end + after).encode())
 
 
 def main(arguments: list[str]) -> int:
