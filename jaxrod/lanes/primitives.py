@@ -7,6 +7,7 @@ can and it pays.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxrod.lanes.choice import lowered_by_lanes
+from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, refused
 from jaxrod.lanes.cycle import Batch, Plan, chosen
 from jaxrod.lanes.derivatives import by_meaning, cycles_jvp, tangent_transpose
 from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, run_p, tangent_p
@@ -113,8 +114,11 @@ def _lowering(primitive: Primitive) -> Callable[..., Any]:
 
     def rule(context: Any, *operands: Any, plan: Plan) -> Any:
         program = None
-        if _on_one_device(context):
+        words = _unfit(context)
+        if words is None:
             program = lowered_by_lanes(primitive.name, plan)
+        elif lanes_wanted():
+            refused(words, plan.batch.size if plan.batch is not None else 1)
         if program is None:
             return by_xla(context, *operands, plan=plan)
         # A kernel is of one device: over which axes its arrays vary is not its matter.
@@ -126,19 +130,24 @@ def _lowering(primitive: Primitive) -> Callable[..., Any]:
     return rule
 
 
-def _on_one_device(context: Any) -> bool:
-    """Whether the compiler has no rods to spread: it cannot cut a kernel's arrays.
+def _unfit(context: Any) -> str | None:
+    """Why a program cannot have kernels in it, in words; `None` if it can.
 
     Within `shard_map` each device has rods of its own, and a kernel for them.
     """
-    where = context.module_context.axis_context
-    if hasattr(where, "num_devices"):
-        return bool(where.num_devices in (None, 1))
+    module = context.module_context
+    if getattr(module.lowering_parameters, "for_export", False):
+        return "the program is to be exported, and kernels are of this process"
+    where = module.axis_context
+    devices = getattr(where, "num_devices", None)
     if hasattr(where, "manual_axes"):
+        left = set(where.mesh.axis_names) - set(where.manual_axes)
+        devices = math.prod(where.mesh.shape[name] for name in left)
+    if devices not in (None, 1):
         return (
-            set(where.mesh.axis_names) <= set(where.manual_axes) or where.mesh.size == 1
+            "the compiler spreads the batch over devices, which it cannot do to kernels"
         )
-    return False
+    return None
 
 
 for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):
