@@ -49,8 +49,8 @@ FRICTION = 0.8
 """[1]"""
 STIFFNESS, DAMPING, FRICTION_DRAG = 4e4, 4.0, 4.0
 """Of the touch of fingers and ball, per length of a finger [N/m^2], [kg/(m s)],
-[kg/(m s)]. A tip that presses the ball into the table with 0.5 N, as the chambers can,
-sinks in by half its radius; at 5e3 N/m^2 it went in by more than all of it."""
+[kg/(m s)]. Where random actions press the ball into the table, by about 1 N, tips sink
+into it by less than 0.8 of their radius; at 5e3 N/m^2 their axis went in."""
 TABLE_STIFFNESS = 500.0
 """Of the touch of ball and table [N/m]."""
 SUNK = 4 / 3 * math.pi * BALL**3 * BALL_DENSITY * GRAVITY / TABLE_STIFFNESS

@@ -79,7 +79,7 @@ RATE = 10.0
 SPEED = 0.2
 """Of the wrist along each axis, at most [m/s]."""
 STEPS_PER_ELEMENT = 48
-"""Simulation steps of a control step, per element of a finger: 0.82 of the stability
+"""Simulation steps of a control step, per element of a finger: 0.87 of the stability
 bound at full pressure."""
 LOWEST, ASIDE = 0.11, 0.02
 """Height of the wrist above the table at least, its way to every side at most [m]."""
