@@ -277,8 +277,8 @@ def test_slopes_through_a_touch_are_those_of_finite_differences():
     # Within all limits, where the return has a slope.
     actions = jnp.tile(jnp.asarray([0.9, 0.02, -0.01, 0.93]), (4, 1))
     actions = actions.at[:, 0].set(jnp.asarray([0.3, 0.95, 0.9, 0.95]))
-    # Over 1e-5 something begins to touch or to slide: 6e-6 there, 3e-8 here.
-    assert gradient_error(env, actions, params, 1e-6) < 1e-6
+    # Its program takes three and a half times as long to compile with optimisation.
+    assert gradient_error(env, actions, params, 1e-6, optimised=False) < 1e-6
 
 
 @pytest.mark.slow
