@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,22 +15,22 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxrod.lanes import rules
 from jaxrod.lanes.cycle import Cycle, Plan, adjoint_cycle, chosen
 from jaxrod.lanes.cycle import Ends as CycleEnds
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
 from jaxrod.lanes.kernel import Ends, Kernel, adjoint_kernel, run_kernel, step_kernel
 from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
-from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, supported
+from jaxrod.lanes.rules import Unroller
+from jaxrod.lanes.unroll import NotUnrolled, kind_of
 
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
 MODES = (AUTO, ALWAYS, NEVER)
 FEWEST_RODS = 4
 """A batch of fewer is left to XLA."""
 MOST_OPERATIONS = 120_000
-"""Of a step; longer ones do not fit the processor's memory for instructions, and take
-more than a quarter of a minute to compile."""
+"""Of a program: steps, or a run with what is around them. Longer ones do not fit the
+processor's memory for instructions, and take long to compile."""
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -47,9 +47,9 @@ class LaneChoice:
     rods: int
     """Of the batch; 1 without one."""
     operations: int = 0
-    """Of a step of one rod."""
+    """Of a step of one rod; of a whole run, with its beginning and its end."""
     seconds: float = 0.0
-    """That it took to write and compile the step [s]."""
+    """That it took to write and compile them [s]."""
 
 
 _choices: deque[LaneChoice] = deque(maxlen=100)
@@ -94,13 +94,17 @@ def refused(words: str, rods: int = 1) -> None:
     _note(LaneChoice(False, words, rods))
 
 
-def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
+def lowered_by_lanes(
+    name: str, plan: Plan, results: Sequence[Any]
+) -> Callable[..., Any] | None:
     """The program of an operation by lanes, or `None` where XLA is to do it.
 
     Args:
         name: Of the primitive.
         plan: Its structure.
+        results: Shapes and types of what it makes.
     """
+    cycle = plan.cycle
     rods = plan.batch.size if plan.batch is not None else 1
     mode = lane_mode()
     if mode == NEVER or not_here() is not None or rods == 0:
@@ -109,19 +113,16 @@ def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
         refused(f"fewer than {FEWEST_RODS} rods", rods)
         return None
     begun = time.perf_counter()
-    flags = plan.batch.rows if plan.batch is not None else None
-    shared = tuple(
-        flags is None or not row for row in (flags or ())[: plan.cycle.n_constants]
-    )
-    if flags is None:
-        shared = (True,) * plan.cycle.n_constants
+    shared = (True,) * cycle.n_constants
+    if plan.batch is not None:
+        shared = tuple(not row for row in plan.batch.rows[: cycle.n_constants])
     try:
         if plan.ends is not None:
-            kernel = _run_kernel(plan.cycle, plan.ends, shared)
+            kernel = _run_kernel(cycle, plan.ends, shared)
         elif name == "jaxrod_cycles":
-            kernel = _steps_kernel(plan.cycle, shared, plan.keeps)
+            kernel = _steps_kernel(cycle, shared, plan.keeps)
         else:
-            kernel = _back_kernel(plan.cycle, plan.moving, shared)
+            kernel = _back_kernel(cycle, plan.moving, shared)
     except NotUnrolled as reason:
         refused(str(reason), rods)
         return None
@@ -135,37 +136,19 @@ def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
     seconds = time.perf_counter() - begun
     words = f"lanes of {vector_bytes()} bytes"
     _note(LaneChoice(True, words, rods, kernel.operations, seconds))
-    return _call(target, kernel, name, plan, rods)
+    return _call(target, kernel, plan, rods, results)
 
 
 def _call(
-    target: str, kernel: Kernel, name: str, plan: Plan, rods: int
+    target: str, kernel: Kernel, plan: Plan, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
     """The call of a kernel from JAX."""
-    rows = (rods,) if plan.batch is not None else ()
-    cycle = plan.cycle
-    results = [(a.shape, a.dtype) for a in cycle.avals]
-    if plan.ends is not None:
-        results = [(a.shape, a.dtype) for a in plan.ends.made]
-    kept, room = 0, kernel.room + 64
-    if name == "jaxrod_cycles" and plan.keeps:
-        results += [((plan.n_kept, *a.shape), a.dtype) for a in cycle.avals]
-        kept = plan.n_kept
-    if name == "jaxrod_cycles_adjoint":
-        constants = [v.aval for v in cycle.closed.jaxpr.invars[: cycle.n_constants]]
-        results = [
-            (a.shape, a.dtype)
-            for a in (
-                *chosen(cycle.avals, cycle.floating),
-                *chosen(constants, plan.moving),
-            )
-        ]
-        kept = plan.n_kept
-        room += kernel.kept * plan.every
-    shapes = [jax.ShapeDtypeStruct((*rows, *shape), dtype) for shape, dtype in results]
-    shapes.append(jax.ShapeDtypeStruct((room,), jnp.uint8))
+    kept = plan.n_kept if plan.keeps else 0
     every = plan.every if kept else 2**31 - 1
-    call = jax.ffi.ffi_call(target, shapes)
+    # Kernels align what they work in to 64 bytes themselves.
+    room = kernel.room + 64 + kernel.kept * plan.every
+    shapes = [jax.ShapeDtypeStruct(made.shape, made.dtype) for made in results]
+    call = jax.ffi.ffi_call(target, [*shapes, jax.ShapeDtypeStruct((room,), jnp.uint8)])
 
     def program(steps: Any, *arrays: Any) -> list[Any]:
         counts = [jnp.asarray(n, jnp.int32) for n in (steps, every, rods, kept)]
@@ -258,7 +241,7 @@ def _unrolled(cycle: Cycle, shared: tuple[bool, ...]) -> tuple[Step, Unroller, A
 def _check_length(operations: int) -> None:
     if operations > MOST_OPERATIONS:
         raise NotUnrolled(
-            f"a step of {operations} operations is longer than {MOST_OPERATIONS}"
+            f"a program of {operations} operations is longer than {MOST_OPERATIONS}"
         )
 
 
@@ -280,6 +263,3 @@ def _note(choice: LaneChoice) -> None:
 
 def _on_cpu() -> bool:
     return jax.default_backend() == "cpu"
-
-
-__all__ = ["rules", "supported"]

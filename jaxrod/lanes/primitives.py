@@ -116,7 +116,7 @@ def _lowering(primitive: Primitive) -> Callable[..., Any]:
         program = None
         words = _unfit(context)
         if words is None:
-            program = lowered_by_lanes(primitive.name, plan)
+            program = lowered_by_lanes(primitive.name, plan, context.avals_out)
         elif lanes_wanted():
             refused(words, plan.batch.size if plan.batch is not None else 1)
         if program is None:

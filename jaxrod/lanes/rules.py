@@ -1,4 +1,4 @@
-"""All rules of unrolling, known once this is imported."""
+"""The unroller with all of its rules: importing this makes them known."""
 
 from jaxrod.lanes import (
     arithmetic,
@@ -7,13 +7,14 @@ from jaxrod.lanes import (
     rearranging,
     reductions,
 )
-from jaxrod.lanes.unroll import RULES
+from jaxrod.lanes.unroll import Unroller, supported
 
 __all__ = [
-    "RULES",
+    "Unroller",
     "arithmetic",
     "control_flow",
     "indexing",
     "rearranging",
     "reductions",
+    "supported",
 ]

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrod.lanes.choice import lanes_wanted, refused, supported
+from jaxrod.lanes.choice import lanes_wanted, refused
 from jaxrod.lanes.cycle import Cycle, Ends, Plan
+from jaxrod.lanes.rules import supported
 from jaxrod.lanes.varying import axes_of, varied, varying_shape
 
 
@@ -34,8 +35,8 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     constants, state = varied(constants, axes), varied(state, axes)
     n = len(constants)
 
-    def part(name: str, argument: Any) -> tuple[Any, Any, list[jax.ShapeDtypeStruct]]:
-        """A method as a closed jaxpr, the tree of its result, and what it is given."""
+    def part(name: str, argument: Any) -> tuple[Any, Any]:
+        """A method as a closed jaxpr, and the tree of its result."""
         leaves, tree = jax.tree.flatten(argument)
         result: list[Any] = []
 
@@ -49,13 +50,13 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
             return varied([_settled(leaf) for leaf in made], axes)
 
         closed = jax.make_jaxpr(method)(*constants, *leaves)
-        return closed, result[0], leaves
+        return closed, result[0]
 
     state_tree = jax.tree.structure(given)
-    begin, carried, _ = part("begin", jax.tree.unflatten(state_tree, state))
+    begin, carried = part("begin", jax.tree.unflatten(state_tree, state))
     carry = [varying_shape(aval) for aval in begin.out_avals]
-    cycle, cycled, _ = part("cycle", jax.tree.unflatten(carried, carry))
-    end, made_tree, _ = part("end", jax.tree.unflatten(carried, carry))
+    cycle, cycled = part("cycle", jax.tree.unflatten(carried, carry))
+    end, made_tree = part("end", jax.tree.unflatten(carried, carry))
     words = None
     for closed in (begin, cycle, end):
         words = words or supported(closed.jaxpr)

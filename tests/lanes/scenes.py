@@ -87,3 +87,13 @@ def shaken(state, rods, seed, *, flat=False):
         rates[:, 2] = 0.0
     many = jax.tree.map(lambda x: jnp.broadcast_to(x, (rods, *x.shape)), state)
     return replace(many, velocities=jnp.asarray(rates, state.velocities.dtype))
+
+
+def random_batch(seed, rods):
+    """Rods of a random scene, each moving in its own way: `(scene, many, dt, name)`."""
+    try:
+        scene, state, dt, name = random_scene(seed)
+    except ValueError:
+        pytest.skip("effects that do not go together")
+    begun = jaxrod.with_memory(scene, state)
+    return scene, shaken(begun, rods, seed, flat=name.startswith("planar")), dt, name

@@ -7,7 +7,7 @@ import pytest
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices
-from lanes.scenes import arm, random_scene, shaken
+from lanes.scenes import arm, random_batch, shaken
 from lanes.test_runs import RODS, apart, both, hanging
 
 
@@ -118,12 +118,7 @@ def worst_change(one, other, numbers):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30))
 def test_gradients_of_random_scenes_are_those_of_xla(seed, record):
-    try:
-        scene, state, dt, name = random_scene(seed)
-    except ValueError:
-        pytest.skip("effects that do not go together")
-    flat = name.startswith("planar")
-    many = shaken(jaxrod.with_memory(scene, state), RODS, seed, flat=flat)
+    scene, many, dt, name = random_batch(seed, RODS)
 
     def gradients(scene, many):
         one = jax.grad(lambda *a: height(*a, dt, 30), argnums=(0, 1), allow_int=True)

@@ -8,7 +8,7 @@ import pytest
 import jaxrod
 from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.machine_code import compiled_kernels
-from lanes.scenes import arm, random_scene, shaken
+from lanes.scenes import arm, random_batch, shaken
 
 RODS = 5
 ROUNDING = 1e-11
@@ -48,12 +48,7 @@ def hanging(n=6, dtype="float64"):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(80))
 def test_a_random_scene_moves_the_same_by_lanes(seed, record):
-    try:
-        scene, state, dt, name = random_scene(seed)
-    except ValueError:
-        pytest.skip("effects that do not go together")
-    flat = name.startswith("planar")
-    many = shaken(jaxrod.with_memory(scene, state), RODS, seed, flat=flat)
+    scene, many, dt, name = random_batch(seed, RODS)
     taken, expected = both(
         jax.vmap(lambda state: jaxrod.advance(scene, state, dt, 100)), many
     )
