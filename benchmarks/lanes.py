@@ -171,7 +171,7 @@ def forward_row(
     steps = max(20, min(1000, 400_000 // (rods * scene.rod.n_elements)))
 
     def run(states: Any, n: Any) -> Any:
-        one = lambda state: jaxrod.advance(scene, state, dt, n)
+        one = lambda state: jaxrod.advance(scene, state, dt, n)  # noqa: E731
         return jax.vmap(one)(states)
 
     programs, first = compiled(run, (batch_of(state, rods), jnp.int32(steps)))

@@ -91,7 +91,7 @@ def test_in_a_batch_lists_may_be_full_of_different_numbers():
     together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lists)
     found = jax.jit(jax.vmap(by_blocks, (None, None, 0)))(*ELEMENTS, together)
     for k, listed in enumerate(lists):
-        same(jax.tree.map(lambda leaf: leaf[k], found), at_once(*ELEMENTS, listed))
+        same(jax.tree.map(lambda leaf, k=k: leaf[k], found), at_once(*ELEMENTS, listed))
 
 
 @pytest.mark.slow
