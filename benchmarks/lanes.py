@@ -1,4 +1,4 @@
-"""Measures lanes and XLA side by side on one core, and writes docs/performance.md's table.
+"""Measures lanes and XLA side by side on one core, for docs/performance.md.
 
     python -m benchmarks.lanes [speed gradient length batch] [--seconds 1]
 
@@ -146,7 +146,7 @@ def compiled(
 
 
 def timed(programs: dict[str, Program], window: float) -> dict[str, float]:
-    """Processor time of a call of each, the least of some windows that alternate [s]."""
+    """Processor time of a call of each [s], the least of windows that alternate."""
     calls = {}
     for name, program in programs.items():
         begin = time.process_time()
@@ -171,7 +171,7 @@ def forward_row(
     steps = max(20, min(1000, 400_000 // (rods * scene.rod.n_elements)))
 
     def run(states: Any, n: Any) -> Any:
-        one = lambda state: jaxrod.advance(scene, state, dt, n)  # noqa: E731
+        one = lambda state: jaxrod.advance(scene, state, dt, n)
         return jax.vmap(one)(states)
 
     programs, first = compiled(run, (batch_of(state, rods), jnp.int32(steps)))
@@ -229,7 +229,7 @@ def written(table: str, lines: list[str]) -> None:
     _, after = rest.split(end)
     machine = f"Measured on: {processor_and_versions()}."
     body = "\n".join([HEADS[table], *lines, "", machine, ""])
-    write_atomically(PAGE, before + begin + body + end + after)
+    write_atomically(PAGE, (before + begin + body + end + after).encode())
 
 
 def main(arguments: list[str]) -> int:

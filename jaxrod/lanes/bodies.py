@@ -57,6 +57,7 @@ class Memory:
     nodes: dict[int, tuple[Region, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Begins with nothing in either region."""
         self.shared = Region("%shared", 1)
         self.own = Region("%own", self.width)
 

@@ -19,15 +19,8 @@ from jaxrod.lanes import rules
 from jaxrod.lanes.cycle import Cycle, Plan, adjoint_cycle, chosen
 from jaxrod.lanes.cycle import Ends as CycleEnds
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.kernel import (
-    Ends,
-    Entries,
-    Kernel,
-    Step,
-    adjoint_kernel,
-    run_kernel,
-    step_kernel,
-)
+from jaxrod.lanes.kernel import Ends, Kernel, adjoint_kernel, run_kernel, step_kernel
+from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, supported
 
@@ -129,8 +122,8 @@ def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
             kernel = _steps_kernel(plan.cycle, shared, plan.keeps)
         else:
             kernel = _back_kernel(plan.cycle, plan.moving, shared)
-    except NotUnrolled as words:
-        refused(str(words), rods)
+    except NotUnrolled as reason:
+        refused(str(reason), rods)
         return None
     target = registered(kernel)
     seconds = time.perf_counter() - begun

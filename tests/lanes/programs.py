@@ -2,8 +2,9 @@
 
     PYTHONPATH=tests python tests/lanes/programs.py --count 10000 [--first SEED]
 
-A program takes constants and a carry of random shapes through some operations picked at
-random among all that lanes know, and makes a carry of the same shapes of what comes out.
+A program takes constants and a carry of random shapes through some operations picked
+at random among all that lanes know, and makes a carry of the same shapes of what comes
+out.
 It is repeated a few times over a batch that is no multiple of the lanes.
 """
 
@@ -40,7 +41,7 @@ class Pool:
         return jnp.asarray(source, self.arrays[0].dtype)
 
     def like(self, array, kind):
-        """An array of a kind in the shape of another, and of its type if of its kind."""
+        """An array of a kind, in the shape of another; of its type if of its kind."""
         made = fitted(self.some(kind), array.shape)
         same = np.dtype(array.dtype).kind == np.dtype(made.dtype).kind
         return jnp.asarray(made, array.dtype) if same else made
@@ -258,7 +259,10 @@ OPERATIONS = (
 
 
 def random_program(seed):
-    """A program and what it is given: `(cycle, constants, carry)`; two rows are shared."""
+    """A program and what it is given: `(cycle, constants, carry)`.
+
+    Two rows are shared.
+    """
     rng = np.random.default_rng(seed)
     dtype = (jnp.float32, jnp.float64)[rng.integers(2)]
 
