@@ -9,7 +9,7 @@ table of rows it compiles, forward and in reverse, in loops and under `vmap`.
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -123,17 +123,25 @@ def lifted(tree: Tree) -> Tree:
 
 def looked_up(tree: Tree, index: Int[Array, "..."]) -> Tree:
     """Fields of elements, for those that an index names."""
-    leaves, structure = jax.tree.flatten(tree)
-    rows = jnp.stack(leaves, axis=1)[index]
+    return of_table(table_of(tree)[index], tree)
+
+
+def table_of(tree: Any) -> Array:
+    """Fields as one table, a row for each element."""
+    return jnp.stack(jax.tree.leaves(tree), axis=-1)
+
+
+def of_table(rows: Array, like: Tree) -> Tree:
+    """Fields of a tree like another, from rows of a table."""
+    leaves, structure = jax.tree.flatten(like)
     return jax.tree.unflatten(structure, [rows[..., k] for k in range(len(leaves))])
 
 
 def given_back(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
     """What was worked out for those that an index names, added up on the elements."""
-    leaves, structure = jax.tree.flatten(tree)
-    rows = jnp.stack(leaves, axis=-1)
-    total = jnp.zeros((size, len(leaves)), rows.dtype).at[index].add(rows)
-    return jax.tree.unflatten(structure, [total[:, k] for k in range(len(leaves))])
+    rows = table_of(tree)
+    total = jnp.zeros((size, rows.shape[-1]), rows.dtype).at[index].add(rows)
+    return of_table(total, tree)
 
 
 @pytree

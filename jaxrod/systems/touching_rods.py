@@ -27,6 +27,7 @@ from jaxrod.systems.element_pairs import (
 from jaxrod.systems.names import check_named
 from jaxrod.systems.neighbour_lists import Found, NeighbourLists, with_spare
 from jaxrod.systems.neighbour_search import Stretches, found_by
+from jaxrod.systems.pair_sums import sums_over_pairs
 from jaxrod.systems.strands import StrandLoads, Strands, loads_on_member
 from jaxrod.systems.touches import Law, PairLoads, Touch
 from jaxrod.validation import is_traced
@@ -146,9 +147,16 @@ class TouchingRods(Coupling):
         self, seen: AllSeen, *, moves: bool
     ) -> Iterator[tuple[int, int, Pairs]]:
         """Pairs of elements of all members that meet, from lists where there are."""
+        rows = self._rows(seen, moves=moves)
+        for number, (a, b) in enumerate(self.views()):
+            listed = None if self.found is None else self.found.lists[number]
+            yield a, b, Pairs.of(rows[a], rows[b], listed)
+
+    def _rows(self, seen: AllSeen, *, moves: bool) -> list[Elements]:
+        """Elements of all members."""
         moves = moves and (self.damping is not None or self.friction is not None)
         spins = moves and self.friction is not None
-        rows = [
+        return [
             elements_at(
                 strand,
                 seen[name],
@@ -159,18 +167,20 @@ class TouchingRods(Coupling):
             )
             for strand, name in zip(self.strands, self.members, strict=True)
         ]
-        for number, (a, b) in enumerate(self.views()):
-            listed = None if self.found is None else self.found.lists[number]
-            yield a, b, Pairs.of(rows[a], rows[b], listed)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all members."""
         total: dict[int, StrandLoads] = {}
-        for a, b, pairs in self.all_pairs(seen, moves=True):
-            loads = self.pair_loads(a, b, pairs)
-            sizes = [self.strands[k].radii.shape[0] for k in (a, b)]
-            on_a = StrandLoads.on_segments(*pairs.on_own(loads.on_own, sizes[0]))
-            on_b = StrandLoads.on_segments(*pairs.on_other(loads.on_other, sizes[1]))
+        rows = self._rows(seen, moves=True)
+        for number, (a, b) in enumerate(self.views()):
+            listed = None if self.found is None else self.found.lists[number]
+
+            def pushed(pairs: Pairs, a: int = a, b: int = b) -> tuple[Any, Any]:
+                loads = self.pair_loads(a, b, pairs)
+                return loads.on_own, loads.on_other
+
+            on_own, on_other = sums_over_pairs(pushed, rows[a], rows[b], listed)
+            on_a, on_b = (StrandLoads.on_segments(*on) for on in (on_own, on_other))
             total[a] = total.get(a, StrandLoads()).added(on_a)
             total[b] = total.get(b, StrandLoads()).added(on_b)
         return {
