@@ -87,8 +87,8 @@ def _by_blocks(
                 _added(total[1], some.other, table_of(on_other)),
             )
 
-        taken = listed.there[number * block]
-        return jax.lax.cond(taken, more, lambda total: total, total), None
+        holds = jnp.any(cut(number).there)
+        return jax.lax.cond(holds, more, lambda total: total, total), None
 
     number = jnp.zeros((), jnp.int32)
     like = jax.eval_shape(lambda number: worked(cut(number)), number)
