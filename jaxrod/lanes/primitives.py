@@ -24,7 +24,7 @@ from jax import lax
 from jax.extend.core import Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
-from jaxrod.lanes.choice import lowered_by_lanes
+from jaxrod.lanes.choice import lowered_by_lanes, lowered_on_gpu
 from jaxrod.lanes.cycle import Batch, Cycle, Plan, chosen, filled, parted, tangent_cycle
 
 run_p = Primitive("jaxrod_run")
@@ -380,13 +380,15 @@ def _by_meaning(primitive: Primitive) -> Callable[..., Any]:
 # Registration ---------------------------------------------------------------------
 
 
-def _lowering(primitive: Primitive) -> Callable[..., Any]:
+def _lowering(
+    primitive: Primitive, by_lanes: Callable[..., Any], fits: Callable[[Any], bool]
+) -> Callable[..., Any]:
     by_xla = mlir.lower_fun(_MEANINGS[primitive], multiple_results=True)
 
     def rule(context: Any, *operands: Any, plan: Plan) -> Any:
         program = None
-        if _on_one_device(context):
-            program = lowered_by_lanes(primitive.name, plan)
+        if fits(context):
+            program = by_lanes(primitive.name, plan)
         if program is None:
             return by_xla(context, *operands, plan=plan)
         return mlir.lower_fun(program, multiple_results=True)(context, *operands)
@@ -409,6 +411,13 @@ def _on_one_device(context: Any) -> bool:
     return False
 
 
+def _for_one_gpu(context: Any) -> bool:
+    """Whether the program is for CUDA alone, and spread over no devices."""
+    where = context.module_context
+    on_one = getattr(where.axis_context, "num_devices", 2) in (None, 1)
+    return on_one and tuple(where.platforms) == ("cuda",)
+
+
 for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):
     _primitive.multiple_results = True
     _primitive.def_abstract_eval(_abstract(_primitive))
@@ -417,9 +426,18 @@ for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):
     mlir.register_lowering(
         _primitive, mlir.lower_fun(_MEANINGS[_primitive], multiple_results=True)
     )
-mlir.register_lowering(run_p, _lowering(run_p), platform="cpu")
-mlir.register_lowering(cycles_p, _lowering(cycles_p), platform="cpu")
-mlir.register_lowering(adjoint_p, _lowering(adjoint_p), platform="cpu")
+for _primitive in (run_p, cycles_p, adjoint_p):
+    mlir.register_lowering(
+        _primitive,
+        _lowering(_primitive, lowered_by_lanes, _on_one_device),
+        platform="cpu",
+    )
+for _primitive in (run_p, cycles_p):
+    mlir.register_lowering(
+        _primitive,
+        _lowering(_primitive, lowered_on_gpu, _for_one_gpu),
+        platform="cuda",
+    )
 ad.primitive_jvps[run_p] = _by_meaning(run_p)
 ad.primitive_jvps[cycles_p] = _cycles_jvp
 ad.primitive_jvps[tangent_p] = _by_meaning(tangent_p)
