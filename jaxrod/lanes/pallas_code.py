@@ -7,7 +7,7 @@ than there are bits, floats too large for the whole numbers they become.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,8 @@ from jaxrod.lanes.graph import DTYPES, Graph
 from jaxrod.lanes.unroll import NotUnrolled
 
 SHORT_MEMORY = 100
-"""Operations after which what was loaded is loaded again rather than kept: registers are
-few, and the nearest memory is near. Not tuned on a GPU."""
+"""Operations after which a shared number is loaded again rather than kept: registers
+are few. Not tuned on a GPU."""
 
 _OF_JAX: dict[str, Callable[..., Any]] = {
     **{name: getattr(lax, name) for name in ("add", "sub", "mul", "div", "abs")},
@@ -59,39 +59,39 @@ class Values:
         graph: Graph,
         shape: tuple[int, ...],
         load: Callable[[int], Any],
+        known: Mapping[int, Any] | None = None,
     ) -> None:
         """Begins a piece of straight-line code.
 
         Args:
             graph: Whose nodes are worked out.
             shape: Of every value: one axis of rods, or none.
-            load: What brings a node from memory; `None` for one that is worked out.
+            load: What brings a number that all rods share.
+            known: Values of other nodes that are not worked out here.
         """
         self.graph, self.shape, self.load = graph, shape, load
-        self.made: dict[int, Any] = {}
+        self.made: dict[int, Any] = dict(known or {})
         self.loaded: dict[int, tuple[Any, int]] = {}
         self.count = 0
         """Operations so far."""
 
     def work_out(
-        self, goals: Iterable[tuple[int, Callable[[Any], None]]], rate: int
+        self, nodes: Sequence[int], rate: int, take: Callable[[int, Any], None]
     ) -> None:
         """Works out nodes and hands each on as soon as it is there.
 
         Args:
-            goals: Nodes, and what takes their values.
-            rate: Of what is worked out; what changes less often is loaded.
+            nodes: Which.
+            rate: How often that is done; what changes less often is known or loaded.
+            take: What is given node and value.
         """
-        takers: dict[int, list[Callable[[Any], None]]] = {}
-        for node, taker in goals:
-            takers.setdefault(node, []).append(taker)
-        graph = self.graph
-        for node in graph.needed(takers):
+        graph, wanted = self.graph, set(nodes)
+        for node in graph.needed(nodes):
             if graph.rates[node] == rate and graph.operations[node] != "input":
                 self.made[node] = self.operation(node)
                 self.count += 1
-            for taker in takers.get(node, ()):
-                taker(self.value(node))
+            if node in wanted:
+                take(node, self.value(node))
 
     def value(self, node: int) -> Any:
         """The value of a node."""

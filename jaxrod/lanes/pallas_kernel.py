@@ -1,14 +1,17 @@
 """Runs for GPUs: all steps of a block of rods in one launch, a rod in each thread.
 
-A row of numbers holds one entry of all rods, so that neighbouring threads read
-neighbouring numbers. What changes from step to step stays in memory, in two sets of rows
-that are read and written in turn: a rod has more numbers than a thread has registers.
-What all rods share is worked out by a kernel of its own, before.
+A value is a vector with a number for every rod of the block. The carry goes from step to
+step as such vectors: the compiler decides which of them stay in registers. What all rods
+share is worked out by a kernel of its own, before, and read as single numbers.
+
+Triton's compiler takes a time that grows with the number of vectors that are loaded and
+stored, times the square of the length of the program. So what belongs to a rod comes and
+goes in tiles of many numbers, which are cut into vectors and put together from them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -26,13 +29,15 @@ from jaxrod.lanes.pallas_code import (
     to_memory,
     type_in_memory,
 )
-from jaxrod.lanes.pallas_layout import Layout, Place, layout_of_plan
+from jaxrod.lanes.pallas_layout import Layout, layout_of_plan
 
 BLOCK = 32
-"""Rods of a block: the threads of one warp, so that each has one rod, and the same one
-in everything it loads and stores. Not tuned on a GPU."""
+"""Rods of a block: the threads of one warp. Not tuned on a GPU."""
+TILE = 64
+"""Numbers of a rod that are loaded or stored at once: a power of two."""
 
-_Refs = Mapping[tuple[str, str], Any]
+Refs = Mapping[tuple[str, str], Any]
+"""Arrays in memory, by region and type."""
 
 
 def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., Any]:
@@ -52,7 +57,7 @@ def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., A
     n, layout = plan.cycle.n_constants, layout_of_plan(plan)
     if not interpret:
         refused_on_gpu(layout.step.graph, layout.used)
-    columns = -(-rods // BLOCK) * BLOCK
+    padded = -(-rods // BLOCK) * BLOCK
     first_given = n + len(layout.step.carry)
 
     def program(steps: Any, *arrays: Any) -> list[Any]:
@@ -65,20 +70,20 @@ def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., A
             for parts in _parts(layout, "numbers", operands)
         ]
         rows = [
-            _rows([_typed(a, e) for a, e in parts], columns)
+            _rows([_typed(a, e) for a, e in parts], padded)
             for region in ("own", "given")
             for parts in _parts(layout, region, operands)
         ]
         derived = _derived(layout, numbers, interpret)
         count = jnp.asarray(steps, jnp.int32).reshape(1)
-        made = _run(layout, columns, interpret)(count, *numbers, *derived, *rows)
+        made = _run(layout, padded, interpret)(count, *numbers, *derived, *rows)
         results = _results(layout, plan, made, rods)
         return results if plan.batch else [result[0] for result in results]
 
     return program
 
 
-# Arrays and rows ------------------------------------------------------------------
+# Arrays outside -------------------------------------------------------------------
 
 
 def _parts(
@@ -86,7 +91,7 @@ def _parts(
 ) -> list[list[tuple[Any, Entries]]]:
     """Operands that make up the arrays of a region."""
     parts: dict[str, list[tuple[Any, Entries]]] = {
-        dtype: [] for dtype in layout.rows[region]
+        dtype: [] for dtype in layout.sizes[region]
     }
     for which, (where, dtype, _) in layout.arrays.items():
         if where == region:
@@ -98,32 +103,29 @@ def _typed(array: Any, entries: Entries) -> Any:
     return lax.convert_element_type(array, type_in_memory(entries.kind))
 
 
-def _rows(arrays: Sequence[Any], columns: int) -> Any:
-    """Entries of rods as rows; the last rod is repeated until the block is full."""
-    rows = jnp.concatenate([a.reshape(a.shape[0], -1).T for a in arrays])
-    missing = columns - rows.shape[1]
-    if not missing:
-        return rows
-    last = jnp.broadcast_to(rows[:, -1:], (rows.shape[0], missing))
-    return jnp.concatenate([rows, last], axis=1)
+def _rows(arrays: Sequence[Any], padded: int) -> Any:
+    """A row of numbers for each rod, in whole tiles; the last rod fills the block."""
+    rows = jnp.concatenate([a.reshape(a.shape[0], -1) for a in arrays], axis=1)
+    rods, size = rows.shape
+    if padded > rods:
+        last = jnp.broadcast_to(rows[-1:], (padded - rods, size))
+        rows = jnp.concatenate([rows, last])
+    return jnp.pad(rows, ((0, 0), (0, _in_tiles(size) - size)))
 
 
 def _results(
     layout: Layout, plan: Plan, made: Mapping[str, Any], rods: int
 ) -> list[Any]:
-    """Rows as entries of rods."""
+    """Arrays of results, of rows."""
     avals = plan.ends.made if plan.ends is not None else plan.cycle.avals
     results = []
     for aval, entries, (dtype, first) in zip(
         avals, layout.ends.made, layout.made, strict=True
     ):
-        rows = (
-            made[dtype][first : first + entries.size, :rods]
-            if entries.size
-            else jnp.zeros((0, rods), dtype)
-        )
-        array = from_memory(rows, entries.kind).T.reshape(rods, *aval.shape)
-        results.append(array)
+        rows = jnp.zeros((rods, 0), dtype)
+        if entries.size:
+            rows = made[dtype][:rods, first : first + entries.size]
+        results.append(from_memory(rows, entries.kind).reshape(rods, *aval.shape))
     return results
 
 
@@ -132,37 +134,42 @@ def _results(
 
 def _derived(layout: Layout, numbers: Sequence[Any], interpret: bool) -> list[Any]:
     """What is worked out of numbers that all rods share."""
-    names = layout.names("derived")
+    names, inputs = layout.names("derived"), layout.names("numbers")
     if not names:
         return []
-    inputs = layout.names("numbers")
 
-    def kernel(*refs: Any) -> None:
-        places = dict(zip([*inputs, *names], refs, strict=True))
-        goals = [(node, _store(layout, places, node)) for node in layout.derived]
-        Values(layout.step.graph, (), _load(layout, places)).work_out(goals, UNIFORM)
+    def kernel(*arrays: Any) -> None:
+        refs = dict(zip([*inputs, *names], arrays, strict=True))
+
+        def store(node: int, value: Any) -> None:
+            region, dtype, which = layout.nodes[node]
+            refs[region, dtype][which] = to_memory(value, layout.step.graph.kinds[node])
+
+        values = Values(layout.step.graph, (), _numbers(layout, refs))
+        values.work_out(layout.derived, UNIFORM, store)
 
     shapes = [_shape(layout, name) for name in names]
     return list(_call(kernel, interpret, out_shape=shapes, grid=(1,))(*numbers))
 
 
 def _run(
-    layout: Layout, columns: int, interpret: bool
+    layout: Layout, padded: int, interpret: bool
 ) -> Callable[..., Mapping[str, Any]]:
     """The kernel of all steps: rows to rows, by their type."""
     from jax.experimental import pallas as pl
 
     shared = [*layout.names("numbers"), *layout.names("derived")]
     given = [*layout.names("own"), *layout.names("given")]
-    outputs = [name for r in ("fixed", "carry", "made") for name in layout.names(r)]
+    made = layout.names("made")
 
-    def kernel(steps: Any, *refs: Any) -> None:
-        places = dict(zip([*shared, *given, *outputs], refs, strict=True))
-        _steps(layout, places, steps[0])
+    def kernel(steps: Any, *arrays: Any) -> None:
+        refs = dict(zip([*shared, *given, *made], arrays, strict=True))
+        _steps(layout, refs, steps[0])
 
     def block(name: tuple[str, str]) -> Any:
-        *rows, _ = _shape(layout, name, columns).shape
-        return pl.BlockSpec((*rows, BLOCK), lambda i: (*(0 for _ in rows), i))
+        return pl.BlockSpec(
+            (BLOCK, _shape(layout, name, padded).shape[1]), lambda i: (i, 0)
+        )
 
     def whole(size: int) -> Any:
         return pl.BlockSpec((size,), lambda i: (0,))
@@ -170,55 +177,72 @@ def _run(
     call = _call(
         kernel,
         interpret,
-        out_shape=[_shape(layout, name, columns) for name in outputs],
-        grid=(columns // BLOCK,),
+        out_shape=[_shape(layout, name, padded) for name in made],
+        grid=(padded // BLOCK,),
         in_specs=[
             whole(1),
             *[whole(_shape(layout, name).shape[0]) for name in shared],
             *[block(name) for name in given],
         ],
-        out_specs=[block(name) for name in outputs],
+        out_specs=[block(name) for name in made],
     )
 
     def run(*arrays: Any) -> Mapping[str, Any]:
-        made = dict(zip(outputs, call(*arrays), strict=True))
-        return {dtype: made[region, dtype] for region, dtype in layout.names("made")}
+        rows = call(*arrays)
+        return {dtype: r for (_, dtype), r in zip(made, rows, strict=True)}
 
     return run
 
 
-def _steps(layout: Layout, refs: _Refs, steps: Any) -> None:
+def _steps(layout: Layout, refs: Refs, steps: Any) -> None:
     """What one block does: what does not change, the first carry, steps, the end."""
     graph, step, ends = layout.step.graph, layout.step, layout.ends
-    zero = jnp.int32(0)
+    numbers = _numbers(layout, refs)
+    known = _given(layout, refs)
 
-    def work(goals: Iterable[Any], rate: int, now: Any) -> None:
-        Values(graph, (BLOCK,), _load(layout, refs, now)).work_out(goals, rate)
+    def worked_out(nodes: Sequence[int], rate: int, more: dict[int, Any]) -> list[Any]:
+        values = Values(graph, (BLOCK,), numbers, {**known, **more})
+        found: dict[int, Any] = {}
+        values.work_out(nodes, rate, found.__setitem__)
+        return [found[node] for node in nodes]
 
-    def to_carry(outputs: Sequence[Sequence[int]], then: Any) -> list[Any]:
-        first = len(step.constants)
-        return [
-            (node, _store(layout, refs, node, _after(layout, first + i, k), then))
-            for i, k, node in _neighbours_together(outputs)
-        ]
+    known.update(zip(layout.fixed, worked_out(layout.fixed, FIXED, {}), strict=True))
+    carried = _nodes_of_carry(layout)
+    order = [(i, k) for i, k, _ in _neighbours_together(step.outputs)]
+    inputs = [carried.get(place) for place in order]
 
-    work([(n, _store(layout, refs, n)) for n in layout.fixed], FIXED, zero)
-    work(to_carry(ends.begun, zero), VARYING, zero)
+    def taken(outputs: Sequence[Sequence[int]], now: dict[int, Any]) -> tuple[Any, ...]:
+        return tuple(worked_out([outputs[i][k] for i, k in order], VARYING, now))
 
-    def once(i: Any, nothing: tuple[()]) -> tuple[()]:
-        now = lax.rem(i, jnp.int32(2))
-        work(to_carry(step.outputs, 1 - now), VARYING, now)
-        return nothing
+    def now(carry: tuple[Any, ...]) -> dict[int, Any]:
+        pairs = zip(inputs, carry, strict=True)
+        return {node: value for node, value in pairs if node is not None}
 
-    lax.fori_loop(zero, steps, once, ())
-    # Of a negative count there is no step.
-    last = lax.rem(lax.max(steps, zero), jnp.int32(2))
-    goals = [
-        (node, _store(layout, refs, node, ("made", dtype, first + k)))
-        for i, k, node in _neighbours_together(ends.ended)
-        for dtype, first in [layout.made[i]]
-    ]
-    work(goals, VARYING, last)
+    last = lax.fori_loop(
+        jnp.int32(0),
+        steps,
+        lambda _, carry: taken(step.outputs, now(carry)),
+        taken(ends.begun, {}),
+    )
+    results = [(i, k, node) for i, k, node in _neighbours_together(ends.ended)]
+    found = worked_out([node for _, _, node in results], VARYING, now(last))
+    columns: dict[str, dict[int, Any]] = {dtype: {} for dtype in layout.sizes["made"]}
+    for (i, k, node), value in zip(results, found, strict=True):
+        dtype, first = layout.made[i]
+        columns[dtype][first + k] = to_memory(value, graph.kinds[node])
+    for dtype, values in columns.items():
+        _store(refs["made", dtype], [values[k] for k in range(len(values))])
+
+
+def _nodes_of_carry(layout: Layout) -> dict[tuple[int, int], int]:
+    """Nodes of the carry that are used: by array and entry."""
+    graph, first = layout.step.graph, len(layout.step.constants)
+    places = ((node, graph.places.get(node)) for node in layout.used)
+    return {
+        (place[0] - first, place[1]): node
+        for node, place in places
+        if place is not None and 0 <= place[0] - first < len(layout.step.carry)
+    }
 
 
 def _neighbours_together(
@@ -233,58 +257,87 @@ def _neighbours_together(
     return [place[1:] for place in sorted(ordered, key=lambda place: place[0])]
 
 
-def _after(layout: Layout, which: int, entry: int) -> Place:
-    region, dtype, first = layout.arrays[which]
-    return region, dtype, first + entry
+# Memory ---------------------------------------------------------------------------
 
 
-def _load(layout: Layout, refs: _Refs, now: Any = None) -> Callable[[int], Any]:
-    """What brings a node from memory; the carry from one of its two sets of rows."""
+def _numbers(layout: Layout, refs: Refs) -> Callable[[int], Any]:
+    """What brings a number that all rods share."""
 
     def load(node: int) -> Any:
-        region, dtype, row = layout.where(node)
-        ref = refs[region, dtype]
-        if region in ("numbers", "derived"):
-            found = ref[row]
-        else:
-            found = ref[now, row, :] if region == "carry" else ref[row, :]
-        return from_memory(found, layout.step.graph.kinds[node])
+        region, dtype, which = layout.where(node)
+        return from_memory(refs[region, dtype][which], layout.step.graph.kinds[node])
 
     return load
 
 
-def _store(
-    layout: Layout,
-    refs: _Refs,
-    node: int,
-    place: Place | None = None,
-    then: Any = None,
-) -> Callable[[Any], None]:
-    """What takes the value of a node to its place, or to another."""
-    region, dtype, row = place or layout.nodes[node]
-    ref, kind = refs[region, dtype], layout.step.graph.kinds[node]
+def _given(layout: Layout, refs: Refs) -> dict[int, Any]:
+    """All inputs that belong to rods, by node."""
+    graph = layout.step.graph
+    columns = {
+        name: _loaded(refs[name])
+        for region in ("own", "given")
+        for name in layout.names(region)
+    }
+    found = {}
+    for node in layout.used:
+        if graph.operations[node] != "input" or graph.places[node][0] not in (
+            layout.arrays
+        ):
+            continue
+        region, dtype, which = layout.where(node)
+        if (region, dtype) in columns:
+            value = columns[region, dtype][which]
+            found[node] = from_memory(value, graph.kinds[node])
+    return found
 
-    def store(value: Any) -> None:
-        value = to_memory(value, kind)
-        if region == "derived":
-            ref[row] = value
-        elif region == "carry":
-            ref[then, row, :] = value
-        else:
-            ref[row, :] = value
 
-    return store
+def _loaded(ref: Any) -> list[Any]:
+    """All columns of a block."""
+    columns: list[Any] = []
+    width = min(TILE, ref.shape[1])
+    for start in range(0, ref.shape[1], width):
+        columns += _cut(ref[:, start : start + width])
+    return columns
+
+
+def _store(ref: Any, columns: list[Any]) -> None:
+    """Stores columns; what is left of the last tile is filled with the last of them."""
+    width = min(TILE, ref.shape[1])
+    columns = [*columns, *columns[-1:] * (ref.shape[1] - len(columns))]
+    for start in range(0, ref.shape[1], width):
+        ref[:, start : start + width] = _joined(columns[start : start + width])
+
+
+def _cut(tile: Any) -> list[Any]:
+    """Columns of a tile, by halves: Triton has no other way."""
+    width = tile.shape[1]
+    if width == 1:
+        return [lax.reshape(tile, (BLOCK,))]
+    return [c for half in lax.split(tile, (width // 2,) * 2, 1) for c in _cut(half)]
+
+
+def _joined(columns: Sequence[Any]) -> Any:
+    """A tile of columns, by pairs."""
+    if len(columns) == 1:
+        return lax.reshape(columns[0], (BLOCK, 1))
+    pairs = jnp.stack([_joined(columns[0::2]), _joined(columns[1::2])], axis=-1)
+    return lax.reshape(pairs, (BLOCK, len(columns)))
+
+
+def _in_tiles(size: int) -> int:
+    """So many numbers in whole tiles, or in one whose width is a power of two."""
+    if size > TILE:
+        return -(-size // TILE) * TILE
+    return 1 << (size - 1).bit_length()
 
 
 def _shape(
-    layout: Layout, name: tuple[str, str], columns: int | None = None
+    layout: Layout, name: tuple[str, str], padded: int | None = None
 ) -> jax.ShapeDtypeStruct:
     """Of an array in memory."""
-    region, dtype = name
-    shape: tuple[int, ...] = (layout.rows[region][dtype],)
-    if columns is not None:
-        shape = (*((2,) if region == "carry" else ()), *shape, columns)
-    return jax.ShapeDtypeStruct(shape, np.dtype(dtype))
+    size = layout.sizes[name[0]][name[1]]
+    shape = (size,) if padded is None else (padded, _in_tiles(size))
+    return jax.ShapeDtypeStruct(shape, np.dtype(name[1]))
 
 
 def _call(kernel: Callable[..., None], interpret: bool, **how: Any) -> Any:
@@ -294,6 +347,5 @@ def _call(kernel: Callable[..., None], interpret: bool, **how: Any) -> Any:
         return pl.pallas_call(kernel, interpret=True, **how)
     from jax.experimental.pallas import triton
 
-    # One stage: loads of a step must not be moved before the stores of the one before.
     params = triton.CompilerParams(num_warps=BLOCK // 32, num_stages=1)
     return pl.pallas_call(kernel, compiler_params=params, **how)

@@ -16,8 +16,9 @@ from jaxrod.lanes.unrolled import entries_of, unrolled_run, unrolled_step
 MOST_OPERATIONS_ON_GPU = 40_000
 """Of a step and what comes before and after. Not tuned on a GPU."""
 
+REGIONS = ("numbers", "derived", "own", "given", "made")
 Place = tuple[str, str, int]
-"""A region, a type in it, and a row."""
+"""A region, a type in it, and which of its numbers."""
 
 
 @dataclass
@@ -25,27 +26,28 @@ class Layout:
     """A run as a graph, and the places of its numbers.
 
     Regions are `numbers` and `derived`, which all rods share: what is given and what is
-    worked out of it; `own` and `fixed`, the same for each rod; `given`, `carry`, `made`.
+    worked out of it; `own`, `given` and `made`, of each rod: constants, what a run
+    begins with, and results.
     """
 
     step: Step
     ends: Ends
     used: list[int]
     """All nodes that are needed."""
-    rows: dict[str, dict[str, int]]
-    """Rows of each region, by their type."""
+    sizes: dict[str, dict[str, int]]
+    """Numbers in each region, by their type."""
     arrays: dict[int, Place]
     """Where arrays of inputs begin, those that are used."""
     entries: dict[int, Entries]
     """Of these arrays."""
     derived: list[int]
     """Nodes that all rods share, worked out first and used later."""
-    fixed: list[int]
-    """The same for each rod."""
     nodes: dict[int, Place]
     """Where these nodes are."""
+    fixed: list[int]
+    """Nodes that stay the same for each rod, worked out before the first step."""
     made: list[tuple[str, int]]
-    """Where results begin, an array each: type and row."""
+    """Where results begin, an array each: type and which number."""
 
     def where(self, node: int) -> Place:
         """The place of a node."""
@@ -57,14 +59,14 @@ class Layout:
 
     def names(self, region: str) -> list[tuple[str, str]]:
         """Region and type of the arrays of a region."""
-        return [(region, dtype) for dtype in self.rows[region]]
+        return [(region, dtype) for dtype in self.sizes[region]]
 
     def place(self, region: str, kind: str, count: int = 1) -> Place:
-        """New rows."""
-        rows, dtype = self.rows[region], type_in_memory(kind).name
-        first = rows.get(dtype, 0)
+        """Room for more numbers."""
+        sizes, dtype = self.sizes[region], type_in_memory(kind).name
+        first = sizes.get(dtype, 0)
         if count:
-            rows[dtype] = first + count
+            sizes[dtype] = first + count
         return region, dtype, first
 
 
@@ -98,16 +100,15 @@ def _layout(cycle: Cycle, ends: CycleEnds | None, shared: tuple[bool, ...]) -> L
         for node in nodes
     ]
     used = graph.needed(outputs)
-    regions = ("numbers", "derived", "own", "fixed", "given", "carry", "made")
-    layout = Layout(
-        step, around, used, {r: {} for r in regions}, {}, {}, [], [], {}, []
-    )
+    sizes: dict[str, dict[str, int]] = {region: {} for region in REGIONS}
+    layout = Layout(step, around, used, sizes, {}, {}, [], {}, [], [])
     _place_inputs(layout)
     for node in _kept(layout, outputs):
-        derived = graph.rates[node] == UNIFORM
-        (layout.derived if derived else layout.fixed).append(node)
-        region = "derived" if derived else "fixed"
-        layout.nodes[node] = layout.place(region, graph.kinds[node])
+        if graph.rates[node] == UNIFORM:
+            layout.derived.append(node)
+            layout.nodes[node] = layout.place("derived", graph.kinds[node])
+        else:
+            layout.fixed.append(node)
     for entries in around.made:
         layout.made.append(layout.place("made", entries.kind, entries.size)[1:])
     return layout
@@ -126,20 +127,17 @@ def _bare(cycle: Cycle, shared: tuple[bool, ...]) -> tuple[Step, Ends]:
 
 
 def _place_inputs(layout: Layout) -> None:
-    """Constants and what is given if they are used, and all of the carry."""
+    """Constants and what is given, where they are used."""
     step, graph = layout.step, layout.step.graph
     used = {graph.places[n][0] for n in layout.used if n in graph.places}
     n, m = len(step.constants), len(step.carry)
     arrays: Sequence[Entries] = [*step.constants, *step.carry, *layout.ends.given]
     for which, entries in enumerate(arrays):
-        if n <= which < n + m:
-            region = "carry"
-        elif which not in used:
+        if which not in used or n <= which < n + m:
             continue
-        elif which >= n + m:
-            region = "given"
-        else:
-            region = "numbers" if entries.rate == UNIFORM else "own"
+        region = "own" if entries.rate == FIXED else "given"
+        if entries.rate == UNIFORM:
+            region = "numbers"
         layout.arrays[which] = layout.place(region, entries.kind, entries.size)
         layout.entries[which] = entries
 
