@@ -51,6 +51,7 @@ def simulate(frequency, seconds=1.5):
 
 
 if __name__ == "__main__":
+    jaxrod.configure_cpu()
     for share in (0.5, 2.0):
         lean, gap = simulate(share * CRITICAL)
         print(f"{share} x critical: leans {lean:.2f} rad; work off by {gap:.1e}")

@@ -42,6 +42,7 @@ DOCS = pathlib.Path(__file__).parents[1] / "docs"
 
 def show(file, run, number, look):
     """Runs one scene; prints its number, writes its picture and its replay to runs/."""
+    jaxrod.configure_cpu()
     name, folder = pathlib.Path(file).stem, pathlib.Path("runs")
     folder.mkdir(exist_ok=True)
     replay, measured, reference = run()

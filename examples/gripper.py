@@ -17,7 +17,6 @@ LIFT, PRESSURE = 0.08, 1e5  # [m], [Pa]
 NUMBER = "metres the ball was lifted, and the fingers"
 LOOK = {"frame": -1, "azimuth": 30, "elevation": 12, "field": "bending [1/m]"}
 LAW = {"damping": 10.0, "friction": 0.8, "friction_drag": 10.0}
-GROUND = jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def finger(angle):
@@ -41,7 +40,7 @@ def finger(angle):
         jaxrod.chamber(rod, pressure, 4e-5, offsets=(5e-3, 0.0)),
         jaxrod.gravity(),
         jaxrod.exponential_damping(15.0),
-        jaxrod.contact(GROUND, stiffness=5e3, **LAW),
+        jaxrod.contact(jaxrod.plane(), stiffness=5e3, **LAW),
     )
     return scene, state
 
@@ -56,7 +55,7 @@ def build():
     system = jaxrod.make_system(
         {"fingers": fingers, "ball": ball},
         jaxrod.body_contact("fingers", "ball", stiffness=5e3, **LAW),
-        jaxrod.rigid_contact("ball", fixed=GROUND, stiffness=500.0, damping=1.0),
+        jaxrod.rigid_contact("ball", fixed=jaxrod.plane(), stiffness=5e2, damping=1.0),
         state=state,
     )
     return system, state, 0.95 * float(jaxrod.stable_dt(system).dt)

@@ -53,6 +53,7 @@ def simulate(strength=0.05, seconds=1.0):
 
 
 if __name__ == "__main__":
+    jaxrod.configure_cpu()
     tips, freshness = simulate()
     print(f"largest swing {float(jnp.max(jnp.abs(tips[:, :2]))):.3f} m")
     print(f"freshness after a second {float(freshness):.3f}")

@@ -6,6 +6,7 @@ In this folder: jaxrod train trivial --set network=own_network:residual
 import flax.linen as nn
 import jax
 
+import jaxrod
 from jaxrod.envs import make
 from jaxrod.training import PPOConfig, evaluate, restore_policy, train
 
@@ -29,6 +30,7 @@ def residual(role: str, outputs: int) -> nn.Module:
 
 
 def main() -> None:
+    jaxrod.configure_cpu()
     env, folder = make("trivial"), "runs/own_network"
     config = PPOConfig(num_envs=32, rollout_steps=64, network=residual)
     train(env, "ppo", steps=100_000, config=config, out=folder, overwrite=True)

@@ -12,7 +12,7 @@ import jaxrod
 
 N, LENGTH, PERIOD, G, FROUDE = 30, 0.35, 2.0, 9.80665, 0.1  # [1], [m], [s], [m/s^2]
 RADIUS = 0.011 * LENGTH
-COUPLES = 1e-3 * jnp.asarray([3.4, 3.3, 4.2, 2.6, 3.6, 3.5])  # [N m]
+COUPLES = (3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3)  # [N m]
 NUMBER = "lengths moved in the fourth period, and PyElastica's"
 LOOK = {"frame": (40, 80, 120, 160), "azimuth": -65, "elevation": 40}
 
@@ -37,10 +37,10 @@ def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
         friction=LENGTH / (PERIOD**2 * G * FROUDE) * jnp.asarray([1.0, 1.5, 2.0]),
         friction_drag=1000.0 * mass,
     )
-    tilted = couples * (1 + gait[1] * jnp.linspace(-1.0, 1.0, 6))
+    tilted = jnp.asarray(couples) * (1 + gait[1] * jnp.linspace(-1.0, 1.0, 6))
     wave = jaxrod.muscle_torques(
         rod,
-        tilted * jnp.sqrt(jnp.sum(couples**2) / jnp.sum(tilted**2)),
+        tilted * jnp.sqrt(sum(c * c for c in couples) / jnp.sum(tilted**2)),
         period=PERIOD,
         wave_number=gait[0],
         direction=(0.0, 0.0, 1.0),

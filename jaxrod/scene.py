@@ -166,6 +166,13 @@ def check_scene(scene: Any) -> None:
         TypeError: If it is something else.
         ValueError: If it is a batch of scenes.
     """
+    if isinstance(scene, Composite):
+        raise TypeError(
+            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
+            "of one rod alone, not of several members together. Those can be stepped "
+            "(advance, rollout) and asked for stable_dt, potential_energy, "
+            "total_energy and health; with damping, steps lead to their equilibrium"
+        )
     check_kind("scene", scene, Scene)
     shape = jnp.shape(scene.rod.rest_lengths)
     if len(shape) != 1:

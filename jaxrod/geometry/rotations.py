@@ -210,11 +210,13 @@ def to_world(frame: tuple[Vec3, Vec3, Vec3], material: Vec3) -> Vec3:
 
 
 def directors_from_orientations(
-    orientations: Float[Array, "4 n"],
-) -> Float[Array, "3 3 n"]:
-    """Director matrices: `[i, j]` is world component j of director i.
+    orientations: Float[Array, "*batch 4 n"],
+) -> Float[Array, "*batch 3 3 n"]:
+    """Director matrices: `[..., i, j, :]` is world component j of director i.
 
-    This is PyElastica's `director_collection` layout.
+    Of one rod this is PyElastica's `director_collection` layout; of a batch, or of a
+    rollout, each state's own.
     """
-    frame = directors(split_quaternion(orientations))
-    return jnp.stack([jnp.stack(d) for d in frame])
+    w, x, y, z = (orientations[..., component, :] for component in range(4))
+    frame = directors((w, x, y, z))
+    return jnp.stack([jnp.stack(d, axis=-2) for d in frame], axis=-3)

@@ -87,12 +87,13 @@ def safe_norm(a: Vec3) -> Array:
 
 
 def pad(a: Array, before: int, after: int) -> Array:
-    """Appends zeros to a field along its only axis.
+    """Appends zeros to a field along its last axis.
 
     `lax.pad` rather than `jnp.concatenate`: it fuses with its neighbours and,
     under `vmap`, leaves the batch axis where it is.
     """
-    return lax.pad(a, jnp.zeros((), a.dtype), [(before, after, 0)])
+    ends = [*[(0, 0, 0)] * (a.ndim - 1), (before, after, 0)]
+    return lax.pad(a, jnp.zeros((), a.dtype), ends)
 
 
 def difference(a: Vec3) -> Vec3:

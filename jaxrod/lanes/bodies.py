@@ -16,6 +16,9 @@ from jaxrod.lanes.vector_code import BYTES, TYPES, Writer
 
 ALIGNMENT = 64
 """Of vectors in memory [bytes]."""
+_ATTRIBUTES = f"noinline nounwind alignstack({ALIGNMENT})"
+"""Of functions. Left to itself LLVM puts vectors that it has no register for where they
+lie across two lines of the cache."""
 
 
 @dataclass
@@ -54,6 +57,7 @@ class Memory:
     nodes: dict[int, tuple[Region, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Begins with nothing in either region."""
         self.shared = Region("%shared", 1)
         self.own = Region("%own", self.width)
 
@@ -141,7 +145,7 @@ def body(
     for node in list(goals):
         store(node)
     given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
-    text = f"define internal void @{name}({given}) noinline nounwind {{\n"
+    text = f"define internal void @{name}({given}) {_ATTRIBUTES} {{\n"
     return text + "\n".join([*writer.lines, "ret void"]) + "\n}\n", writer
 
 

@@ -17,14 +17,8 @@ import jax.numpy as jnp
 from jaxrod.lanes import rules
 from jaxrod.lanes.cycle import Cycle, Ends, Plan, adjoint_cycle, chosen
 from jaxrod.lanes.graph import VARYING
-from jaxrod.lanes.kernel import (
-    Entries,
-    Kernel,
-    Step,
-    adjoint_kernel,
-    run_kernel,
-    step_kernel,
-)
+from jaxrod.lanes.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
+from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.unroll import NotUnrolled, kind_of, supported
 from jaxrod.lanes.unrolled import check_length, unrolled_run, unrolled_step
@@ -137,8 +131,8 @@ def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
             kernel = _steps_kernel(plan.cycle, shared, plan.keeps)
         else:
             kernel = _back_kernel(plan.cycle, plan.moving, shared)
-    except NotUnrolled as words:
-        refused(str(words), rods)
+    except NotUnrolled as reason:
+        refused(str(reason), rods)
         return None
     target = registered(kernel)
     seconds = time.perf_counter() - begun

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import jaxpr_as_fun
 
+from jaxrod.lanes.varying import varying_shape
+
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
@@ -31,6 +33,7 @@ class Cycle:
         return tuple(jnp.issubdtype(a.dtype, jnp.floating) for a in self.avals)
 
     def __call__(self, constants: Sequence[Any], carry: Sequence[Any]) -> list[Any]:
+        """The next carry."""
         return list(jaxpr_as_fun(self.closed)(*constants, *carry))
 
 
@@ -114,7 +117,9 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
         )
         return [*made, *after]
 
-    closed = jax.make_jaxpr(both)(*map(_shape, [*constants, *rates, *carry, *tangents]))
+    closed = jax.make_jaxpr(both)(
+        *map(varying_shape, [*constants, *rates, *carry, *tangents])
+    )
     return closed, len(constants) + len(rates)
 
 
@@ -136,7 +141,7 @@ def adjoint_cycle(plan: Plan) -> Any:
         return [*earlier, *sums]
 
     given = [*constants, *carry, *chosen(cycle.avals, floating)]
-    return jax.make_jaxpr(back)(*map(_shape, given))
+    return jax.make_jaxpr(back)(*map(varying_shape, given))
 
 
 def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
@@ -149,6 +154,7 @@ def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
 
 
 def chosen(things: Sequence[Any], flags: Sequence[bool]) -> list[Any]:
+    """Those that have the flag."""
     return [thing for thing, flag in zip(things, flags, strict=True) if flag]
 
 
@@ -160,7 +166,3 @@ def filled(
     return [
         next(rest) if flag else thing for thing, flag in zip(things, flags, strict=True)
     ]
-
-
-def _shape(aval: Any) -> Any:
-    return jax.ShapeDtypeStruct(aval.shape, aval.dtype)

@@ -2,8 +2,8 @@ r"""Elementary functions of vectors, in LLVM's language.
 
 Sine and cosine: the argument is brought to $|r| \le \pi/4$ by subtracting a multiple of
 $\pi/2$ held in two or three numbers, then a power series. Exponential: $2^n e^r$ with
-$|r| \le \tfrac12\ln 2$, and a power series. Beyond the range where that is right, and for
-all other functions, each lane asks the C library.
+$|r| \le \tfrac12\ln 2$, and a power series. Beyond the range where that is right, and
+for all other functions, each lane asks the C library.
 """
 
 from __future__ import annotations

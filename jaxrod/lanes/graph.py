@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-DTYPES = {
+DTYPES: dict[str, np.dtype] = {
     "f32": np.dtype(np.float32),
     "f64": np.dtype(np.float64),
     "i8": np.dtype(np.int8),
@@ -44,6 +44,7 @@ class Graph:
     """Nodes of a scalar program, in the order in which they were made."""
 
     def __init__(self) -> None:
+        """Begins without nodes."""
         self.operations: list[str] = []
         self.arguments: list[tuple[int, ...]] = []
         self.kinds: list[str] = []
@@ -55,6 +56,7 @@ class Graph:
         self._known: dict[Any, int] = {}
 
     def __len__(self) -> int:
+        """Number of nodes."""
         return len(self.operations)
 
     def constant(self, value: Any, kind: str) -> int:

@@ -10,23 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jaxrod.lanes.bodies import Memory, Region, body
-from jaxrod.lanes.functions import function_text, needed_by
-from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.transport import in_squares, transport_text
-from jaxrod.lanes.vector_code import BYTES, Writer
-
-
-@dataclass(frozen=True)
-class Entries:
-    """One array of a program, as one rod has it."""
-
-    kind: str
-    """Of its numbers."""
-    size: int
-    """How many numbers."""
-    rate: int
-    """How often it changes."""
+from jaxrod.lanes.bodies import Region
+from jaxrod.lanes.kernel_plan import Entries, KernelPlan, Step, goals_in
 
 
 @dataclass(frozen=True)
@@ -47,17 +32,6 @@ class Kernel:
     """Bytes of each carry that is kept in it."""
     operations: int
     """Of a step."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step as a graph: constants and carry to the next carry."""
-
-    graph: Graph
-    constants: Sequence[Entries]
-    carry: Sequence[Entries]
-    outputs: Sequence[Sequence[int]]
-    """Nodes of the next carry, an array each."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +59,11 @@ def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
         width: Lanes of a vector.
         checkpoints: Whether carries are kept on the way, every so many steps.
     """
-    plan = _Plan(step, width)
+    plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
     plan.prepare([node for nodes in step.outputs for node in nodes])
-    plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
+    goals = goals_in(step.outputs, step.carry, then, places)
+    plan.write_body("step", goals, [now, then])
     n_carry, first_carry = len(step.carry), 1 + len(step.constants)
     marks = "".join(
         plan.transport(
@@ -123,7 +98,7 @@ def run_kernel(step: Step, ends: Ends, width: int) -> Kernel:
         ends: What comes before and after.
         width: Lanes of a vector.
     """
-    plan = _Plan(step, width)
+    plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
     given, made = Region("%given", width), Region("%made", width)
     given_places = [given.place(e.kind, e.size) for e in ends.given]
@@ -133,10 +108,11 @@ def run_kernel(step: Step, ends: Ends, width: int) -> Kernel:
         plan.memory.arrays[first_given + i] = given, place
     every_output = (*step.outputs, *ends.begun, *ends.ended)
     plan.prepare([node for nodes in every_output for node in nodes])
-    plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
-    goals = _goals(ends.begun, step.carry, now, places)
+    goals = goals_in(step.outputs, step.carry, then, places)
+    plan.write_body("step", goals, [now, then])
+    goals = goals_in(ends.begun, step.carry, now, places)
     plan.write_body("begin", goals, [given, now])
-    goals = _goals(ends.ended, ends.made, made, made_places)
+    goals = goals_in(ends.ended, ends.made, made, made_places)
     plan.write_body("end", goals, [now, made])
     first = 1 + len(step.constants)
     start = plan.regions()
@@ -209,7 +185,7 @@ def adjoint_kernel(
             zero.
         width: Lanes of a vector.
     """
-    plan = _Plan(step, width)
+    plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
     n_constants, n_carry = len(step.constants), len(step.carry)
     before, after = Region("%cotangents", width), Region("%earlier", width)
@@ -220,8 +196,9 @@ def adjoint_kernel(
     plan.prepare(
         [node for nodes in (*step.outputs, *adjoint.outputs) for node in nodes]
     )
-    plan.write_body("step", _goals(step.outputs, step.carry, then, places), [now, then])
-    goals = _goals(adjoint.outputs, adjoint.carry, after, back_places)
+    goals = goals_in(step.outputs, step.carry, then, places)
+    plan.write_body("step", goals, [now, then])
+    goals = goals_in(adjoint.outputs, adjoint.carry, after, back_places)
     plan.write_body("adjoint", goals, [now, before, after])
     first_mark = 1 + n_constants
     first_seed = first_mark + n_carry
@@ -290,247 +267,3 @@ br label %block_done
     plan.declared.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
     module = plan.module(text, n_operands, n_results)
     return Kernel(module, n_operands, n_results, kept, size, plan.operations)
-
-
-class _Plan:
-    """Memory and functions of a kernel while it is written."""
-
-    def __init__(self, step: Step, width: int) -> None:
-        self.step, self.width = step, width
-        self.memory = Memory(step.graph, width)
-        self.functions: list[str] = []
-        self.n_transports = 0
-        self.transported: set[str] = set()
-        self.operations = 0
-        self.writers: list[Writer] = []
-        self.declared: set[str] = {"declare i64 @llvm.smin.i64(i64, i64)"}
-        self.constant_places = []
-        for i, entries in enumerate(step.constants):
-            shared = entries.rate == UNIFORM
-            region = self.memory.shared if shared else self.memory.own
-            place = self.memory.give(i, region, entries.kind, entries.size)
-            self.constant_places.append(place)
-
-    def carry_buffers(self) -> tuple[Region, Region, list[int]]:
-        """Two buffers for the carry, and the places in each of them."""
-        now, then = Region("%now", self.width), Region("%then", self.width)
-        places = [now.place(e.kind, e.size) for e in self.step.carry]
-        then.size = now.size
-        for i, place in enumerate(places):
-            self.memory.arrays[len(self.step.constants) + i] = now, place
-        return now, then, places
-
-    def pointers(self, start: int, **regions: Region) -> str:
-        """Where regions begin in the room, one after another."""
-        lines = []
-        for name, region in regions.items():
-            lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")
-            start += region.room()
-        return "".join(lines)
-
-    def fetch_all(
-        self,
-        arrays: Sequence[Entries],
-        places: Sequence[int],
-        first: int,
-        region: str,
-    ) -> str:
-        """Fetches operands from the `first` on."""
-        return "".join(
-            self.transport("fetch", entries, f"%in{first + i}", region, place)
-            for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
-        )
-
-    def bring_all(
-        self, arrays: Sequence[Entries], places: Sequence[int], region: str
-    ) -> str:
-        """Brings results, from the first one on."""
-        return "".join(
-            self.transport("bring", entries, f"%out{i}", region, place)
-            for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
-        )
-
-    def prepare(self, outputs: Sequence[int]) -> None:
-        """Functions for what does not change from step to step."""
-        used = self.step.graph.needed(outputs)
-        self.operations = len(used)
-        self.memory.keep_outputs(outputs)
-        shared, own = self.memory.keep(used)
-        graph = self.step.graph
-        for node in set(outputs):
-            if graph.rates[node] == UNIFORM and node not in shared:
-                shared.append(node)
-            if graph.rates[node] == FIXED and node not in own:
-                own.append(node)
-        for name, rate, nodes, lanes in (
-            ("shared", UNIFORM, shared, 1),
-            ("fixed", FIXED, own, self.width),
-        ):
-            goals = [
-                (node, *self.memory.nodes[node])
-                for node in nodes
-                if graph.operations[node] != "input"
-            ]
-            pointers = ["%shared", "%own"]
-            text, writer = body(name, self.memory, lanes, rate, goals, pointers)
-            self.functions.append(text)
-            self.writers.append(writer)
-
-    def write_body(
-        self,
-        name: str,
-        goals: Sequence[tuple[int, Region, int]],
-        regions: Sequence[Region],
-    ) -> None:
-        """A function that runs once for each block, or in every step."""
-        names = ["%shared", "%own", *[region.pointer for region in regions]]
-        text, writer = body(name, self.memory, self.width, VARYING, goals, names)
-        self.functions.append(text)
-        self.writers.append(writer)
-
-    def regions(self) -> int:
-        """Bytes of what comes before the buffers in the room."""
-        return self.memory.shared.room() + self.memory.own.room()
-
-    def fetch_shared(self) -> str:
-        """Copies what all rods share."""
-        lines = []
-        for i, entries in enumerate(self.step.constants):
-            if entries.rate == UNIFORM:
-                size, place = (
-                    BYTES[entries.kind] * entries.size,
-                    self.constant_places[i],
-                )
-                lines.append(
-                    f"%copy{i} = getelementptr i8, ptr %shared, i64 {place}\n"
-                    f"call void @llvm.memcpy.p0.p0.i64(ptr %copy{i}, ptr %in{1 + i}, "
-                    f"i64 {size}, i1 false)\n"
-                )
-        self.declared.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
-        return "".join(lines)
-
-    def fetch_own(self) -> str:
-        """Fetches what belongs to the rods of a block and does not change."""
-        return "".join(
-            self.transport("fetch", entries, f"%in{1 + i}", "%own", place)
-            for i, (entries, place) in enumerate(
-                zip(self.step.constants, self.constant_places, strict=True)
-            )
-            if entries.rate == FIXED
-        )
-
-    def transport(
-        self,
-        word: str,
-        entries: Entries,
-        array: str,
-        region: str,
-        place: int,
-        rows: str | None = None,
-        row: str = "",
-    ) -> str:
-        """A call that moves an array; with rows, one of several of each rod."""
-        self.n_transports += 1
-        self.transported.add(entries.kind)
-        mark = f"%t{self.n_transports}"
-        size = entries.size
-        lines = f"{mark} = getelementptr i8, ptr {region}, i64 {place}\n"
-        stride, offset = str(size), "0"
-        if rows is not None:
-            lines += f"{mark}s = mul i64 {rows}, {size}\n"
-            lines += f"{mark}o = mul i64 {row}, {size}\n"
-            stride, offset = f"{mark}s", f"{mark}o"
-        squares = in_squares(entries.kind, size, self.width)
-        name = f"{word}_squares" if squares else word
-        return lines + (
-            f"call void @{name}_{entries.kind}(ptr {array}, i64 {stride}, "
-            f"i64 {offset}, i64 {size}, i64 %first, i64 %rods, ptr {mark})\n"
-        )
-
-    def module(self, per_block: str, n_operands: int, n_results: int) -> str:
-        """All of the module but how it is called."""
-        kinds = self.transported
-        texts = list(self.functions)
-        declared = set(self.declared)
-        for kind in sorted(kinds):
-            text, more = transport_text(kind, self.width)
-            texts.append(text)
-            declared |= more
-        needs: set[tuple[str, str, int]] = set()
-        for writer in self.writers:
-            declared |= writer.declared
-            for operation, kind in writer.needs:
-                needs.add((operation, kind, writer.width))
-                needs |= {(*n, writer.width) for n in needed_by(operation, kind)}
-        widest = {(o, k): w for o, k, w in sorted(needs, key=lambda n: n[2])}
-        for (operation, kind), width in sorted(widest.items()):
-            text, more = function_text(operation, kind, width)
-            texts.append(text)
-            declared |= more
-        loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)] + [
-            _pointer(f"%out{i}", "%results", i) for i in range(n_results)
-        ]
-        memory = self.memory
-        counts = "".join(
-            f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
-            f"%{name}32 = load i32, ptr %{name}at\n"
-            f"%{name} = sext i32 %{name}32 to i64\n"
-            for i, name in enumerate(("steps", "every", "rods", "kept"))
-        )
-        main = f"""
-define void @kernel(ptr %operands, ptr %results) nounwind {{
-entry:
-{"".join(loads)}{counts}
-%raw = ptrtoint ptr %out{n_results - 1} to i64
-%raised = add i64 %raw, 63
-%aligned = and i64 %raised, -64
-%room = inttoptr i64 %aligned to ptr
-%shared = getelementptr i8, ptr %room, i64 0
-%own = getelementptr i8, ptr %room, i64 {memory.shared.room()}
-{self.fetch_shared()}
-call void @shared(ptr %shared, ptr %own)
-br label %blocks_test
-blocks_test:
-%first = phi i64 [0, %entry], [%following, %block_done]
-%inside = icmp slt i64 %first, %rods
-br i1 %inside, label %blocks, label %done
-blocks:
-{per_block}
-block_done:
-%following = add i64 %first, {self.width}
-br label %blocks_test
-done:
-ret void
-}}
-"""
-        return "\n".join([*sorted(declared | self.declared), *texts, main])
-
-
-def _goals(
-    outputs: Sequence[Sequence[int]],
-    arrays: Sequence[Entries],
-    region: Region,
-    places: Sequence[int],
-) -> list[tuple[int, Region, int]]:
-    """Where outputs go, element after element of the rod.
-
-    What is worked out for neighbours is then worked out together.
-    """
-    ordered = []
-    for nodes, entries, place in zip(outputs, arrays, places, strict=True):
-        size = BYTES[entries.kind] * region.lanes
-        for k, node in enumerate(nodes):
-            along = k / max(len(nodes), 1)
-            ordered.append((along, node, region, place + k * size))
-    ordered.sort(key=lambda goal: goal[0])
-    return [goal[1:] for goal in ordered]
-
-
-def _pointer(name: str, array: str, index: int) -> str:
-    """The data of one buffer of a call."""
-    return (
-        f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"
-        f"{name}c = load ptr, ptr {name}b\n"
-        f"{name}d = getelementptr i8, ptr {name}c, i64 24\n"
-        f"{name} = load ptr, ptr {name}d\n"
-    )

@@ -106,7 +106,7 @@ def _target_machine() -> Any:
 
 
 def _name_library() -> str | None:
-    """Tells LLVM where the functions of the C library are; the name of a missing one."""
+    """Tells LLVM where functions of the C library are; the name of a missing one."""
     import llvmlite.binding as llvm
 
     found = ctypes.util.find_library("m")

@@ -21,7 +21,7 @@ from jax import lax
 
 from jaxrod.lanes.cycle import Plan
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING
-from jaxrod.lanes.kernel import Entries
+from jaxrod.lanes.kernel_plan import Entries
 from jaxrod.lanes.pallas_code import (
     Values,
     from_memory,

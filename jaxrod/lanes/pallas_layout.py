@@ -9,7 +9,8 @@ from functools import lru_cache
 from jaxrod.lanes.cycle import Cycle, Plan
 from jaxrod.lanes.cycle import Ends as CycleEnds
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING
-from jaxrod.lanes.kernel import Ends, Entries, Step
+from jaxrod.lanes.kernel import Ends
+from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.pallas_code import type_in_memory
 from jaxrod.lanes.unrolled import entries_of, unrolled_run, unrolled_step
 

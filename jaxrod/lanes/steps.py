@@ -11,6 +11,7 @@ from jax import lax
 
 from jaxrod.lanes.choice import lanes_wanted, refused, supported
 from jaxrod.lanes.cycle import Cycle, Ends, Plan
+from jaxrod.lanes.varying import axes_of, varied, varying_shape
 
 
 def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
@@ -26,7 +27,11 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     from jaxrod.lanes.primitives import run_p
 
     constants, structure = jax.tree.flatten(integrator)
+    state = [_settled(leaf) for leaf in jax.tree.leaves(given)]
     constants = [_settled(leaf) for leaf in constants]
+    steps = jnp.asarray(n_times, jnp.int32)
+    axes = axes_of(*map(jax.typeof, (steps, *constants, *state)))
+    constants, state = varied(constants, axes), varied(state, axes)
     n = len(constants)
 
     def part(name: str, argument: Any) -> tuple[Any, Any, list[jax.ShapeDtypeStruct]]:
@@ -41,15 +46,14 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
                 bound(jax.tree.unflatten(tree, arrays[n:]))
             )
             result.append(made_tree)
-            return [_settled(leaf) for leaf in made]
+            return varied([_settled(leaf) for leaf in made], axes)
 
         closed = jax.make_jaxpr(method)(*constants, *leaves)
         return closed, result[0], leaves
 
-    state = [_settled(leaf) for leaf in jax.tree.leaves(given)]
     state_tree = jax.tree.structure(given)
     begin, carried, _ = part("begin", jax.tree.unflatten(state_tree, state))
-    carry = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in begin.out_avals]
+    carry = [varying_shape(aval) for aval in begin.out_avals]
     cycle, cycled, _ = part("cycle", jax.tree.unflatten(carried, carry))
     end, made_tree, _ = part("end", jax.tree.unflatten(carried, carry))
     words = None
@@ -65,7 +69,7 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
         refused(words)
         return None
     made = run_p.bind(
-        jnp.asarray(n_times, jnp.int32),
+        steps,
         *constants,
         *state,
         plan=Plan(

@@ -18,7 +18,7 @@ def in_squares(kind: str, count: int, width: int) -> bool:
 
 
 def room_for(kind: str, count: int, width: int) -> int:
-    """Vectors in a block for so many numbers: whole squares, where they go by squares."""
+    """Vectors in a block for so many numbers: whole squares, if they go by squares."""
     return -(-count // width) * width if in_squares(kind, count, width) else count
 
 

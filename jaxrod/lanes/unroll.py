@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
 
@@ -29,6 +30,11 @@ class Unroller:
     """Reads jaxprs into one graph."""
 
     def __init__(self, graph: Graph) -> None:
+        """Begins with nothing read.
+
+        Args:
+            graph: What nodes are added to.
+        """
         self.graph = graph
 
     def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
@@ -93,9 +99,7 @@ def kind_dtype(aval: Any) -> np.dtype:
 
 
 def _plain(dtype: Any) -> bool:
-    return isinstance(dtype, np.dtype) or not jax.dtypes.issubdtype(
-        dtype, jax.dtypes.extended
-    )
+    return isinstance(dtype, np.dtype) or not jnp.issubdtype(dtype, jax.dtypes.extended)
 
 
 Rule = Callable[..., Any]

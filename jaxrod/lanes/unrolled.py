@@ -8,7 +8,8 @@ from typing import Any
 from jaxrod.lanes.cycle import Cycle
 from jaxrod.lanes.cycle import Ends as CycleEnds
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.kernel import Ends, Entries, Step
+from jaxrod.lanes.kernel import Ends
+from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of
 
 

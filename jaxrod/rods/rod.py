@@ -29,6 +29,9 @@ class Rod:
     `vmap` over a rod is domain randomisation; `grad` over it is system
     identification. Per-length quantities (density, inertia, stiffness) do not change
     when the discretisation does.
+
+    What is derived from rods that are stacked, as `vmap` over a factory makes them, is
+    stacked as well: each rod's own, with their leading axes.
     """
 
     rest_lengths: Float[Array, " n"]
@@ -57,22 +60,22 @@ class Rod:
         return self.rest_lengths.shape[-1]
 
     @property
-    def length(self) -> Float[Array, ""]:
+    def length(self) -> Float[Array, "*batch"]:
         """Unstressed arc length [m]."""
-        return jnp.sum(self.rest_lengths)
+        return jnp.sum(self.rest_lengths, axis=-1)
 
     @property
-    def joint_lengths(self) -> Float[Array, " n-1"]:
+    def joint_lengths(self) -> Float[Array, "*batch n-1"]:
         """Rest arc length belonging to each joint (Voronoi length) [m]."""
-        return 0.5 * (self.rest_lengths[1:] + self.rest_lengths[:-1])
+        return 0.5 * (self.rest_lengths[..., 1:] + self.rest_lengths[..., :-1])
 
     @property
-    def element_masses(self) -> Float[Array, " n"]:
+    def element_masses(self) -> Float[Array, "*batch n"]:
         """Mass of each element [kg]."""
         return self.linear_density * self.rest_lengths
 
     @property
-    def node_masses(self) -> Float[Array, " n+1"]:
+    def node_masses(self) -> Float[Array, "*batch n+1"]:
         """Mass of each node [kg]: half of each neighbouring element's."""
         half = 0.5 * self.element_masses
         return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
@@ -83,43 +86,46 @@ class Rod:
         return self.rotary_inertia.shape[-2] == 2
 
     @property
-    def inertias(self) -> Float[Array, "2 n"]:
+    def inertias(self) -> Float[Array, "*batch 2 n"]:
         """Rotary inertia of each element, transverse and polar [kg m^2].
 
         Of sections that are not round the smaller transverse one: for bounds.
         """
-        inertias = self.rotary_inertia * self.rest_lengths[None, :]
+        inertias = self.rotary_inertia * self.rest_lengths[..., None, :]
         if self.is_round:
             return inertias
-        return jnp.stack([jnp.minimum(inertias[0], inertias[1]), inertias[2]])
+        first, second, polar = (inertias[..., axis, :] for axis in range(3))
+        return jnp.stack([jnp.minimum(first, second), polar], axis=-2)
 
     @property
-    def principal_inertias(self) -> Float[Array, "3 n"]:
+    def principal_inertias(self) -> Float[Array, "*batch 3 n"]:
         """Rotary inertia of each element about d1, d2, d3 [kg m^2]."""
-        inertias = self.rotary_inertia * self.rest_lengths[None, :]
+        inertias = self.rotary_inertia * self.rest_lengths[..., None, :]
         if not self.is_round:
             return inertias
-        return jnp.stack([inertias[0], inertias[0], inertias[1]])
+        transverse, polar = inertias[..., 0, :], inertias[..., 1, :]
+        return jnp.stack([transverse, transverse, polar], axis=-2)
 
     @property
-    def joint_stiffness(self) -> Float[Array, "3 n-1"]:
+    def joint_stiffness(self) -> Float[Array, "*batch 3 n-1"]:
         """Bend-twist stiffness at the joints [N m^2].
 
         The length-weighted mean of the neighbouring elements', as in PyElastica; with
         `joint_mean="series"` that of springs one after the other.
         """
         if self.joint_mean == "series":
-            compliance = self.rest_lengths[None, :] / self.bend_twist_stiffness
-            lengths = self.rest_lengths[1:] + self.rest_lengths[:-1]
-            return lengths[None, :] / (compliance[:, 1:] + compliance[:, :-1])
-        weighted = self.bend_twist_stiffness * self.rest_lengths[None, :]
-        total = weighted[:, 1:] + weighted[:, :-1]
-        return total / (self.rest_lengths[1:] + self.rest_lengths[:-1])[None, :]
+            compliance = self.rest_lengths[..., None, :] / self.bend_twist_stiffness
+            lengths = self.rest_lengths[..., 1:] + self.rest_lengths[..., :-1]
+            return lengths[..., None, :] / (compliance[..., 1:] + compliance[..., :-1])
+        weighted = self.bend_twist_stiffness * self.rest_lengths[..., None, :]
+        total = weighted[..., 1:] + weighted[..., :-1]
+        lengths = self.rest_lengths[..., 1:] + self.rest_lengths[..., :-1]
+        return total / lengths[..., None, :]
 
     @property
-    def arc_length_midpoints(self) -> Float[Array, " n"]:
+    def arc_length_midpoints(self) -> Float[Array, "*batch n"]:
         """Rest arc length from the start to the middle of each element [m]."""
-        return jnp.cumsum(self.rest_lengths) - 0.5 * self.rest_lengths
+        return jnp.cumsum(self.rest_lengths, axis=-1) - 0.5 * self.rest_lengths
 
 
 @pytree
@@ -142,8 +148,8 @@ class RodState:
     as it is what the scene begins with."""
 
     @property
-    def directors(self) -> Float[Array, "3 3 n"]:
-        """Material axes: `[i, j]` is world component j of director i."""
+    def directors(self) -> Float[Array, "*batch 3 3 n"]:
+        """Material axes: `[..., i, j, :]` is world component j of director i."""
         return directors_from_orientations(self.orientations)
 
     @property

@@ -74,23 +74,23 @@ class TouchingRods(Coupling):
 
     def views(self) -> list[tuple[int, int]]:
         """Pairs of members whose elements meet, by their numbers."""
-        raise NotImplementedError
+        raise _without(self, "views")
 
     def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
         """Which pairs of elements may touch; `None`: any."""
-        raise NotImplementedError
+        raise _without(self, "allowed")
 
     def bounding_radii(self, a: int) -> Array:
         """Largest radius that the law gives each element of a member [m]."""
-        raise NotImplementedError
+        raise _without(self, "bounding_radii")
 
     def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
         """All touches of pairs of elements."""
-        raise NotImplementedError
+        raise _without(self, "touches")
 
     def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
         """Loads of all touches of pairs of elements."""
-        raise NotImplementedError
+        raise _without(self, "pair_loads")
 
     # What follows from it.
 
@@ -282,6 +282,13 @@ class TouchingRods(Coupling):
         assert self.lists is not None
         largest = [jnp.max(strand.radii) for strand in self.strands]
         return self.lists.skin * jnp.max(jnp.stack(largest))
+
+
+def _without(law: TouchingRods, hook: str) -> NotImplementedError:
+    return NotImplementedError(
+        f"{type(law).__name__} has no {hook}: a law of contact between rods has views, "
+        "allowed, bounding_radii, touches and pair_loads, as crossing_contact's has"
+    )
 
 
 def same_rod(own: Elements, other: Elements) -> Array:

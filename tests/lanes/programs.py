@@ -2,8 +2,9 @@
 
     PYTHONPATH=tests python tests/lanes/programs.py --count 10000 [--first SEED]
 
-A program takes constants and a carry of random shapes through some operations picked at
-random among all that lanes know, and makes a carry of the same shapes of what comes out.
+A program takes constants and a carry of random shapes through some operations picked
+at random among all that lanes know, and makes a carry of the same shapes of what comes
+out.
 It is repeated a few times over a batch that is no multiple of the lanes.
 """
 
@@ -40,7 +41,7 @@ class Pool:
         return jnp.asarray(source, self.arrays[0].dtype)
 
     def like(self, array, kind):
-        """An array of a kind in the shape of another, and of its type if of its kind."""
+        """An array of a kind, in the shape of another; of its type if of its kind."""
         made = fitted(self.some(kind), array.shape)
         same = np.dtype(array.dtype).kind == np.dtype(made.dtype).kind
         return jnp.asarray(made, array.dtype) if same else made
@@ -224,7 +225,7 @@ OPERATIONS = (
     *(_binary(f, "i") for f in (lax.shift_left, lax.shift_right_arithmetic)),
     *(_binary(f, "i") for f in (lax.shift_right_logical, lax.lt, lax.eq, lax.ge)),
     *(_unary(f, "i") for f in (lax.neg, lax.abs, lax.sign, lax.bitwise_not)),
-    _unary(lambda x: jnp.asarray(x, jnp.float32), "i"),
+    lambda pool: jnp.asarray(pool.some("i"), pool.arrays[0].dtype),
     _unary(lambda x: jnp.asarray(x, jnp.int32), "f"),
     _unary(lambda x: jnp.asarray(x, bool), "f"),
     _unary(lambda x: jnp.asarray(x, jnp.int32), "b"),
@@ -258,7 +259,10 @@ OPERATIONS = (
 
 
 def random_program(seed):
-    """A program and what it is given: `(cycle, constants, carry)`; two rows are shared."""
+    """A program and what it is given: `(cycle, constants, carry)`.
+
+    Two rows are shared.
+    """
     rng = np.random.default_rng(seed)
     dtype = (jnp.float32, jnp.float64)[rng.integers(2)]
 
@@ -279,7 +283,7 @@ def random_program(seed):
         pool = Pool(np.random.default_rng(inner_seed), [*constants, *carry])
         for pick in picks:
             made = OPERATIONS[pick](pool)
-            if made.size <= 60:
+            if 0 < made.size <= 60:
                 pool.arrays.append(made)
         after = []
         for array in carry:

@@ -163,7 +163,7 @@ def test_single_precision_is_as_near_to_double_as_xlas():
         scene, state, dt = hanging()
         many = shaken(state, RODS, seed)
         use_lanes("never")
-        reference = jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 200))(many)
+        reference = _advanced(scene, many, dt)
         halved = jax.tree.map(
             lambda leaf: jnp.asarray(leaf, "float32"), (scene, many, dt)
         )

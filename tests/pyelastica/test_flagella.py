@@ -183,14 +183,11 @@ def consistent_speed(n, *, nodes):
 
 @pytest.mark.slow
 def test_a_flagellum_is_as_fast_as_theirs_and_converges(their_speed, record):
-    on_nodes, on_elements = (
-        [consistent_speed(n, nodes=nodes) for n in (N, 2 * N)]
-        for nodes in (True, False)
-    )
+    coarsest, *on_nodes = [consistent_speed(n, nodes=True) for n in (N // 2, N, 2 * N)]
+    on_elements = [consistent_speed(n, nodes=False) for n in (N, 2 * N)]
     name = f"PyElastica 1.0, 50 elements: {their_speed:.6f} lengths per period"
     for found, what, bar in (
         (on_elements[0], "drag on elements, 50", 0.01),
-        (on_nodes[0], "stokes_drag, 50", 0.02),
         (on_nodes[1], "stokes_drag, 100", 0.01),
     ):
         record(
@@ -199,6 +196,14 @@ def test_a_flagellum_is_as_fast_as_theirs_and_converges(their_speed, record):
             abs(found / their_speed - 1),
             at_most=bar,
         )
+    # Of 50 elements 1.7 %: what they miss is discretisation, gone with its square.
+    assert abs(on_nodes[0] / their_speed - 1) < 0.02
+    record(
+        "Speed of a flagellum, stokes_drag, order of convergence, 25 to 100 elements",
+        "2",
+        np.log2((on_nodes[0] - coarsest) / (on_nodes[1] - on_nodes[0])),
+        between=(1.8, 2.3),
+    )
     ends = [(4 * fine - coarse) / 3 for coarse, fine in (on_nodes, on_elements)]
     record(
         "Speed of a flagellum, stokes_drag, extrapolated from 50 and 100 elements",

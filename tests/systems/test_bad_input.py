@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
+from jaxrod.systems.touching_rods import TouchingRods
 from systems.members import rod
 
 
@@ -203,3 +204,30 @@ def test_a_driven_member_is_checked_against_a_state(group):
     scene, state = {"rod": made[0]}, {"rod": made[1]}
     system = jaxrod.make_system(scene, state=state)
     assert system.depends_on_time
+
+
+@pytest.mark.parametrize(
+    "hook", ["views", "allowed", "bounding_radii", "touches", "pair_loads"]
+)
+def test_a_law_of_contact_without_a_hook_is_named(hook):
+    """What a law of one's own forgot is said where it is asked for."""
+
+    @jaxrod.pytree
+    class Sticky(TouchingRods):
+        """A law without anything."""
+
+    law = Sticky(jnp.ones(()), jnp.ones(()))
+    given = {"allowed": 4, "bounding_radii": 1, "touches": 3, "pair_loads": 3}
+    with pytest.raises(NotImplementedError, match=f"Sticky has no {hook}: a law of"):
+        getattr(law, hook)(*range(given.get(hook, 0)))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [jaxrod.equilibrium, jaxrod.natural_frequencies, jaxrod.reactions],
+)
+def test_what_is_known_of_one_rod_alone_says_so(given, function):
+    members, state = given
+    system = jaxrod.make_system(members)
+    with pytest.raises(TypeError, match="got System: this is known of one rod alone"):
+        function(system, state)

@@ -46,6 +46,37 @@ def test_two_halves_are_the_whole(record):
 
 
 @pytest.mark.slow
+def test_damped_steps_lead_a_system_to_its_equilibrium(record):
+    """Of two halves of a rod: where one solve finds the whole rod's."""
+    whole, of_whole = rod(8, 0.4)
+    left, of_left = rod(4, 0.2)
+    right, of_right = rod(4, 0.2, (0.2, 0, 0))
+    held, gravity = jaxrod.clamp(of_left), jaxrod.gravity()
+    scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), gravity)
+    expected = jaxrod.equilibrium(scene, of_whole)
+    assert expected.converged and expected.state.tip[2] < -0.05
+    slowest = float(jaxrod.natural_frequencies(scene, expected.state, n_modes=1)[0])
+    damping = jaxrod.exponential_damping(2 * slowest)
+    state = {"left": of_left, "right": of_right}
+    halves = jaxrod.make_system(
+        {
+            "left": jaxrod.make_scene(left, held, gravity, damping),
+            "right": jaxrod.make_scene(right, gravity, damping),
+        },
+        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+        state=state,
+    )
+    dt = float(jaxrod.stable_dt(halves).dt)
+    found = jaxrod.advance(halves, state, dt, int(30 / slowest / dt))
+    record(
+        "two welded halves that sag, critically damped steps [m]",
+        "equilibrium of one rod",
+        np.max(np.abs(found["right"].tip - expected.state.tip)),
+        at_most=1e-9,
+    )
+
+
+@pytest.mark.slow
 def test_equal_rods_in_one_leaf_are_separate_rods():
     """And two of them welded are what two members welded are."""
     starts = jnp.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])

@@ -1,0 +1,148 @@
+"""Derivatives of repeated steps: tangents beside them, cotangents back through them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad
+
+from jaxrod.lanes.cycle import Batch, Plan, chosen, parted
+from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, tangent_p
+
+
+def cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
+    """The carry after all steps and its tangent, from carries kept on the way."""
+    if plan.keeps:
+        return by_meaning(cycles_p)(primals, tangents, plan=plan)
+    cycle = plan.cycle
+    steps, *arrays = primals
+    rates, moved = parted(tangents[1:], cycle.n_constants)
+    if plan.length == 0:
+        return arrays[cycle.n_constants :], list(moved)
+    moving = tuple(
+        not isinstance(t, ad.Zero) and jnp.issubdtype(a.dtype, jnp.floating)
+        for t, a in zip(rates, arrays, strict=False)
+    )
+    plan = replace(plan, moving=moving, keeps=plan.length is not None)
+    made = cycles_p.bind(steps, *arrays, plan=replace(plan, moving=()))
+    n_carry = len(cycle.avals)
+    carry, kept = made[:n_carry], made[n_carry:]
+    given = [
+        jnp.zeros_like(array) if isinstance(tangent, ad.Zero) else tangent
+        for array, tangent, floats in zip(
+            arrays[cycle.n_constants :], moved, cycle.floating, strict=True
+        )
+        if floats
+    ]
+    rows = None
+    if plan.batch is not None:
+        of_constants = plan.batch.rows[: cycle.n_constants]
+        carried = [True] * (n_carry + len(kept))
+        rows = Batch(
+            plan.batch.size,
+            (
+                *of_constants,
+                *carried,
+                *chosen(of_constants, moving),
+                *[True] * len(given),
+            ),
+        )
+    after = tangent_p.bind(
+        steps,
+        *arrays,
+        *kept,
+        *chosen(rates, moving),
+        *given,
+        plan=replace(plan, batch=rows),
+    )
+    floats = iter(after)
+    results = [
+        next(floats) if is_float else _without(array)
+        for array, is_float in zip(carry, cycle.floating, strict=True)
+    ]
+    return carry, results
+
+
+def tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, plan: Plan) -> Any:
+    """Cotangents of what a tangent is linear in.
+
+    Raises:
+        ValueError: If the number of steps is traced.
+    """
+    cycle = plan.cycle
+    n_carry = len(cycle.avals)
+    if not plan.keeps:
+        raise ValueError(
+            "Reverse-mode differentiation does not work for a number of steps that "
+            "is traced: give `advance` an `int`, or use forward mode (jax.jvp, "
+            "jax.jacfwd)."
+        )
+    constants, _, kept, rates, tangents = parted(
+        arrays, cycle.n_constants, n_carry, n_carry, sum(plan.moving)
+    )
+    seeds = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
+    moving = plan.moving
+    batch = None
+    if plan.batch is not None:
+        of_constants = plan.batch.rows[: cycle.n_constants]
+        batch = Batch(
+            plan.batch.size, (*of_constants, *[True] * (n_carry + len(seeds)))
+        )
+    wanted = [ad.is_undefined_primal(rate) for rate in rates]
+    which = iter(wanted)
+    used = tuple(is_moving and next(which) for is_moving in moving)
+    made = adjoint_p.bind(
+        steps, *constants, *kept, *seeds, plan=replace(plan, moving=used, batch=batch)
+    )
+    earlier, sums = parted(made, len(seeds))
+    found = iter(sums)
+    of_rates: list[Any] = []
+    flags = plan.batch.rows if plan.batch is not None else (True,) * len(arrays)
+    rate_flags = flags[cycle.n_constants + 2 * n_carry :][: len(rates)]
+    for rate, has_rows in zip(rates, rate_flags, strict=True):
+        if not ad.is_undefined_primal(rate):
+            of_rates.append(None)
+            continue
+        total = next(found)
+        of_rates.append(total if has_rows else jnp.sum(total, axis=0))
+    of_tangents = [
+        ct if ad.is_undefined_primal(tangent) else None
+        for tangent, ct in zip(tangents, earlier, strict=True)
+    ]
+    none = [None] * (1 + cycle.n_constants + 2 * n_carry)
+    return [*none, *of_rates, *of_tangents]
+
+
+def by_meaning(primitive: Primitive) -> Callable[..., Any]:
+    """The derivative of what an operation means: for derivatives of derivatives."""
+
+    def jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
+        known = [isinstance(t, ad.Zero) for t in tangents]
+
+        def of(*moved: Any) -> list[Any]:
+            rest = iter(moved)
+            given = [
+                p if fixed else next(rest)
+                for p, fixed in zip(primals, known, strict=True)
+            ]
+            return MEANINGS[primitive](*given, plan=plan)
+
+        moving = [p for p, fixed in zip(primals, known, strict=True) if not fixed]
+        rates = [t for t, fixed in zip(tangents, known, strict=True) if not fixed]
+        made, after = jax.jvp(of, moving, rates)
+        return made, [
+            _without(m) if t.dtype == jax.dtypes.float0 else t
+            for m, t in zip(made, after, strict=True)
+        ]
+
+    return jvp
+
+
+def _without(array: Any) -> Any:
+    """The tangent of an array that has none."""
+    return ad.Zero(jax.typeof(array).to_tangent_aval())

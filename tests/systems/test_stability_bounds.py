@@ -1,0 +1,185 @@
+"""The step that couplings allow against the linearised step's own limit.
+
+Couplings are much stiffer than what they couple, so that they alone limit the step.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from systems.members import SOFT, rod
+
+RADIUS, N = SOFT["radius"], 3
+STIFF = {"stiffness": 1e8}
+"""Of springs [N/m] that are a hundred times stiffer than rods."""
+PRESSED = {"stiffness": 1e10, "onset": 1e-3}
+"""Of contact [N/m^2]; depths are of the order of the onset, so that forces are not."""
+DEEP = 1e-2 * RADIUS
+
+
+def limit_over_bound(system, state):
+    """The largest step at which nothing swings up, over that of `stable_dt`.
+
+    A step that is too long multiplies some motion by less than -1.
+    """
+    bound = float(jaxrod.stable_dt(system, 1.0).dt)
+    step = jax.jit(lambda moved, dt: jaxrod.advance(system, moved, dt, 1))
+    leaves, structure = jax.tree.flatten(jax.tree.map(np.asarray, state))
+    names = [str(path[-1]) for path, _ in jax.tree.leaves_with_path(state)]
+    ends = np.cumsum([leaf.size for leaf in leaves])
+
+    def after(flat, dt):
+        parts = np.split(flat, ends[:-1])
+        moved = [
+            part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)
+        ]
+        return flattened(step(jax.tree.unflatten(structure, moved), dt))
+
+    def flattened(tree):
+        return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(tree)])
+
+    flat = flattened(state)
+    # Of rates so much that places change alike.
+    sizes = [1e-9 / bound if "veloc" in name else 1e-9 for name in names]
+    sizes = np.repeat(sizes, [leaf.size for leaf in leaves])
+
+    def swings_up(ratio):
+        # By differences: a compiled step that puts its results in one row is slow.
+        dt, moves = ratio * bound, np.diag(sizes)
+        changes = [after(flat + one, dt) - after(flat - one, dt) for one in moves]
+        factors = np.linalg.eigvals(np.stack(changes, axis=1) / (2 * sizes))
+        return np.any((factors.real < 0) & (np.abs(factors) > 1 + 1e-3))
+
+    low, high = 0.5, 8.0
+    assert not swings_up(low) and swings_up(high)
+    while high - low > 2e-3:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if swings_up(middle) else (middle, high)
+    return low
+
+
+def rods(*starts, direction=(1, 0, 0), length=0.3):
+    """Scenes and states of rods beside each other, one member each."""
+    made = {f"rod {k}": rod(N, length, s, direction) for k, s in enumerate(starts)}
+    scenes = {name: jaxrod.make_scene(one) for name, (one, _) in made.items()}
+    return scenes, {name: state for name, (_, state) in made.items()}
+
+
+def stacked(count, law, **numbers):
+    """Rods on top of each other, touching all along."""
+    gap = 2 * RADIUS - DEEP
+    scenes, state = rods(*((0.0, 0.0, k * gap) for k in range(count)))
+    return jaxrod.make_system(scenes, law(*scenes, **PRESSED | numbers)), state
+
+
+def on_body(shape, density, **numbers):
+    """A rod that lies on a body."""
+    scenes, state = rods((-0.15, 0.0, RADIUS - DEEP))
+    body, of_body = jaxrod.rigid_body(shape, density=density, dtype=jnp.float64)
+    law = jaxrod.body_contact("rod 0", "body", **PRESSED | numbers)
+    return jaxrod.make_system({**scenes, "body": body}, law), {**state, "body": of_body}
+
+
+def joined(joint, body=None):
+    """A rod's end joined to the start of another, or to a point of a body."""
+    starts = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)][: 2 if body is None else 1]
+    scenes, state = rods(*starts)
+    if body is not None:
+        shape = jaxrod.box((0.35, 0.0, 0.0), (0.05, 0.05, 0.1))
+        scenes["body"], state["body"] = jaxrod.rigid_body(
+            shape, density=body, dtype=jnp.float64
+        )
+    other = ("rod 1", "start") if body is None else ("body",)
+    coupling = joint(("rod 0", "finish"), other, state)
+    return jaxrod.make_system(scenes, coupling), state
+
+
+def hinged(a, b, state):
+    """A hinge whose axis springs are what is stiff."""
+    return jaxrod.hinge_joint(
+        a, b, state, axis=(0, 1, 0), stiffness=10.0, axis_stiffness=1e5
+    )
+
+
+def turned(a, b, state):
+    """A joint whose springs against turning are what is stiff."""
+    return jaxrod.rigid_joint(a, b, state, stiffness=10.0, turning_stiffness=1e5)
+
+
+def ball(a, b, state, **numbers):
+    """A ball joint."""
+    return jaxrod.ball_joint(a, b, state, **STIFF | numbers)
+
+
+def sprung(a, b, state):
+    """A spring between nodes that are an element apart."""
+    return jaxrod.spring((a[0], "start"), b, state, **STIFF)
+
+
+LINE, CROSSING = jaxrod.rod_contact, jaxrod.crossing_contact
+SLAB, BALL = jaxrod.box((0, 0, -0.2), (0.2,) * 3), jaxrod.sphere((0, 0, -0.3), 0.3)
+FRICTION = {"stiffness": 1e8, "damping": 1e6, "friction": 0.5}
+# Scene, and how far above the bound the limit may be. Bounds of contact count all of a
+# rod as touching as many as there may be: they are sharp where it does.
+SHARP, SAFE = 1.02, 2.1
+CASES = {
+    "rod_contact of two rods, partners=1": (
+        lambda: stacked(2, LINE, partners=1),
+        SHARP,
+    ),
+    "rod_contact of two rods": (lambda: stacked(2, LINE), SAFE),
+    "rod_contact of three rods": (lambda: stacked(3, LINE), SAFE),
+    "rod_contact of two rods, dashpots and friction": (
+        lambda: stacked(2, LINE, partners=1, **FRICTION),
+        SAFE,
+    ),
+    "crossing_contact of two rods, partners=1": (
+        lambda: stacked(2, CROSSING, partners=1, stiffness=1e9),
+        SAFE,
+    ),
+    "crossing_contact of three rods": (
+        lambda: stacked(3, CROSSING, stiffness=1e9),
+        SAFE,
+    ),
+    "body_contact of a rod all along a heavy box": (lambda: on_body(SLAB, 1e5), SAFE),
+    "body_contact of the same with dashpots and friction": (
+        lambda: on_body(SLAB, 1e5, **FRICTION),
+        3.0,
+    ),
+    "body_contact of one point of a rod on a heavy ball": (
+        lambda: on_body(BALL, 1e5),
+        4.0,
+    ),
+    "body_contact of one point of a rod on a light ball": (
+        lambda: on_body(BALL, 10.0),
+        6.0,
+    ),
+    "ball_joint of two rods": (lambda: joined(ball), SHARP),
+    "ball_joint of a rod and a light body": (lambda: joined(ball, 10.0), SHARP),
+    "dashpot of a ball_joint": (
+        lambda: joined(lambda *ends: ball(*ends, stiffness=10.0, damping=1e4)),
+        SHARP,
+    ),
+    "axis of a hinge_joint of two rods": (lambda: joined(hinged), SHARP),
+    "axis of a hinge_joint of a rod and a light body": (
+        lambda: joined(hinged, 10.0),
+        SHARP,
+    ),
+    "turning of a rigid_joint": (lambda: joined(turned), SHARP),
+    "spring between rods": (lambda: joined(sprung), SHARP),
+    "spring between a rod and a light body": (lambda: joined(sprung, 10.0), SHARP),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_bounds_of_couplings_are_safe_and_not_far_off(name, record):
+    build, far = CASES[name]
+    record(
+        f"{name}: limit of the linearised step over the bound",
+        "safe, and not far off",
+        limit_over_bound(*build()),
+        between=(0.99, far),
+    )
