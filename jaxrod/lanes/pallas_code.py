@@ -1,8 +1,8 @@
-"""Nodes of a graph as operations of JAX: a row of rods for each, or a single number.
+"""Nodes of a graph as operations of JAX: a vector with a number for each rod, or one.
 
 What a GPU's compiler does differently from XLA is written out here in operations on
-which both agree: extremes of not-a-number, whole numbers divided by zero, shifts by more
-than there are bits, floats too large for the whole numbers they become.
+which both agree: extremes of not-a-number, whole numbers divided by zero, shifts by
+more than there are bits, floats too large for the whole numbers they become.
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ def refused_on_gpu(graph: Graph, nodes: Iterable[int]) -> None:
             raise NotUnrolled(
                 f"lanes on a GPU have no '{operation}' of type {DTYPES[kind]}"
             )
+        if kind == "u64":
+            raise NotUnrolled("lanes on a GPU have no numbers of type uint64")
 
 
 class Values:
@@ -204,7 +206,7 @@ class Values:
         return lax.select(inside, shift(number, lax.select(inside, by, zero)), zero)
 
     def _convert(self, x: Any, before: str, after: str) -> Any:
-        """The same number of another kind; the nearest there is, of a float too large."""
+        """A number as another kind; the nearest there is, of a float too large."""
         if before[0] != "f" or after[0] == "f":
             return lax.convert_element_type(x, DTYPES[after])
         info = np.iinfo(DTYPES[after])

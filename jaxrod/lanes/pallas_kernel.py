@@ -1,12 +1,12 @@
 """Runs for GPUs: all steps of a block of rods in one launch, a rod in each thread.
 
-A value is a vector with a number for every rod of the block. The carry goes from step to
-step as such vectors: the compiler decides which of them stay in registers. What all rods
-share is worked out by a kernel of its own, before, and read as single numbers.
+A value is a vector with a number for every rod of the block. The carry goes from step
+to step as such vectors: the compiler decides which of them stay in registers. What all
+rods share is worked out by a kernel of its own, before, and read as single numbers.
 
-Triton's compiler takes a time that grows with the number of vectors that are loaded and
-stored, times the square of the length of the program. So what belongs to a rod comes and
-goes in tiles of many numbers, which are cut into vectors and put together from them.
+Triton's compiler takes a time that grows with the number of vectors that are loaded
+and stored, times the square of the length of the program. So what belongs to a rod
+comes and goes in tiles of many numbers, cut into vectors and put together from them.
 """
 
 from __future__ import annotations
