@@ -16,6 +16,7 @@ def height(scene, state, dt, n):
     return jaxrod.advance(scene, state, dt, n).positions[1, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 10])
 def test_gradients_to_states_numbers_and_step_are_those_of_xla(count):
     scene, state, dt = hanging()
@@ -31,6 +32,7 @@ def test_gradients_to_states_numbers_and_step_are_those_of_xla(count):
     assert apart(taken, expected) < 1e-11
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_mean_over_the_batch():
     scene, state, dt = hanging()
     many = shaken(state, RODS, 0)
@@ -60,6 +62,7 @@ def test_gradients_agree_with_differences():
         assert abs(found[axis] - expected) <= 1e-7 * abs(expected) + 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("traced", [False, True])
 def test_forward_mode_is_that_of_xla(traced):
     scene, state, dt = hanging()
@@ -73,6 +76,7 @@ def test_forward_mode_is_that_of_xla(traced):
     assert apart(taken, expected) < 1e-11
 
 
+@pytest.mark.slow
 def test_second_derivatives_are_those_of_xla():
     scene, state, dt = hanging(3)
     many = shaken(state, 4, 0)
@@ -115,6 +119,7 @@ def test_gradients_of_random_scenes_are_those_of_xla(seed, record):
     record("lanes: gradient of " + name, "XLA, 30 steps", measured, at_most=1e-9)
 
 
+@pytest.mark.slow
 def test_optimising_through_lanes_needs_no_memory_that_grows_with_steps():
     rod, state = arm(4)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state))

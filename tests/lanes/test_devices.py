@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import jax
+import pytest
 from jax import export
 
 import jaxrod
@@ -38,6 +39,7 @@ assert not last.taken and "spreads" in last.why, last
 """
 
 
+@pytest.mark.slow
 def test_each_device_has_lanes_within_shard_map_and_none_without():
     made = subprocess.run(
         [sys.executable, "-c", PROGRAM],

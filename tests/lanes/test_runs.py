@@ -61,7 +61,7 @@ def test_a_random_scene_moves_the_same_by_lanes(seed, record):
     record("lanes: " + name, "XLA, 100 steps", apart(taken, expected), at_most=1e-11)
 
 
-@pytest.mark.parametrize("rods", [1, 7, 8, 9])
+@pytest.mark.parametrize("rods", [1, 9])
 def test_a_batch_of_any_size_is_the_same(rods):
     scene, state, dt = hanging()
     many = shaken(state, rods, 0)
@@ -72,7 +72,7 @@ def test_a_batch_of_any_size_is_the_same(rods):
     assert apart(taken, expected) < ROUNDING
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 5])
+@pytest.mark.parametrize("count", [0, 2])
 def test_any_number_of_steps_is_the_same_traced_or_not(count):
     scene, state, dt = hanging()
     many = shaken(state, RODS, 1)
@@ -86,6 +86,7 @@ def test_any_number_of_steps_is_the_same_traced_or_not(count):
     assert apart(traced, expected) < ROUNDING
 
 
+@pytest.mark.slow
 def test_numbers_of_steps_that_differ_from_rod_to_rod():
     scene, state, dt = hanging()
     many = shaken(state, RODS, 1)
@@ -122,6 +123,7 @@ def test_records_on_the_way_are_the_same():
     assert apart(taken, expected) < ROUNDING
 
 
+@pytest.mark.slow
 def test_a_system_of_rods_and_bodies_is_the_same():
     rod, state = arm(4)
     other, apart_state = jaxrod.straight_rod(
@@ -157,6 +159,7 @@ def test_nothing_is_compiled_again_for_other_numbers_counts_or_batches():
     assert compiled_kernels() == before
 
 
+@pytest.mark.slow
 def test_single_precision_is_as_near_to_double_as_xlas():
     errors = {"always": [], "never": []}
     for seed in range(8):
