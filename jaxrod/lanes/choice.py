@@ -59,10 +59,10 @@ _choices: deque[LaneChoice] = deque(maxlen=100)
 def use_lanes(mode: str) -> None:
     """Says when lanes are used by what is compiled from now on.
 
-    On CPUs `"auto"` takes them where they are faster. On NVIDIA GPUs, where they are a
-    kernel with a rod in each thread, they have never been measured: only `"always"`
-    takes them there, for runs, not for their derivatives. On other devices there are
-    none.
+    On CPUs `"auto"` takes them where they are faster. On NVIDIA GPUs they are a kernel
+    with a rod in each thread, which has been interpreted and compiled but never run on
+    one: only `"always"` takes them there, for short steps of some tens of rods or more,
+    not for derivatives. On other devices there are none.
 
     Args:
         mode: `"auto"`, where they are faster, `"always"`, wherever they can be,

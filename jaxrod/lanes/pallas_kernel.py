@@ -14,30 +14,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from jaxrod.lanes.cycle import Plan
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING
-from jaxrod.lanes.kernel_plan import Entries
-from jaxrod.lanes.pallas_code import (
-    Values,
-    from_memory,
-    refused_on_gpu,
-    to_memory,
-    type_in_memory,
-)
+from jaxrod.lanes.pallas_code import Values, refused_on_gpu, to_memory
 from jaxrod.lanes.pallas_layout import Layout, layout_of_plan
-
-BLOCK = 32
-"""Rods of a block: the threads of one warp. Not tuned on a GPU."""
-TILE = 64
-"""Numbers of a rod that are loaded or stored at once: a power of two."""
-
-Refs = Mapping[tuple[str, str], Any]
-"""Arrays in memory, by region and type."""
+from jaxrod.lanes.pallas_memory import (
+    BLOCK,
+    Refs,
+    given_columns,
+    numbers_of,
+    results_of,
+    rows_of,
+    shape_of,
+    shared_numbers,
+    store_columns,
+)
 
 
 def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., Any]:
@@ -65,71 +59,15 @@ def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., A
         if plan.batch is None:
             given = tuple(array[None] for array in given)
         operands = {**dict(enumerate(constants)), **dict(enumerate(given, first_given))}
-        numbers = [
-            jnp.concatenate([_typed(a, e).reshape(-1) for a, e in parts])
-            for parts in _parts(layout, "numbers", operands)
-        ]
-        rows = [
-            _rows([_typed(a, e) for a, e in parts], padded)
-            for region in ("own", "given")
-            for parts in _parts(layout, region, operands)
-        ]
+        numbers = numbers_of(layout, operands)
+        rows = rows_of(layout, operands, padded)
         derived = _derived(layout, numbers, interpret)
         count = jnp.asarray(steps, jnp.int32).reshape(1)
         made = _run(layout, padded, interpret)(count, *numbers, *derived, *rows)
-        results = _results(layout, plan, made, rods)
+        results = results_of(layout, plan, made, rods)
         return results if plan.batch else [result[0] for result in results]
 
     return program
-
-
-# Arrays outside -------------------------------------------------------------------
-
-
-def _parts(
-    layout: Layout, region: str, operands: Mapping[int, Any]
-) -> list[list[tuple[Any, Entries]]]:
-    """Operands that make up the arrays of a region."""
-    parts: dict[str, list[tuple[Any, Entries]]] = {
-        dtype: [] for dtype in layout.sizes[region]
-    }
-    for which, (where, dtype, _) in layout.arrays.items():
-        if where == region:
-            parts[dtype].append((operands[which], layout.entries[which]))
-    return list(parts.values())
-
-
-def _typed(array: Any, entries: Entries) -> Any:
-    return lax.convert_element_type(array, type_in_memory(entries.kind))
-
-
-def _rows(arrays: Sequence[Any], padded: int) -> Any:
-    """A row of numbers for each rod, in whole tiles; the last rod fills the block."""
-    rows = jnp.concatenate([a.reshape(a.shape[0], -1) for a in arrays], axis=1)
-    rods, size = rows.shape
-    if padded > rods:
-        last = jnp.broadcast_to(rows[-1:], (padded - rods, size))
-        rows = jnp.concatenate([rows, last])
-    return jnp.pad(rows, ((0, 0), (0, _in_tiles(size) - size)))
-
-
-def _results(
-    layout: Layout, plan: Plan, made: Mapping[str, Any], rods: int
-) -> list[Any]:
-    """Arrays of results, of rows."""
-    avals = plan.ends.made if plan.ends is not None else plan.cycle.avals
-    results = []
-    for aval, entries, (dtype, first) in zip(
-        avals, layout.ends.made, layout.made, strict=True
-    ):
-        rows = jnp.zeros((rods, 0), dtype)
-        if entries.size:
-            rows = made[dtype][:rods, first : first + entries.size]
-        results.append(from_memory(rows, entries.kind).reshape(rods, *aval.shape))
-    return results
-
-
-# Kernels --------------------------------------------------------------------------
 
 
 def _derived(layout: Layout, numbers: Sequence[Any], interpret: bool) -> list[Any]:
@@ -145,10 +83,10 @@ def _derived(layout: Layout, numbers: Sequence[Any], interpret: bool) -> list[An
             region, dtype, which = layout.nodes[node]
             refs[region, dtype][which] = to_memory(value, layout.step.graph.kinds[node])
 
-        values = Values(layout.step.graph, (), _numbers(layout, refs))
+        values = Values(layout.step.graph, (), shared_numbers(layout, refs))
         values.work_out(layout.derived, UNIFORM, store)
 
-    shapes = [_shape(layout, name) for name in names]
+    shapes = [shape_of(layout, name) for name in names]
     return list(_call(kernel, interpret, out_shape=shapes, grid=(1,))(*numbers))
 
 
@@ -168,7 +106,7 @@ def _run(
 
     def block(name: tuple[str, str]) -> Any:
         return pl.BlockSpec(
-            (BLOCK, _shape(layout, name, padded).shape[1]), lambda i: (i, 0)
+            (BLOCK, shape_of(layout, name, padded).shape[1]), lambda i: (i, 0)
         )
 
     def whole(size: int) -> Any:
@@ -177,11 +115,11 @@ def _run(
     call = _call(
         kernel,
         interpret,
-        out_shape=[_shape(layout, name, padded) for name in made],
+        out_shape=[shape_of(layout, name, padded) for name in made],
         grid=(padded // BLOCK,),
         in_specs=[
             whole(1),
-            *[whole(_shape(layout, name).shape[0]) for name in shared],
+            *[whole(shape_of(layout, name).shape[0]) for name in shared],
             *[block(name) for name in given],
         ],
         out_specs=[block(name) for name in made],
@@ -197,8 +135,8 @@ def _run(
 def _steps(layout: Layout, refs: Refs, steps: Any) -> None:
     """What one block does: what does not change, the first carry, steps, the end."""
     graph, step, ends = layout.step.graph, layout.step, layout.ends
-    numbers = _numbers(layout, refs)
-    known = _given(layout, refs)
+    numbers = shared_numbers(layout, refs)
+    known = given_columns(layout, refs)
 
     def worked_out(nodes: Sequence[int], rate: int, more: dict[int, Any]) -> list[Any]:
         values = Values(graph, (BLOCK,), numbers, {**known, **more})
@@ -231,7 +169,7 @@ def _steps(layout: Layout, refs: Refs, steps: Any) -> None:
         dtype, first = layout.made[i]
         columns[dtype][first + k] = to_memory(value, graph.kinds[node])
     for dtype, values in columns.items():
-        _store(refs["made", dtype], [values[k] for k in range(len(values))])
+        store_columns(refs["made", dtype], [values[k] for k in range(len(values))])
 
 
 def _nodes_of_carry(layout: Layout) -> dict[tuple[int, int], int]:
@@ -255,89 +193,6 @@ def _neighbours_together(
         for k, node in enumerate(nodes)
     ]
     return [place[1:] for place in sorted(ordered, key=lambda place: place[0])]
-
-
-# Memory ---------------------------------------------------------------------------
-
-
-def _numbers(layout: Layout, refs: Refs) -> Callable[[int], Any]:
-    """What brings a number that all rods share."""
-
-    def load(node: int) -> Any:
-        region, dtype, which = layout.where(node)
-        return from_memory(refs[region, dtype][which], layout.step.graph.kinds[node])
-
-    return load
-
-
-def _given(layout: Layout, refs: Refs) -> dict[int, Any]:
-    """All inputs that belong to rods, by node."""
-    graph = layout.step.graph
-    columns = {
-        name: _loaded(refs[name])
-        for region in ("own", "given")
-        for name in layout.names(region)
-    }
-    found = {}
-    for node in layout.used:
-        if graph.operations[node] != "input" or graph.places[node][0] not in (
-            layout.arrays
-        ):
-            continue
-        region, dtype, which = layout.where(node)
-        if (region, dtype) in columns:
-            value = columns[region, dtype][which]
-            found[node] = from_memory(value, graph.kinds[node])
-    return found
-
-
-def _loaded(ref: Any) -> list[Any]:
-    """All columns of a block."""
-    columns: list[Any] = []
-    width = min(TILE, ref.shape[1])
-    for start in range(0, ref.shape[1], width):
-        columns += _cut(ref[:, start : start + width])
-    return columns
-
-
-def _store(ref: Any, columns: list[Any]) -> None:
-    """Stores columns; what is left of the last tile is filled with the last of them."""
-    width = min(TILE, ref.shape[1])
-    columns = [*columns, *columns[-1:] * (ref.shape[1] - len(columns))]
-    for start in range(0, ref.shape[1], width):
-        ref[:, start : start + width] = _joined(columns[start : start + width])
-
-
-def _cut(tile: Any) -> list[Any]:
-    """Columns of a tile, by halves: Triton has no other way."""
-    width = tile.shape[1]
-    if width == 1:
-        return [lax.reshape(tile, (BLOCK,))]
-    return [c for half in lax.split(tile, (width // 2,) * 2, 1) for c in _cut(half)]
-
-
-def _joined(columns: Sequence[Any]) -> Any:
-    """A tile of columns, by pairs."""
-    if len(columns) == 1:
-        return lax.reshape(columns[0], (BLOCK, 1))
-    pairs = jnp.stack([_joined(columns[0::2]), _joined(columns[1::2])], axis=-1)
-    return lax.reshape(pairs, (BLOCK, len(columns)))
-
-
-def _in_tiles(size: int) -> int:
-    """So many numbers in whole tiles, or in one whose width is a power of two."""
-    if size > TILE:
-        return -(-size // TILE) * TILE
-    return 1 << (size - 1).bit_length()
-
-
-def _shape(
-    layout: Layout, name: tuple[str, str], padded: int | None = None
-) -> jax.ShapeDtypeStruct:
-    """Of an array in memory."""
-    size = layout.sizes[name[0]][name[1]]
-    shape = (size,) if padded is None else (padded, _in_tiles(size))
-    return jax.ShapeDtypeStruct(shape, np.dtype(name[1]))
 
 
 def _call(kernel: Callable[..., None], interpret: bool, **how: Any) -> Any:

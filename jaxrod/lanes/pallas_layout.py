@@ -14,8 +14,9 @@ from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.pallas_code import type_in_memory
 from jaxrod.lanes.unrolled import entries_of, unrolled_run, unrolled_step
 
-MOST_OPERATIONS_ON_GPU = 40_000
-"""Of a step and what comes before and after. Not tuned on a GPU."""
+MOST_OPERATIONS_ON_GPU = 12_000
+"""Of a step and what comes before and after: Triton takes some ten seconds for 4 400 of
+them, and a time that grows with their square. Never measured on a GPU."""
 
 REGIONS = ("numbers", "derived", "own", "given", "made")
 Place = tuple[str, str, int]
@@ -39,8 +40,6 @@ class Layout:
     """Numbers in each region, by their type."""
     arrays: dict[int, Place]
     """Where arrays of inputs begin, those that are used."""
-    entries: dict[int, Entries]
-    """Of these arrays."""
     derived: list[int]
     """Nodes that all rods share, worked out first and used later."""
     nodes: dict[int, Place]
@@ -102,7 +101,7 @@ def _layout(cycle: Cycle, ends: CycleEnds | None, shared: tuple[bool, ...]) -> L
     ]
     used = graph.needed(outputs)
     sizes: dict[str, dict[str, int]] = {region: {} for region in REGIONS}
-    layout = Layout(step, around, used, sizes, {}, {}, [], {}, [], [])
+    layout = Layout(step, around, used, sizes, {}, [], {}, [], [])
     _place_inputs(layout)
     for node in _kept(layout, outputs):
         if graph.rates[node] == UNIFORM:
@@ -140,7 +139,6 @@ def _place_inputs(layout: Layout) -> None:
         if entries.rate == UNIFORM:
             region = "numbers"
         layout.arrays[which] = layout.place(region, entries.kind, entries.size)
-        layout.entries[which] = entries
 
 
 def _kept(layout: Layout, outputs: Sequence[int]) -> list[int]:

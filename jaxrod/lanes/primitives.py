@@ -143,6 +143,8 @@ def _unfit(context: Any) -> str | None:
     where = module.axis_context
     devices = getattr(where, "num_devices", None)
     if hasattr(where, "manual_axes"):
+        if "cuda" in module.platforms:
+            return "kernels for GPUs have never been tried within shard_map"
         left = set(where.mesh.axis_names) - set(where.manual_axes)
         devices = math.prod(where.mesh.shape[name] for name in left)
     if devices not in (None, 1):

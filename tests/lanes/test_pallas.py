@@ -20,7 +20,8 @@ from jaxrod.lanes.choice import (
 from jaxrod.lanes.cycle import Batch, Cycle, Plan
 from jaxrod.lanes.machine_code import not_here
 from jaxrod.lanes.meanings import MEANINGS, cycles_p, run_p
-from jaxrod.lanes.pallas_kernel import BLOCK, pallas_program
+from jaxrod.lanes.pallas_kernel import pallas_program
+from jaxrod.lanes.pallas_memory import BLOCK
 from lanes.programs import difference
 from lanes.scenes import arm, shaken
 from lanes.test_runs import apart
@@ -93,7 +94,13 @@ def swings(rods, dtype, seed=0):
     return (stiffness, jnp.asarray([0.1, 0.3], dtype)), carry
 
 
-@pytest.mark.parametrize(("dtype", "rods"), [("float32", 5), ("float64", BLOCK + 1)])
+@pytest.mark.parametrize(
+    ("dtype", "rods"),
+    [
+        ("float32", 5),
+        pytest.param("float64", BLOCK + 1, marks=pytest.mark.slow),
+    ],
+)
 def test_cycles_of_a_padded_batch_are_the_same_for_any_count(dtype, rods):
     (stiffness, shared), carry = swings(rods, dtype)
     one = [array[0] for array in (stiffness, *carry)]
@@ -129,6 +136,7 @@ def odd(_, carry):
     ]
 
 
+@pytest.mark.slow
 def test_odd_numbers_are_those_of_xla():
     floats = [
         0.0,
@@ -295,6 +303,17 @@ def test_what_triton_does_wrong_is_left_to_xla_in_one_line():
 
     assert KERNEL not in swing(64, cycle=wrapped)
     assert "'rem'" in lane_choices()[-1].why and not lane_choices()[-1].taken
+
+
+def test_a_program_for_two_platforms_has_no_kernel_for_one():
+    (stiffness, shared), carry = swings(64, "float32")
+    one = [array[0] for array in (stiffness, *carry)]
+    plan = plan_of(oscillator, (one[0], shared), one[1:], 64, (True, False))
+    traced = jax.jit(lambda *given: cycles_p.bind(*given, plan=plan)).trace(
+        jnp.int32(3), stiffness, shared, *carry
+    )
+    assert KERNEL not in traced.lower(lowering_platforms=("cpu", "cuda")).as_text()
+    assert "several platforms" in lane_choices()[-1].why
 
 
 @pytest.mark.parametrize(
