@@ -163,8 +163,8 @@ def lowered_on_gpu(name: str, plan: Plan) -> Callable[..., Any] | None:
     begun = time.perf_counter()
     try:
         program = pallas_program(plan, rods, interpret=False)
-    except NotUnrolled as words:
-        refused(str(words), rods)
+    except NotUnrolled as reason:
+        refused(str(reason), rods)
         return None
     seconds = time.perf_counter() - begun
     words = "a kernel with a rod in each thread"

@@ -28,6 +28,7 @@ _OF_JAX: dict[str, Callable[..., Any]] = {
     **{name: getattr(lax, name) for name in ("atan", "atan2", "sinh", "cosh", "tanh")},
     **{name: getattr(lax, name) for name in ("asinh", "acosh", "atanh", "exp", "exp2")},
     **{name: getattr(lax, name) for name in ("expm1", "log", "log1p", "cbrt", "pow")},
+    **{name: getattr(lax, name) for name in ("rem", "erf", "erfc")},
     "and": lax.bitwise_and,
     "or": lax.bitwise_or,
     "xor": lax.bitwise_xor,
@@ -141,13 +142,11 @@ class Values:
         if name in ("round_even", "round_away"):
             return self._round(name, given[0], kind)
         if name in ("div", "rem") and kind[0] != "f":
-            return self._divide(name, *given, kind)
+            return self._divide(name, given, kind)
         if name.startswith("shift"):
-            return self._shift(name, *given, kind)
+            return self._shift(name, given, kind)
         if name == "abs" and kind[0] == "u":
             return given[0]
-        if name in ("rem", "erf", "erfc"):
-            return {"rem": lax.rem, "erf": lax.erf, "erfc": lax.erfc}[name](*given)
         return _OF_JAX[name](*given)
 
     def _extreme(self, name: str, given: list[Any], kind: str) -> Any:
@@ -176,8 +175,9 @@ class Values:
         minus = lax.mul(made, self.full(-1, kind))
         return lax.select(lax.lt(x, self.full(0, kind)), minus, made)
 
-    def _divide(self, name: str, number: Any, by: Any, kind: str) -> Any:
+    def _divide(self, name: str, given: list[Any], kind: str) -> Any:
         """As XLA has it by zero, and of the least number by -1."""
+        number, by = given
         zero, one = self.full(0, kind), self.full(1, kind)
         nothing = odd = lax.eq(by, zero)
         if kind[0] == "i":
@@ -192,8 +192,9 @@ class Values:
         ones = self.full(np.invert(DTYPES[kind].type(0)), kind)
         return lax.select(nothing, ones, lax.div(number, safe))
 
-    def _shift(self, name: str, number: Any, by: Any, kind: str) -> Any:
+    def _shift(self, name: str, given: list[Any], kind: str) -> Any:
         """Zero, or all signs, for a shift by more than there are bits."""
+        number, by = given
         bits = 8 * DTYPES[kind].itemsize
         inside = lax.lt(by, self.full(bits, kind))
         zero = self.full(0, kind)
