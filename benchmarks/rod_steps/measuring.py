@@ -223,8 +223,12 @@ def _compare(other: str, states: RodState, expected: Any) -> None:
     for name in ("positions", "velocities", "orientations", "angular_momenta"):
         got = np.asarray(getattr(states, name))
         want = getattr(expected, name)
-        # Rounding differs between the lanes of a vector and a remainder of the loop.
-        tolerance = np.sqrt(np.finfo(got.dtype).eps) * max(1.0, np.max(np.abs(want)))
+        # Programs of one rod and of many round differently, and places that are
+        # rounded in every step make rates differ by that per step.
+        eps = float(np.finfo(got.dtype).eps)
+        tolerance = np.sqrt(eps) * max(1.0, np.max(np.abs(want)))
+        if name == "velocities":
+            tolerance = max(tolerance, 4 * eps / TIME_STEP)
         error = np.max(np.abs(got - want[None]))
         if not error <= tolerance:
             raise FloatingPointError(

@@ -9,6 +9,7 @@ the table, the ball touches the table, all with friction.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +47,14 @@ GRAVITY = 9.81
 """[m/s^2]"""
 FRICTION = 0.8
 """[1]"""
-STIFFNESS, DAMPING, FRICTION_DRAG = 5e3, 7.0, 7.0
-"""Of the touch of fingers and ball [N/m], [N s/m], [N s/m]."""
+STIFFNESS, DAMPING, FRICTION_DRAG = 4e4, 4.0, 4.0
+"""Of the touch of fingers and ball, per length of a finger [N/m^2], [kg/(m s)],
+[kg/(m s)]. Where random actions press the ball into the table, by about 1 N, tips sink
+into it by less than 0.8 of their radius; at 5e3 N/m^2 their axis went in."""
+TABLE_STIFFNESS = 500.0
+"""Of the touch of ball and table [N/m]."""
+SUNK = 4 / 3 * math.pi * BALL**3 * BALL_DENSITY * GRAVITY / TABLE_STIFFNESS
+"""How deep the ball is in the table when that carries all of its weight [m]."""
 HIGHEST = 0.2
 """Of the wrist above the table, at the start [m]."""
 
@@ -189,7 +196,7 @@ def gripper_body(n_elements: int) -> GripperBody:
         jaxrod.rigid_contact(
             "ball",
             fixed=table,
-            stiffness=500.0,
+            stiffness=TABLE_STIFFNESS,
             damping=1.0,
             friction=FRICTION,
             friction_drag=1.0,

@@ -15,16 +15,20 @@ of control steps of an episode, so the return is the mean score:
 
 | points | for |
 |---:|---|
-| 15 | nearness of the ball to the point between the fingers, 0.07 m below the wrist |
-| 35 | with the ball between the fingers, nearness of their tips to its lowest point |
-| 50 | the height of the ball over where it lay, up to 0.07 m |
+| 15 | nearness of the ball to the line between the fingers |
+| 20 | with the ball between the fingers, nearness of their tips to its lowest point |
+| 20 | with the ball between the fingers, the share of its weight off the table |
+| 45 | the height of the ball over where it lay, up to 0.07 m |
+
+The line between the fingers is the middle of the gripper, from 0.045 m to 0.085 m below
+the wrist: the ball is on it when the wrist is at its lowest, and when it is gripped.
 
 An episode lasts 30 control steps (3 s). Observed, in this order, everything divided by
 the unit in brackets:
 
 | numbers | what |
 |---:|---|
-| 3 | the ball's centre from the point between the fingers [0.03 m] |
+| 3 | the ball's centre from the middle of the line between the fingers [0.03 m] |
 | 3 | its velocity [0.1 m/s] |
 | 1 | its height over where it lay [0.07 m] |
 | 4 | control values in force [1] |
@@ -51,6 +55,7 @@ from jaxrod.envs.soft_bodies.gripper_body import (
     BALL,
     HIGHEST,
     N_FINGERS,
+    SUNK,
     GripperBody,
     gripper_body,
 )
@@ -74,13 +79,14 @@ RATE = 10.0
 SPEED = 0.2
 """Of the wrist along each axis, at most [m/s]."""
 STEPS_PER_ELEMENT = 48
-"""Simulation steps of a control step, per element of a finger: 0.82 of the stability
+"""Simulation steps of a control step, per element of a finger: 0.87 of the stability
 bound at full pressure."""
 LOWEST, ASIDE = 0.11, 0.02
 """Height of the wrist above the table at least, its way to every side at most [m]."""
-GRASP = 0.07
-"""How far the point between the fingers is below the wrist [m]."""
-NEAR, FAR = 0.015, 0.115
+GRASP, HALF = 0.065, 0.02
+"""How far the middle of the line between the fingers is below the wrist, and half the
+line's length [m]."""
+NEAR, FAR = 0.005, 0.1
 """From there to the ball, when it is there and when that no longer counts [m]."""
 OPEN = 0.075
 """From the furthest tip to the ball's lowest point, when nothing is closed [m]."""
@@ -208,6 +214,7 @@ class Gripper:
         )
         info = {
             "height": _height(state),
+            "borne": _borne(state),
             "score": _score(state),
             "flagged": flagged,
         }
@@ -278,7 +285,7 @@ def _told(
 
 
 def _between(state: GripperState) -> Float[Array, "3"]:
-    """The point between the fingers, below the wrist [m]."""
+    """The middle of the line between the fingers, below the wrist [m]."""
     wrist, _ = _told(state.controls)
     return wrist + jnp.asarray([0.0, 0.0, HIGHEST - GRASP], wrist.dtype)
 
@@ -288,19 +295,30 @@ def _height(state: GripperState) -> Float[Array, ""]:
     return state.body["ball"].positions[2, 0] - BALL
 
 
+def _borne(state: GripperState) -> Float[Array, ""]:
+    """Share of the ball's weight that the table does not carry, by how deep it is in.
+
+    It rises with the grip of fingers below its middle, from when they touch it until it
+    is off the table, and is zero where they press it down.
+    """
+    return jnp.clip(1 + _height(state) / SUNK, 0, 1)
+
+
 def _score(state: GripperState) -> Float[Array, ""]:
     """Points, as the module's table gives them."""
     place = state.body["ball"].positions[:, 0]
-    apart = vectors.safe_norm(vectors.split(place - _between(state)))
+    x, y, z = vectors.split(place - _between(state))
+    apart = vectors.safe_norm((x, y, z - jnp.clip(z, -HALF, HALF)))
     lowest = place - jnp.asarray([0.0, 0.0, BALL], place.dtype)
     tips = state.body["fingers"].positions[:, :, -1] - lowest[None, :]
     furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
     near = 1 - jnp.clip((apart - NEAR) / (FAR - NEAR), 0, 1)
     # Fingers that close above the ball gain nothing: they could not get around it.
-    around = jnp.clip(1.5 - apart / BALL, 0, 1)
+    around = 1 - jnp.clip((apart - NEAR) / BALL, 0, 1)
     closed = jnp.clip(1 - furthest / OPEN, 0, 1)
-    return 15 * near + 35 * around * closed + 50 * lifted
+    grip = around * (closed + _borne(state))
+    return 15 * near + 20 * grip + 45 * lifted
 
 
 def gripper(

@@ -1,10 +1,10 @@
 """Lanes wherever they can be, in these tests alone."""
 
 import pytest
-from physics.validation import record as record
 
 from jaxrod.lanes.choice import lane_mode, use_lanes
 from jaxrod.lanes.machine_code import not_here
+from physics.validation import record as record
 
 
 @pytest.fixture(autouse=True)

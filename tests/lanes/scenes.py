@@ -40,6 +40,7 @@ def random_scene(seed):
 
     ball = jaxrod.sphere((0.5, -0.1, 0.0), 0.09)
     touch = {"stiffness": 500.0, "damping": 0.5, "friction": 0.3}
+    touch["points_per_element"] = 2
     tip = (0.0, 0.0, 0.0)
     pushed = jaxrod.end_load(jaxrod.ramp(tip, vector(1.0), 0.02), tip)
     choices = {
@@ -54,7 +55,7 @@ def random_scene(seed):
         "internal": lambda: jaxrod.internal_damping(float(rng.uniform(1e-4, 1e-3))),
         "contact": lambda: jaxrod.contact(ball, **touch),
         "near contact": lambda: jaxrod.near_contact(
-            jaxrod.contact((ball, jaxrod.sphere((0.9, 0.1, 0.0), 0.05)), **touch),
+            jaxrod.contact((ball, jaxrod.sphere((0.9, 0.1, 0.0), 0.08)), **touch),
             rod,
             state,
             1,
