@@ -134,7 +134,13 @@ def lowered_by_lanes(name: str, plan: Plan) -> Callable[..., Any] | None:
     except NotUnrolled as reason:
         refused(str(reason), rods)
         return None
-    target = registered(kernel)
+    try:
+        target = registered(kernel)
+    except RuntimeError as error:
+        if mode == ALWAYS:
+            raise
+        refused(f"LLVM does not take it: {str(error).splitlines()[0]}", rods)
+        return None
     seconds = time.perf_counter() - begun
     words = f"lanes of {vector_bytes()} bytes"
     _note(LaneChoice(True, words, rods, kernel.operations, seconds))
