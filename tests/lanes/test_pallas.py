@@ -204,7 +204,7 @@ SCENES = [
     for dtype in dtypes
     for own in (False, True)
 ]
-ROUNDING = {"float32": 2e-5, "float64": 2e-14}
+ROUNDING = {"float32": 1e-6, "float64": 2e-15}
 
 
 @pytest.mark.slow
