@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import time
 from collections import deque
@@ -15,19 +14,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxrod.lanes.cycle import Cycle, Plan, adjoint_cycle, chosen
-from jaxrod.lanes.cycle import Ends as CycleEnds
-from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.kernel import Ends, Kernel, adjoint_kernel, run_kernel, step_kernel
-from jaxrod.lanes.kernel_plan import Entries, Step
+from jaxrod.lanes.cycle import Cycle, Ends, Plan, adjoint_cycle, chosen
+from jaxrod.lanes.graph import VARYING
+from jaxrod.lanes.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
+from jaxrod.lanes.kernel_plan import Entries
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
-from jaxrod.lanes.rules import Unroller
 from jaxrod.lanes.unroll import NotUnrolled, kind_of
+from jaxrod.lanes.unrolled import check_length, unrolled_run, unrolled_step
 
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
 MODES = (AUTO, ALWAYS, NEVER)
 FEWEST_RODS = 4
 """A batch of fewer is left to XLA."""
+FEWEST_RODS_ON_GPU = 32
+"""The threads of one warp: with fewer rods some would have none. Not measured."""
 MOST_OPERATIONS = 120_000
 """Of a program: steps, or a run with what is around them. Longer ones do not fit the
 processor's memory for instructions, and take long to compile."""
@@ -58,6 +58,11 @@ _choices: deque[LaneChoice] = deque(maxlen=100)
 def use_lanes(mode: str) -> None:
     """Says when lanes are used by what is compiled from now on.
 
+    On CPUs `"auto"` takes them where they are faster. On NVIDIA GPUs they are a kernel
+    with a rod in each thread, which has been interpreted and compiled but never run on
+    one: only `"always"` takes them there, for short steps of some tens of rods or more,
+    not for derivatives. On other devices there are none.
+
     Args:
         mode: `"auto"`, where they are faster, `"always"`, wherever they can be,
             or `"never"`. The environment variable `JAXROD_LANES` says it at the start.
@@ -86,7 +91,10 @@ def lane_mode() -> str:
 
 def lanes_wanted() -> bool:
     """Whether runs are made so that lanes may take them."""
-    return lane_mode() != NEVER and not_here() is None and _on_cpu()
+    mode, platform = lane_mode(), jax.default_backend()
+    if platform == "gpu":
+        return mode == ALWAYS
+    return mode != NEVER and not_here() is None and platform == "cpu"
 
 
 def refused(words: str, rods: int = 1) -> None:
@@ -139,6 +147,42 @@ def lowered_by_lanes(
     return _call(target, kernel, plan, rods, results)
 
 
+def lowered_on_gpu(
+    name: str, plan: Plan, results: Sequence[Any]
+) -> Callable[..., Any] | None:
+    """The program of an operation as a kernel for NVIDIA GPUs, or `None`.
+
+    Args:
+        name: Of the primitive.
+        plan: Its structure.
+        results: Shapes and types of what it makes, which a kernel knows by the plan.
+    """
+    del results
+    rods = plan.batch.size if plan.batch is not None else 1
+    if lane_mode() != ALWAYS or rods == 0:
+        return None
+    if rods < FEWEST_RODS_ON_GPU:
+        refused(f"fewer than {FEWEST_RODS_ON_GPU} rods", rods)
+        return None
+    if plan.keeps or name not in ("jaxrod_run", "jaxrod_cycles"):
+        refused("lanes on a GPU have no derivatives", rods)
+        return None
+    from jaxrod.lanes.pallas_kernel import pallas_program
+    from jaxrod.lanes.pallas_layout import layout_of_plan
+
+    begun = time.perf_counter()
+    try:
+        program = pallas_program(plan, rods, interpret=False)
+    except NotUnrolled as reason:
+        refused(str(reason), rods)
+        return None
+    seconds = time.perf_counter() - begun
+    words = "a kernel with a rod in each thread"
+    operations = len(layout_of_plan(plan).used)
+    _note(LaneChoice(True, words, rods, operations, seconds))
+    return program
+
+
 def _call(
     target: str, kernel: Kernel, plan: Plan, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
@@ -159,43 +203,21 @@ def _call(
 
 @lru_cache(maxsize=64)
 def _steps_kernel(cycle: Cycle, shared: tuple[bool, ...], keeps: bool) -> Kernel:
-    return step_kernel(_unrolled(cycle, shared)[0], _width(cycle), checkpoints=keeps)
+    step, _, _ = unrolled_step(cycle, shared, MOST_OPERATIONS)
+    return step_kernel(step, _width(cycle), checkpoints=keeps)
 
 
 @lru_cache(maxsize=64)
-def _run_kernel(cycle: Cycle, ends: CycleEnds, shared: tuple[bool, ...]) -> Kernel:
-    step, unroller, inputs = _unrolled(cycle, shared)
-    graph, n = step.graph, cycle.n_constants
-    avals = ends.given[n:]
-    first = len(inputs)
-    given = [
-        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
-        for i, aval in enumerate(avals)
-    ]
-    begun = unroller.run(ends.begin, [*inputs[:n], *given])
-    ended = unroller.run(ends.end, inputs)
-    _check_length(len(graph))
-    return run_kernel(
-        step,
-        Ends(
-            [_entries(aval) for aval in avals],
-            [array.reshape(-1).tolist() for array in begun],
-            [_entries(aval) for aval in ends.made],
-            [array.reshape(-1).tolist() for array in ended],
-        ),
-        _width(cycle),
-    )
-
-
-def _entries(aval: Any) -> Entries:
-    return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
+def _run_kernel(cycle: Cycle, ends: Ends, shared: tuple[bool, ...]) -> Kernel:
+    step, around = unrolled_run(cycle, ends, shared, MOST_OPERATIONS)
+    return run_kernel(step, around, _width(cycle))
 
 
 @lru_cache(maxsize=64)
 def _back_kernel(
     cycle: Cycle, moving: tuple[bool, ...], shared: tuple[bool, ...]
 ) -> Kernel:
-    step, unroller, inputs = _unrolled(cycle, shared)
+    step, unroller, inputs = unrolled_step(cycle, shared, MOST_OPERATIONS)
     graph = step.graph
     plan = Plan(cycle, 0, moving)
     closed = adjoint_cycle(plan)
@@ -214,35 +236,10 @@ def _back_kernel(
             sums, given[len(floats) :], made[len(floats) :], strict=True
         )
     ]
-    _check_length(len(graph))
+    check_length(len(graph), MOST_OPERATIONS)
     outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
     adjoint = Step(graph, step.constants, carry, outputs)
     return adjoint_kernel(step, adjoint, len(floats), _width(cycle))
-
-
-def _unrolled(cycle: Cycle, shared: tuple[bool, ...]) -> tuple[Step, Unroller, Any]:
-    graph = Graph()
-    unroller = Unroller(graph)
-    inputs, entries = [], []
-    for i, variable in enumerate(cycle.closed.jaxpr.invars):
-        rate = VARYING
-        if i < cycle.n_constants:
-            rate = UNIFORM if shared[i] else FIXED
-        kind = kind_of(variable.aval)
-        inputs.append(graph.inputs(i, variable.aval.shape, kind, rate))
-        entries.append(Entries(kind, inputs[-1].size, rate))
-    made = unroller.run(cycle.closed, inputs)
-    _check_length(len(graph))
-    outputs = [array.reshape(-1).tolist() for array in made]
-    constants, carry = entries[: cycle.n_constants], entries[cycle.n_constants :]
-    return Step(graph, constants, carry, outputs), unroller, inputs
-
-
-def _check_length(operations: int) -> None:
-    if operations > MOST_OPERATIONS:
-        raise NotUnrolled(
-            f"a program of {operations} operations is longer than {MOST_OPERATIONS}"
-        )
 
 
 def _width(cycle: Cycle) -> int:
@@ -259,7 +256,3 @@ def _note(choice: LaneChoice) -> None:
         choice.rods,
         choice.why,
     )
-
-
-def _on_cpu() -> bool:
-    return jax.default_backend() == "cpu"

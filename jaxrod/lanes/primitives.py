@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, refused
+from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, lowered_on_gpu, refused
 from jaxrod.lanes.cycle import Batch, Plan, chosen
 from jaxrod.lanes.derivatives import by_meaning, cycles_jvp, tangent_transpose
 from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, run_p, tangent_p
@@ -109,14 +109,14 @@ def _shareable(primitive: Primitive, plan: Plan) -> list[bool]:
     return [*constants, *[False] * (n_carry + kept), *rates, *[False] * n_floats]
 
 
-def _lowering(primitive: Primitive) -> Callable[..., Any]:
+def _lowering(primitive: Primitive, by_lanes: Callable[..., Any]) -> Callable[..., Any]:
     by_xla = mlir.lower_fun(MEANINGS[primitive], multiple_results=True)
 
     def rule(context: Any, *operands: Any, plan: Plan) -> Any:
         program = None
         words = _unfit(context)
         if words is None:
-            program = lowered_by_lanes(primitive.name, plan, context.avals_out)
+            program = by_lanes(primitive.name, plan, context.avals_out)
         elif lanes_wanted():
             refused(words, plan.batch.size if plan.batch is not None else 1)
         if program is None:
@@ -136,11 +136,15 @@ def _unfit(context: Any) -> str | None:
     Within `shard_map` each device has rods of its own, and a kernel for them.
     """
     module = context.module_context
+    if len(module.platforms) > 1:
+        return "the program is for several platforms, and kernels are of one"
     if getattr(module.lowering_parameters, "for_export", False):
         return "the program is to be exported, and kernels are of this process"
     where = module.axis_context
     devices = getattr(where, "num_devices", None)
     if hasattr(where, "manual_axes"):
+        if "cuda" in module.platforms:
+            return "kernels for GPUs have never been tried within shard_map"
         left = set(where.mesh.axis_names) - set(where.manual_axes)
         devices = math.prod(where.mesh.shape[name] for name in left)
     if devices not in (None, 1):
@@ -158,9 +162,11 @@ for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):
     mlir.register_lowering(
         _primitive, mlir.lower_fun(MEANINGS[_primitive], multiple_results=True)
     )
-mlir.register_lowering(run_p, _lowering(run_p), platform="cpu")
-mlir.register_lowering(cycles_p, _lowering(cycles_p), platform="cpu")
-mlir.register_lowering(adjoint_p, _lowering(adjoint_p), platform="cpu")
+for _primitive in (run_p, cycles_p, adjoint_p):
+    for _platform, _by_lanes in (("cpu", lowered_by_lanes), ("cuda", lowered_on_gpu)):
+        mlir.register_lowering(
+            _primitive, _lowering(_primitive, _by_lanes), platform=_platform
+        )
 ad.primitive_jvps[run_p] = by_meaning(run_p)
 ad.primitive_jvps[cycles_p] = cycles_jvp
 ad.primitive_jvps[tangent_p] = by_meaning(tangent_p)

@@ -112,7 +112,7 @@ def test_a_nest_with_room_to_spare_is_that_with_little(monkeypatch):
         )
         return jaxrod.make_scene(made, jaxrod.gravity()), state
 
-    scenes, state = jax.vmap(one)(jnp.linspace(0, 1, 8)[:, None] * jnp.full((1, 3), 0.2))
+    scenes, state = jax.vmap(one)(jnp.linspace(0, 0.2, 8)[:, None] * jnp.ones((1, 3)))
 
     def ended(pairs):
         lists = jaxrod.neighbour_lists(
