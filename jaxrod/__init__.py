@@ -175,6 +175,7 @@ _NAMES = {
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _SUBMODULES = {
     "assemblies": "assemblies",
+    "control": "control",
     "envs": "envs",
     "geometry": "geometry",
     "rotations": "geometry.rotations",

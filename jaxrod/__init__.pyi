@@ -1,6 +1,7 @@
 """What `import jaxrod` offers, for type checkers: the table of `__init__.py`."""
 
 from jaxrod import assemblies as assemblies
+from jaxrod import control as control
 from jaxrod import envs as envs
 from jaxrod import geometry as geometry
 from jaxrod import tradeoff as tradeoff
