@@ -1,4 +1,4 @@
-"""Differentiable control: problems, and what solves them by gradients and by sampling."""
+"""Differentiable control: problems, and solvers by gradients and by sampling."""
 
 from jaxrod.control.least_squares import LeastSquares, least_squares
 from jaxrod.control.problem import Problem, make_problem

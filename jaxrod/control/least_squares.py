@@ -1,12 +1,13 @@
-r"""Least squares within bounds, by Levenberg's and Marquardt's damped Gauss-Newton steps.
+r"""Least squares within bounds, by damped Gauss-Newton steps (Levenberg, Marquardt).
 
 With residuals $r(z)$, their Jacobian $J$ and a ridge $\rho$ about $z_0$, a step solves
 
 $$(J^T J + \rho I + \mu D)\, d = -\big(J^T r + \rho (z - z_0)\big), \qquad
 D = \mathrm{diag}(J^T J) + \rho I$$
 
-over the unknowns that are not held at a bound, and is cut off at the bounds. It is taken
-if the sum of squares falls; then $\mu$ is divided by 3, and multiplied by 4 otherwise.
+over the unknowns that are not held at a bound, and is cut off at the bounds. It is
+taken if the sum of squares falls; then $\mu$ is divided by 3, and multiplied by 4
+otherwise.
 
 Jacobians are columns by forward mode where there are fewer unknowns than residuals, and
 rows by reverse mode otherwise; the ridge costs neither, so that six residuals of 132
@@ -33,7 +34,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrod.structure import pytree
 
 FASTER, SLOWER = 3.0, 4.0
-"""What the damping is divided by after a step that is taken, and multiplied otherwise."""
+"""Divisor of the damping after a step that is taken, and factor otherwise."""
 MOST_DAMPING = 1e12
 """With more of it no step is worth trying."""
 
@@ -187,7 +188,7 @@ def least_squares(
 
 
 def _like(bound: Any, start: Any, sign: int) -> Array:
-    """A number, or a tree as the unknowns are, as one row; infinite where there is none."""
+    """A number, or a tree as the unknowns are, as one row; infinite without one."""
     first, _ = ravel_pytree(start)
     if bound is None:
         return jnp.full(first.shape, sign * jnp.inf, first.dtype)
@@ -235,7 +236,7 @@ def _step(
     slope = jacobian.T @ residuals + pull
     held = ((point <= low) & (slope > 0)) | ((point >= high) & (slope < 0))
     free = jnp.where(held, 0, 1).astype(point.dtype)
-    columns = jacobian * free
+    columns = jacobian * free[None]
     squares = jnp.sum(columns**2, axis=0) + rho
     # A column of zeros leaves its unknown where it is.
     none = squares <= jnp.finfo(point.dtype).tiny
@@ -243,7 +244,7 @@ def _step(
     roots = jnp.sqrt(weights)
     # In units in which the damping is the identity; by QR, which does not square what
     # is ill-conditioned.
-    scaled, pulled = columns / roots, pull * free / roots
+    scaled, pulled = columns / roots[None], pull * free / roots
     wide = scaled.shape[0] < scaled.shape[1]
     tall = scaled.T if wide else scaled
     corner = jnp.eye(tall.shape[1], dtype=point.dtype)
