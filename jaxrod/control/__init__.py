@@ -1,11 +1,23 @@
 """Differentiable control: problems, and solvers by gradients and by sampling."""
 
+from jaxrod.control.adam import adam
+from jaxrod.control.arm import ActuatedArm
 from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.levenberg_marquardt import levenberg_marquardt
 from jaxrod.control.problem import Problem, make_problem
+from jaxrod.control.reach import Reach, UnreachableTargetWarning, reach
+from jaxrod.control.solution import Solution
 
 __all__ = [
+    "ActuatedArm",
     "LeastSquares",
     "Problem",
+    "Reach",
+    "Solution",
+    "UnreachableTargetWarning",
+    "adam",
     "least_squares",
+    "levenberg_marquardt",
     "make_problem",
+    "reach",
 ]
