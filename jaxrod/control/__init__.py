@@ -2,10 +2,12 @@
 
 from jaxrod.control.adam import adam
 from jaxrod.control.arm import ActuatedArm
+from jaxrod.control.ilqr import ilqr
 from jaxrod.control.least_squares import LeastSquares, least_squares
 from jaxrod.control.levenberg_marquardt import levenberg_marquardt
 from jaxrod.control.problem import Problem, make_problem
 from jaxrod.control.reach import Reach, UnreachableTargetWarning, reach
+from jaxrod.control.rolled_out import RolledOut, rolled_out
 from jaxrod.control.solution import Solution
 
 __all__ = [
@@ -13,11 +15,14 @@ __all__ = [
     "LeastSquares",
     "Problem",
     "Reach",
+    "RolledOut",
     "Solution",
     "UnreachableTargetWarning",
     "adam",
+    "ilqr",
     "least_squares",
     "levenberg_marquardt",
     "make_problem",
     "reach",
+    "rolled_out",
 ]
