@@ -14,6 +14,7 @@ ICRA 2014.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -29,7 +30,7 @@ from jaxrod.control.knots import (
     half_widths,
     within_bounds,
 )
-from jaxrod.control.problem import Problem, numbers, over_time, trajectory
+from jaxrod.control.problem import Problem, numbers, over_time
 from jaxrod.control.programs import timed
 from jaxrod.control.riccati import Linear, backward
 from jaxrod.control.solution import Solution
@@ -50,6 +51,7 @@ def ilqr(
     damping: float = 1e-3,
     tolerance: float = 1e-4,
     initial_controls: Any = None,
+    spread: float = 0.1,
     seed: int = 0,
 ) -> Solution:
     """Controls of every interval that make the sum of squares least, with feedback.
@@ -63,9 +65,10 @@ def ilqr(
         damping: Of the first step: cost of changing every control by half of what lies
             between its bounds, a share of the first cost [1].
         tolerance: Relative gain below which it is done.
-        initial_controls: Where to begin `(n_intervals, n_controls)`; small random ones
-            by default.
-        seed: Of the small random ones.
+        initial_controls: Where to begin `(n_intervals, n_controls)`; random ones by
+            default, which a motion like the one that is wanted often beats by far.
+        spread: Of the random ones, a share of half of what lies between the bounds [1].
+        seed: Of the random ones.
 
     Returns:
         The best that was found, with its motion and the gains about it.
@@ -80,7 +83,8 @@ def ilqr(
     if initial_controls is not None:
         start = within_bounds(problem, "initial_controls", initial_controls, shape)
     else:
-        knots = first_knots(problem, min(11, problem.n_intervals), None, seed)
+        width = float(check_array("spread", spread, [()], "", non_negative=True))
+        knots = first_knots(problem, min(11, problem.n_intervals), None, seed, width)
         start = over_time(knots, problem.n_intervals)
     settings = {
         name: jnp.asarray(
@@ -138,7 +142,6 @@ def _solved(
     first, unravel = ravel_pytree(problem.start)
     n, (count, m) = first.size, start.shape
     shares = 0.5 ** jnp.arange(SHARES, dtype=start.dtype)
-    flat = jax.vmap(lambda state: ravel_pytree(state)[0])
 
     def tried_with(
         search: _Search, changes: Array, gains: Array, share: Array
@@ -184,9 +187,11 @@ def _solved(
             one = jnp.sum(jnp.where(mask, ways, 0), axis=0)
             return jnp.where(better, one, old)
 
-        change = jnp.where(best == 0, 1 / FASTER, 1.0)
+        # A short step, if any, says that the model does not reach that far.
+        change = jnp.where(best == 0, 1 / FASTER, jnp.where(best < 3, 1.0, FASTER))
         mu = search.damping * jnp.where(better, change, SLOWER)
         small = (search.cost - least) <= settings["tolerance"] * search.cost
+        small = small & (best == 0)
         gained = jnp.where(better, least, search.cost)
         return _Search(
             controls=chosen(controls, search.controls),
@@ -200,25 +205,29 @@ def _solved(
             costs=search.costs.at[search.tried + 1].set(gained, mode="drop"),
         )
 
-    motion = flat(trajectory(problem, start))
-    linear_cost = _cost_along(problem, unravel, motion, start)
-    return lax.while_loop(
-        lambda search: ~search.ended,
-        again,
-        _Search(
-            controls=start,
-            states=motion,
-            cost=linear_cost,
-            gains=jnp.zeros((count, m, n), start.dtype),
-            damping=settings["damping"],
-            tried=jnp.zeros((), jnp.int32),
-            converged=jnp.zeros((), bool),
-            ended=jnp.zeros((), bool),
-            costs=jnp.full((iterations + 1,), jnp.nan, start.dtype)
-            .at[0]
-            .set(linear_cost),
-        ),
+    none = _Search(
+        controls=start,
+        states=jnp.broadcast_to(first, (count + 1, n)),
+        cost=jnp.asarray(jnp.inf, start.dtype),
+        gains=jnp.zeros((count, m, n), start.dtype),
+        damping=settings["damping"],
+        tried=jnp.zeros((), jnp.int32),
+        converged=jnp.zeros((), bool),
+        ended=jnp.zeros((), bool),
+        costs=jnp.full((iterations + 1,), jnp.nan, start.dtype),
     )
+    # As many as in the search, so that lanes have one program for both.
+    controls, states, costs = jax.vmap(
+        lambda share: tried_with(none, jnp.zeros_like(start), none.gains, share)
+    )(shares)
+    begun = replace(
+        none,
+        controls=controls[0],
+        states=states[0],
+        cost=costs[0],
+        costs=none.costs.at[0].set(costs[0]),
+    )
+    return lax.while_loop(lambda search: ~search.ended, again, begun)
 
 
 Unravel = Callable[[Array], Any]
@@ -246,15 +255,6 @@ def _at_end(problem: Problem, unravel: Unravel, last: Array) -> Array:
     if problem.final is None:
         return jnp.zeros((0,), last.dtype)
     return ravel_pytree(problem.final(problem.data, unravel(last)))[0]
-
-
-def _cost_along(
-    problem: Problem, unravel: Unravel, states: Array, controls: Array
-) -> Array:
-    made = jax.vmap(lambda x, u, k: _on_the_way(problem, unravel, x, u, k))(
-        states[1:], controls, numbers(problem)
-    )
-    return jnp.sum(made**2) + jnp.sum(_at_end(problem, unravel, states[-1]) ** 2)
 
 
 def _linearised(

@@ -30,9 +30,16 @@ def half_widths(problem: Problem) -> Float[Array, " controls"]:
 
 
 def first_knots(
-    problem: Problem, n_knots: int, given: Any, seed: int
+    problem: Problem, n_knots: int, given: Any, seed: int, spread: float = SPREAD
 ) -> Float[Array, "knots controls"]:
     """The knots to begin with: those given, or small random ones about zero.
+
+    Args:
+        problem: The problem.
+        n_knots: How many.
+        given: Those given, if any.
+        seed: Of the random ones.
+        spread: Of the random ones, a share of half of what lies between the bounds.
 
     Raises:
         ValueError: those given do not fit or lie beyond the bounds.
@@ -45,7 +52,7 @@ def first_knots(
         jax.random.key(check_seed(seed)), shape, problem.lower.dtype
     )
     return jnp.clip(
-        SPREAD * half_widths(problem)[None] * noise,
+        spread * half_widths(problem)[None] * noise,
         problem.lower[None],
         problem.upper[None],
     )

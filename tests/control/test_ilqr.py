@@ -95,7 +95,9 @@ def test_small_boxes_are_solved_exactly():
         matrix, right = random.normal(size=(6, 4)), random.normal(size=6)
         matrix = matrix @ np.diag([1, 1, 1, 0.1 ** (k % 3)])
         lower, upper = -random.uniform(0, 0.4, 4), random.uniform(0, 0.4, 4)
-        point, held = jax.jit(box_step)(*map(jnp.asarray, (matrix, right, lower, upper)))
+        point, held = jax.jit(box_step)(
+            *map(jnp.asarray, (matrix, right, lower, upper))
+        )
         expected = lsq_linear(matrix, -right, (lower, upper), tol=1e-14).x
         np.testing.assert_allclose(point, expected, atol=1e-6)
         assert not np.any(held & (point > lower + 1e-6) & (point < upper - 1e-6))

@@ -1,0 +1,93 @@
+"""A soft pole swings up on a cart and stands: iLQR, and its feedback against a push.
+
+A rod hangs from a cart on a rail and turns freely. What is controlled is the cart's
+acceleration; in the frame of the cart the rod feels it as gravity, exactly. Pushed when
+nearly up it still comes to stand, and falls without feedback. Run it with
+`python examples/soft_cart_pole.py`.
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+import jaxrod
+
+LENGTH, LIMIT, PUSH = 0.5, 10.0, 0.4  # [m], [m/s^2], [m/s]
+SECONDS, INTERVAL, PERIOD, STEPS = 1.8, 0.03, 1.2, 40  # [s], [s], [s], [1]
+N_INTERVALS = round(SECONDS / INTERVAL)
+
+
+def move(data, state, acceleration, k):
+    """The rod in the frame of the cart, and place and speed of the cart [m], [m/s]."""
+    scene, a, (x, v) = data["scene"], acceleration[0], state["cart"]
+    felt = jnp.stack([-a, jnp.zeros_like(a), jnp.full_like(a, -9.81)])
+    scene = dataclasses.replace(scene, effects=(*scene.effects, jaxrod.Gravity(felt)))
+    rod = jaxrod.advance(scene, state["rod"], INTERVAL / STEPS, STEPS)
+    x, v = x + INTERVAL * v + 0.5 * INTERVAL**2 * a, v + INTERVAL * a
+    return {"rod": rod, "cart": jnp.stack([x, v])}
+
+
+def running(data, state, acceleration, k):
+    """What the way costs: nodes and cart that are elsewhere, speed, and effort."""
+    place = state["rod"].positions + data["hanging"]
+    slow = 0.05 * state["rod"].velocities
+    return place, slow, 0.3 * state["cart"], 0.01 * acceleration
+
+
+def final(data, state):
+    """What the end costs: the same, without effort."""
+    place = state["rod"].positions + data["hanging"]
+    return 4 * place, 0.5 * state["rod"].velocities, state["cart"]
+
+
+def cart_pole():
+    """The problem of swinging up, of a rod that hangs straight and at rest."""
+    rod, state = jaxrod.straight_rod(
+        4,
+        length=LENGTH,
+        radius=0.03,
+        density=1000.0,
+        youngs_modulus=2.2e6,
+        direction=(0.0, 0.0, -1.0),
+        normal=(0.0, 1.0, 0.0),
+    )
+    effects = jaxrod.pin(state), jaxrod.exponential_damping(0.2)
+    scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
+    return jaxrod.control.make_problem(
+        {"rod": state, "cart": jnp.zeros(2)},
+        move,
+        n_intervals=N_INTERVALS,
+        interval=INTERVAL,
+        n_controls=1,
+        running=running,
+        final=final,
+        data={"scene": scene, "hanging": state.positions},
+        lower=-LIMIT,
+        upper=LIMIT,
+    )
+
+
+def swing_up(iterations=40):
+    """The solution, begun with the cart to and fro in the time of a small swing."""
+    phases = 2 * jnp.pi * INTERVAL / PERIOD * jnp.arange(N_INTERVALS)
+    first = 0.6 * LIMIT * jnp.sin(phases)[:, None]
+    return jaxrod.control.ilqr(
+        cart_pole(), initial_controls=first, iterations=iterations, tolerance=1e-3
+    )
+
+
+def pushed(state, k):
+    """A push that gives the whole rod a speed along x, 0.6 s before the end."""
+    push = jnp.where(k == N_INTERVALS - round(0.6 / INTERVAL), PUSH, 0.0)
+    velocities = state["rod"].velocities.at[0, 1:].add(push)
+    return {**state, "rod": dataclasses.replace(state["rod"], velocities=velocities)}
+
+
+if __name__ == "__main__":
+    jaxrod.configure_cpu()
+    found = swing_up()
+    for policy in (found.policy, found.open_loop):
+        motion = jaxrod.control.rolled_out(found.problem, policy, pushed)
+        print(
+            f"pushed, {policy.__name__}: the tip ends at {motion.states['rod'].tip[-1]} m"
+        )
