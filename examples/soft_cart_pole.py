@@ -1,9 +1,7 @@
 """A soft pole swings up on a cart and stands: iLQR, and its feedback against a push.
 
-A rod hangs from a cart on a rail and turns freely. What is controlled is the cart's
-acceleration; in the frame of the cart the rod feels it as gravity, exactly. Pushed when
-nearly up it still comes to stand, and falls without feedback. Run it with
-`python examples/soft_cart_pole.py`.
+A rod hangs from a cart that is accelerated along a rail; in the cart's frame that is
+gravity, exactly. Run it with `python examples/soft_cart_pole.py`.
 """
 
 import dataclasses
@@ -20,7 +18,7 @@ N_INTERVALS = round(SECONDS / INTERVAL)
 def move(data, state, acceleration, k):
     """The rod in the frame of the cart, and place and speed of the cart [m], [m/s]."""
     scene, a, (x, v) = data["scene"], acceleration[0], state["cart"]
-    felt = jnp.stack([-a, jnp.zeros_like(a), jnp.full_like(a, -9.81)])
+    felt = jnp.array([0.0, 0.0, -9.81]).at[0].set(-a)
     scene = dataclasses.replace(scene, effects=(*scene.effects, jaxrod.Gravity(felt)))
     rod = jaxrod.advance(scene, state["rod"], INTERVAL / STEPS, STEPS)
     x, v = x + INTERVAL * v + 0.5 * INTERVAL**2 * a, v + INTERVAL * a
@@ -29,9 +27,8 @@ def move(data, state, acceleration, k):
 
 def running(data, state, acceleration, k):
     """What the way costs: nodes and cart that are elsewhere, speed, and effort."""
-    place = state["rod"].positions + data["hanging"]
-    slow = 0.05 * state["rod"].velocities
-    return place, slow, 0.3 * state["cart"], 0.01 * acceleration
+    rod, others = state["rod"], (0.3 * state["cart"], 0.01 * acceleration)
+    return rod.positions + data["hanging"], 0.05 * rod.velocities, others
 
 
 def final(data, state):
@@ -42,23 +39,17 @@ def final(data, state):
 
 def cart_pole():
     """The problem of swinging up, of a rod that hangs straight and at rest."""
+    size = {"length": LENGTH, "radius": 0.03, "density": 1000.0}
     rod, state = jaxrod.straight_rod(
-        4,
-        length=LENGTH,
-        radius=0.03,
-        density=1000.0,
-        youngs_modulus=2.2e6,
-        direction=(0.0, 0.0, -1.0),
-        normal=(0.0, 1.0, 0.0),
+        4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
     effects = jaxrod.pin(state), jaxrod.exponential_damping(0.2)
     scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
+    sizes = {"n_intervals": N_INTERVALS, "interval": INTERVAL, "n_controls": 1}
     return jaxrod.control.make_problem(
         {"rod": state, "cart": jnp.zeros(2)},
         move,
-        n_intervals=N_INTERVALS,
-        interval=INTERVAL,
-        n_controls=1,
+        **sizes,
         running=running,
         final=final,
         data={"scene": scene, "hanging": state.positions},
@@ -67,13 +58,11 @@ def cart_pole():
     )
 
 
-def swing_up(iterations=40):
+def swing_up():
     """The solution, begun with the cart to and fro in the time of a small swing."""
     phases = 2 * jnp.pi * INTERVAL / PERIOD * jnp.arange(N_INTERVALS)
     first = 0.6 * LIMIT * jnp.sin(phases)[:, None]
-    return jaxrod.control.ilqr(
-        cart_pole(), initial_controls=first, iterations=iterations, tolerance=1e-3
-    )
+    return jaxrod.control.ilqr(cart_pole(), initial_controls=first, tolerance=1e-3)
 
 
 def pushed(state, k):
@@ -88,6 +77,4 @@ if __name__ == "__main__":
     found = swing_up()
     for policy in (found.policy, found.open_loop):
         motion = jaxrod.control.rolled_out(found.problem, policy, pushed)
-        print(
-            f"pushed, {policy.__name__}: the tip ends at {motion.states['rod'].tip[-1]} m"
-        )
+        print(f"pushed, {policy.__name__}: tip at {motion.states['rod'].tip[-1]} m")

@@ -1,8 +1,8 @@
 """A soft pendulum swings up and stands: iLQR, and its feedback against a push.
 
-A rod hangs from a pivot whose couple is too weak to lift it straight up, and bends as it
-swings. iLQR finds the couple over time, with feedback of the whole rod: pushed when it is
-nearly up, it still comes to stand, and falls without. Run it with
+A rod hangs from a pivot whose couple is too weak to lift it straight up, and bends as
+it swings. iLQR finds the couple over time, with feedback of the whole rod: pushed when
+nearly up it still comes to stand, and falls without. Run it with
 `python examples/soft_pendulum.py`.
 """
 
@@ -19,7 +19,7 @@ N_INTERVALS = round(SECONDS / INTERVAL)
 
 def move(data, state, couple, k):
     """The rod after an interval under a couple about y on its first element."""
-    motor = jaxrod.EndLoad(jnp.zeros(3), jnp.zeros(3).at[1].set(couple[0]), "start")
+    motor = jaxrod.EndLoad(jnp.zeros(3), couple * jnp.array([0.0, 1.0, 0.0]), "start")
     effects = (*data["scene"].effects, motor)
     scene = dataclasses.replace(data["scene"], effects=effects)
     return jaxrod.advance(scene, state, INTERVAL / STEPS, STEPS)
@@ -37,22 +37,17 @@ def final(data, state):
 
 def pendulum():
     """The problem of swinging up, of a rod that hangs straight and at rest."""
+    size = {"length": LENGTH, "radius": 0.03, "density": 1000.0}
     rod, state = jaxrod.straight_rod(
-        4,
-        length=LENGTH,
-        radius=0.03,
-        density=1000.0,
-        youngs_modulus=2.2e6,
-        direction=(0.0, 0.0, -1.0),
-        normal=(0.0, 1.0, 0.0),
+        4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
     effects = jaxrod.pin(state), jaxrod.gravity(), jaxrod.exponential_damping(0.2)
     scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
+    time = {"n_intervals": N_INTERVALS, "interval": INTERVAL}
     return jaxrod.control.make_problem(
         state,
         move,
-        n_intervals=N_INTERVALS,
-        interval=INTERVAL,
+        **time,
         n_controls=1,
         running=running,
         final=final,
@@ -62,13 +57,11 @@ def pendulum():
     )
 
 
-def swing_up(iterations=40):
+def swing_up():
     """The solution, begun with couples to and fro in the time of a small swing."""
     phases = 2 * jnp.pi * INTERVAL / PERIOD * jnp.arange(N_INTERVALS)
     first = 0.6 * LIMIT * jnp.sin(phases)[:, None]
-    return jaxrod.control.ilqr(
-        pendulum(), initial_controls=first, iterations=iterations, tolerance=1e-3
-    )
+    return jaxrod.control.ilqr(pendulum(), initial_controls=first, tolerance=1e-3)
 
 
 def pushed(state, k):

@@ -8,6 +8,7 @@ from jaxrod.control.levenberg_marquardt import levenberg_marquardt
 from jaxrod.control.problem import Problem, make_problem
 from jaxrod.control.reach import Reach, UnreachableTargetWarning, reach
 from jaxrod.control.rolled_out import RolledOut, rolled_out
+from jaxrod.control.sampling import cross_entropy, mppi
 from jaxrod.control.solution import Solution
 
 __all__ = [
@@ -19,10 +20,12 @@ __all__ = [
     "Solution",
     "UnreachableTargetWarning",
     "adam",
+    "cross_entropy",
     "ilqr",
     "least_squares",
     "levenberg_marquardt",
     "make_problem",
+    "mppi",
     "reach",
     "rolled_out",
 ]

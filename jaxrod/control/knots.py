@@ -74,6 +74,8 @@ def within_bounds(
             f"{name} must be within the bounds of the problem, got "
             f"{values[beyond].flat[0]:g}"
         )
+    dtype = problem.lower.dtype
+    # Rounded to the type of the problem, bounds included.
     return jnp.clip(
-        jnp.asarray(values, problem.lower.dtype), problem.lower, problem.upper
+        jnp.asarray(values, dtype), problem.lower[None], problem.upper[None]
     )
