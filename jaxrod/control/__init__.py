@@ -2,6 +2,7 @@
 
 from jaxrod.control.adam import adam
 from jaxrod.control.arm import ActuatedArm
+from jaxrod.control.codesign import codesign
 from jaxrod.control.ilqr import ilqr
 from jaxrod.control.least_squares import LeastSquares, least_squares
 from jaxrod.control.levenberg_marquardt import levenberg_marquardt
@@ -20,6 +21,7 @@ __all__ = [
     "Solution",
     "UnreachableTargetWarning",
     "adam",
+    "codesign",
     "cross_entropy",
     "ilqr",
     "least_squares",
