@@ -110,7 +110,8 @@ def _bounds(bound: Any, design: Any, sign: int) -> Any:
     """Bounds of the design as it is."""
     if bound is None:
         bound = sign * jnp.inf
-    if jax.tree.structure(bound) != jax.tree.structure(design):
+    kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, design)]
+    if kinds[0] != kinds[1]:
         bound = jax.tree.map(lambda _: bound, design)
     return jax.tree.map(
         lambda b, leaf: jnp.broadcast_to(jnp.asarray(b, leaf.dtype), leaf.shape),

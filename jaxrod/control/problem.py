@@ -211,11 +211,12 @@ def numbers(problem: Problem) -> Int[Array, " intervals"]:
 
 def _alike(before: Any, after: Any) -> bool:
     """Whether two trees have the same structure, shapes and types."""
-    (these, tree), (those, other) = map(jax.tree.flatten, (before, after))
-    return tree == other and all(
-        (a.shape, a.dtype) == (b.shape, b.dtype)
-        for a, b in zip(these, those, strict=True)
-    )
+    trees: list[Any] = [jax.tree.structure(state) for state in (before, after)]
+    kinds = [
+        [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(state)]
+        for state in (before, after)
+    ]
+    return bool(trees[0] == trees[1]) and kinds[0] == kinds[1]
 
 
 def _floats(tree: Any) -> list[Array]:
