@@ -291,7 +291,7 @@ def near_ones(
         return carry[0] < jnp.minimum(some.count, some.size)
 
     def worked(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        begin, taken, *kept = carry
+        begin, taken, kept = carry
         listed = some.named(begin + within)
         near = listed.there & near_each_other(
             looked_up(own, listed.own), looked_up(other, listed.other), allowed
@@ -299,21 +299,21 @@ def near_ones(
         running = jnp.cumsum(near.astype(jnp.int32))
         place = jnp.searchsorted(running, within, side="right").astype(jnp.int32)
         place = jnp.minimum(place, block - 1)
+        # Both numbers as one row: XLA's CPU compiler aborts the process over two
+        # updates of a batch by the same index.
+        pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
         # What follows the last that is near is written over by the next block. Once the
         # list is full, all goes into what is cut off in the end.
-        behind = jnp.minimum(taken, size)
-        kept = [
-            lax.dynamic_update_slice(row, index[place], (behind,))
-            for row, index in zip(kept, (listed.own, listed.other), strict=True)
-        ]
-        return begin + block, taken + running[-1], *kept
+        behind = (jnp.minimum(taken, size), jnp.zeros_like(taken))
+        kept = lax.dynamic_update_slice(kept, pairs, behind)
+        return begin + block, taken + running[-1], kept
 
     none = jnp.zeros((), jnp.int32)
-    rows = [jnp.zeros((size + block,), jnp.int32) for _ in range(2)]
-    _, taken, *kept = lax.while_loop(more, worked, (none, none, *rows))
+    room = jnp.zeros((size + block, 2), jnp.int32)
+    _, taken, kept = lax.while_loop(more, worked, (none, none, room))
     there = jnp.arange(size, dtype=jnp.int32) < taken
-    first, second = (jnp.where(there, row[:size], 0) for row in kept)
-    return IndexList(first, second, there), taken
+    kept = jnp.where(there[:, None], kept[:size], 0)
+    return IndexList(kept[:, 0], kept[:, 1], there), taken
 
 
 def _reached(
