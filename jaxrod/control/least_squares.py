@@ -80,7 +80,7 @@ def least_squares(
     upper: Any = None,
     ridge: Any = 0.0,
     centre: Any = None,
-    damping: float = 1e-3,
+    damping: Any = 1e-3,
     iterations: int = 50,
     tolerance: float | None = None,
     mode: str | None = None,

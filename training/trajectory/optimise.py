@@ -19,11 +19,12 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
+from jaxrod.control.arm import ActuatedArm
 from jaxrod.control.descent import clipped_adam, follow_gradient
 from jaxrod.control.reach import on_the_way, reach_problem
 from jaxrod.training.progress import ProgressBar
 from jaxrod.training.settings import LARGEST_COUNT
-from jaxrod.training.trajectory.actuated_arm import ActuatedArm, actuated_arm
+from jaxrod.training.trajectory.actuated_arm import actuated_arm
 from jaxrod.training.trajectory.cost import (
     TrajectoryCost,
     TrajectoryProblem,
