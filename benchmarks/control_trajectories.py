@@ -63,10 +63,6 @@ def reach_rows() -> Iterable[str]:
             problem, iterations=5, mode="forward"
         ),
         "`adam`": lambda: control.adam(problem, iterations=150),
-        "`cross_entropy`, 64 samples": lambda: control.cross_entropy(
-            problem, iterations=40
-        ),
-        "`mppi`, 64 samples": lambda: control.mppi(problem, iterations=40),
     }
     for name, solve in solvers.items():
         (found, first), (_, second) = timed(solve), timed(solve)

@@ -10,7 +10,8 @@ import jaxrod
 from jaxrod import control
 
 N, LENGTH, RADIUS = 6, 1.0, 0.05
-TARGET = (0.35, 0.8, 0.1)
+MOST_TAPER = 0.4
+TARGET = (0.25, 0.9, 0.1)
 
 
 def rod(taper):
@@ -35,22 +36,20 @@ def tapered(data, design):
 
 
 @pytest.mark.slow
+@pytest.mark.default_precision
 def test_a_body_that_may_taper_needs_a_fifth_less_effort_for_the_same_reach(record):
     body, state = rod(0.0)
     scene = jaxrod.make_scene(
         body, jaxrod.clamp(state), jaxrod.exponential_damping(4.0)
     )
     spline = jaxrod.control_spline(3, LENGTH)
-    arm = control.ActuatedArm(scene, state, spline, jnp.asarray(75.0))
-    dt = 0.5 * float(jaxrod.stable_dt(replace(scene, rod=rod(0.7)[0])).dt)
-    problem = control.reach(arm, TARGET, 0.5, dt=dt, control_interval=0.025)
-    settings = {"n_knots": 5, "ridge": 1e-5, "iterations": 40}
-    fixed = control.codesign(
-        problem, tapered, {"taper": 0.0}, lower=-1e-9, upper=1e-9, **settings
-    )
-    free = control.codesign(
-        problem, tapered, {"taper": 0.0}, lower=-0.7, upper=0.7, **settings
-    )
+    arm = control.ActuatedArm(scene, state, spline, jnp.asarray(250.0))
+    dt = 0.5 * float(jaxrod.stable_dt(replace(scene, rod=rod(MOST_TAPER)[0])).dt)
+    problem = control.reach(arm, TARGET, 0.6, dt=dt, control_interval=0.06)
+    settings = {"n_knots": 6, "ridge": 1e-4, "iterations": 40}
+    fixed = control.levenberg_marquardt(problem, **settings)
+    limits = {"lower": -MOST_TAPER, "upper": MOST_TAPER}
+    free = control.codesign(problem, tapered, {"taper": 0.0}, **limits, **settings)
     efforts = []
     for found in (fixed, free):
         assert found.readouts["distance [m]"][-1] < 2e-3
@@ -60,7 +59,7 @@ def test_a_body_that_may_taper_needs_a_fifth_less_effort_for_the_same_reach(reco
     volumes = [
         float(jnp.sum(one.radii**2 * one.rest_lengths)) for one in (thinner, even)
     ]
-    assert volumes[0] == pytest.approx(volumes[1], rel=1e-9)
+    assert volumes[0] == pytest.approx(volumes[1], rel=1e-5)
     assert float(jaxrod.stable_dt(free.problem.data.scene).dt) >= dt
     assert abs(float(free.design["taper"])) > 0.1
     record(
