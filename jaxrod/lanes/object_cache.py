@@ -53,7 +53,9 @@ def keeps_objects(engine: Any, key: str) -> None:
 
 
 def _path(key: str) -> Path | None:
-    folder = jax.config.jax_compilation_cache_dir
-    if not folder or "://" in folder or not jax.config.jax_enable_compilation_cache:
+    # JAX defines its settings when it runs: their types are not known before.
+    settings: Any = jax.config
+    folder = settings.jax_compilation_cache_dir
+    if not folder or "://" in folder or not settings.jax_enable_compilation_cache:
         return None
     return Path(folder) / f"jaxrod-lanes-{hashlib.sha256(key.encode()).hexdigest()}"
