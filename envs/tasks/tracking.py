@@ -29,6 +29,7 @@ from jaxrod import RodState, control_spline, freeze
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
+    COST_WIDTH,
     OBSERVED_NODES,
     Arm,
     Bonus,
@@ -38,6 +39,7 @@ from jaxrod.envs.arm.arm_task import (
     observed_points,
     shown_distance,
     speed_and_direction,
+    tip_residuals,
 )
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.moving_target import Target, TargetParams
@@ -183,26 +185,18 @@ class Tracking:
         dict[str, Array],
     ]:
         """One control period: the couples set by the action act for 1.4 ms."""
-        bends = jnp.reshape(action, (2, N_CONTROLS))
-        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
         before = state.arm
-        arm, muscles, crashed = params.arm.advance(
-            before, state.muscles, controls, params.dt, self.substeps
-        )
-        # The published walls are tested after every half step.
-        target = moving_target.fly(
-            state.target, params.target, 0.5 * params.dt, 2 * self.substeps
-        )
-        steps = state.steps + 1
-        turning = steps % HEADING_STEPS == 0
+        state, crashed = self._moved(state, action, params, 1)
+        arm, target = state.arm, state.target
+        turning = state.steps % HEADING_STEPS == 0
         velocity = jnp.where(
             turning, moving_target.heading(key, params.target.speed), target.velocity
         )
-        state = TrackingState(arm, muscles, Target(target.position, velocity), steps)
+        state = dataclasses.replace(state, target=Target(target.position, velocity))
 
         distance_squared = jnp.sum((arm.tip - target.position) ** 2)
         reward = distance_reward(distance_squared, params.bonus)
-        timeout = steps >= self.episode_length
+        timeout = state.steps >= self.episode_length
         observation = self.observe(state)
         if self.variant == "paper":
             reward = jnp.where(crashed, params.crash_reward, reward)
@@ -216,6 +210,76 @@ class Tracking:
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
+
+    def predict(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        control_steps: int = 1,
+    ) -> TrackingState:
+        """The state later, under one action: the target flies on as it does now.
+
+        Between two new headings this is what steps make; none is foreseen.
+
+        Args:
+            state: Of the moment.
+            action: In [-1, 1].
+            params: Numbers of the task.
+            control_steps: For how many the action is held.
+        """
+        return self._moved(state, action, params, control_steps)[0]
+
+    def residuals(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, "3"]:
+        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        del action
+        return tip_residuals(
+            state.arm.tip - state.target.position, params.bonus.touching, width
+        )
+
+    def cost(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, ""]:
+        """Smooth cost of a state, least where the reward is greatest [1].
+
+        Args:
+            state: After the control step.
+            action: That led there.
+            params: Numbers of the task.
+            width: Distance from the target beyond which it grows linearly [m].
+        """
+        return jnp.sum(self.residuals(state, action, params, width) ** 2)
+
+    def _moved(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        control_steps: int,
+    ) -> tuple[TrackingState, Bool[Array, ""]]:
+        """Without a new heading; and whether the arm crashed."""
+        bends = jnp.reshape(action, (2, N_CONTROLS))
+        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
+        substeps = control_steps * self.substeps
+        arm, muscles, crashed = params.arm.advance(
+            state.arm, state.muscles, controls, params.dt, substeps
+        )
+        # The published walls are tested after every half step.
+        target = moving_target.fly(
+            state.target, params.target, 0.5 * params.dt, 2 * substeps
+        )
+        steps = state.steps + control_steps
+        return TrackingState(arm, muscles, target, steps), crashed
 
     def snapshot(self, state: TrackingState, params: TrackingParams) -> Snapshot:
         """The arm and the target."""
