@@ -5,8 +5,10 @@ if __name__ != "jaxrod.envs":
 
 from jaxrod.envs.action_repeat import ActionRepeat
 from jaxrod.envs.checking import check_environment
-from jaxrod.envs.protocol import Drawable, Environment
+from jaxrod.envs.memory_policy import MemoryPolicy
+from jaxrod.envs.protocol import Drawable, Environment, Plannable
 from jaxrod.envs.registry import make, names
+from jaxrod.envs.rollout import Rollout, rollout
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.wrappers import (
     EpisodeRecord,
@@ -20,6 +22,9 @@ __all__ = [
     "Drawable",
     "Environment",
     "EpisodeRecord",
+    "MemoryPolicy",
+    "Plannable",
+    "Rollout",
     "Snapshot",
     "VectorEnvironment",
     "VectorState",
@@ -27,4 +32,5 @@ __all__ = [
     "check_environment",
     "make",
     "names",
+    "rollout",
 ]

@@ -62,8 +62,3 @@ class MLPPolicy:
             bias = jnp.expand_dims(bias, tuple(range(hidden.ndim - 1)))
             hidden = hidden @ kernel + bias
         return OUTPUTS[self.output](hidden)
-
-
-def held_for(policy: Any) -> int:
-    """Control steps for which an action of a policy is to be held: 1 if not told."""
-    return getattr(policy, "action_repeat", 1)

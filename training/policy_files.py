@@ -35,7 +35,8 @@ from jaxrod.training.leaves import (
     with_leaves,
 )
 from jaxrod.training.normalisation import RunningMoments
-from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy, held_for
+from jaxrod.envs.memory_policy import held_for
+from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy
 
 PERCEPTRON, PYTREE = 1, 2
 """Formats of the files; there will be others when their meaning changes."""

@@ -1,11 +1,14 @@
 """Differentiable control: problems, and solvers by gradients and by sampling."""
 
 from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.mpc import PlanningPolicy, mpc
 from jaxrod.control.problem import Problem, make_problem
 
 __all__ = [
     "LeastSquares",
+    "PlanningPolicy",
     "Problem",
     "least_squares",
     "make_problem",
+    "mpc",
 ]

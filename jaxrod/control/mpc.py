@@ -157,13 +157,14 @@ class PlanningPolicy:
         iterations = jnp.where(begun, self.iterations, self.first)
         cost = PlanCost(
             params=self.params,
-            effort=self.effort,
-            smoothness=self.smoothness,
+            effort=self.effort.astype(values.dtype),
+            smoothness=self.smoothness.astype(values.dtype),
             env=self.env,
             knots=self.knots,
             spacing=spacing,
             hold=self.action_repeat,
         )
+        rate = self.rate.astype(values.dtype)
         key, own = jax.random.split(memory.key)
         keys = jax.random.split(own, values.shape[0])
 
@@ -173,11 +174,11 @@ class PlanningPolicy:
                 knots, reached = by_gauss_newton(cost, now, knots, state, iterations)
             elif self.method == "gradient":
                 knots, reached = by_gradient(
-                    cost, now, knots, state, iterations, self.rate
+                    cost, now, knots, state, iterations, rate
                 )
             else:
                 knots, reached = by_sampling(
-                    cost, now, knots, state, iterations, self.rate, key, self.samples
+                    cost, now, knots, state, iterations, rate, key, self.samples
                 )
             return jnp.concatenate([now[None], knots]), reached
 

@@ -109,7 +109,7 @@ def by_gauss_newton(
         )
         before = _or_infinite(jnp.sum(values**2) + cost.regular(now, knots))
         aim = quadratic_step(cost, values, rows, now, knots)
-        tried = knots + shares[:, None, None] * (aim - knots)
+        tried = knots[None] + shares[:, None, None] * (aim - knots)[None]
         costs = jax.vmap(lambda z: cost.least_squares(now, z, state))(tried)
         best = jnp.argmin(costs)
         better = costs[best] < before
