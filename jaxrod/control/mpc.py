@@ -42,6 +42,9 @@ from jaxrod.control.planning import (
 from jaxrod.structure import pytree, static
 from jaxrod.validation import check_count, check_seed
 
+START_DEVIATION, START_ITERATIONS = 0.6, 8
+"""Spread of the plans that an episode's first begins from, and how often they are
+drawn."""
 METHODS = ("gauss-newton", "gradient", "mppi")
 
 
@@ -108,6 +111,8 @@ class PlanningPolicy:
     """Iterations of an episode's first plan."""
     samples: int = static()
     """Noisy plans of `"mppi"`."""
+    starts: int = static()
+    """Noisy plans from which an episode's first begins."""
     method: str = static()
     """One of `METHODS`."""
 
@@ -168,6 +173,28 @@ class PlanningPolicy:
         key, own = jax.random.split(memory.key)
         keys = jax.random.split(own, values.shape[0])
 
+        def begin(values: Array, state: Any, key: Array) -> Array:
+            wide = jnp.asarray(START_DEVIATION, values.dtype)
+            knots, _ = by_sampling(
+                cost,
+                values[0],
+                values[1:],
+                state,
+                jnp.asarray(START_ITERATIONS),
+                wide,
+                key,
+                self.starts,
+            )
+            return jnp.concatenate([values[:1], knots])
+
+        if self.starts > 0:
+            values = lax.cond(
+                begun,
+                lambda values: values,
+                lambda values: jax.vmap(begin)(values, state, keys),
+                values,
+            )
+
         def one(values: Array, state: Any, key: Array) -> tuple[Array, Array]:
             now, knots = values[0], values[1:]
             if self.method == "gauss-newton":
@@ -201,6 +228,7 @@ def mpc(
     smoothness: float = 1e-2,
     rate: float | None = None,
     samples: int = 32,
+    starts: int = 0,
     seed: int = 0,
 ) -> PlanningPolicy:
     """A policy that plans with a model of the environment; see the module.
@@ -224,6 +252,8 @@ def mpc(
         rate: Step of Adam, by default 0.15, or deviation of the samples, by default
             0.3.
         samples: Noisy plans in each iteration of `"mppi"`.
+        starts: An episode's first plan begins from so many noisy ones, widely spread,
+            for tasks in which nearby plans are all bad; 0 begins at rest.
         seed: Of the samples.
 
     Raises:
@@ -257,6 +287,7 @@ def mpc(
     iterations = check_count("iterations", usual if iterations is None else iterations, 1)
     first = 8 * iterations if first is None else check_count("first", first, 1)
     samples = check_count("samples", samples, 2)
+    starts = check_count("starts", starts, 0)
     if rate is None:
         rate = 0.3 if method == "mppi" else 0.15
     for name, value in (("effort", effort), ("smoothness", smoothness)):
@@ -280,5 +311,6 @@ def mpc(
         iterations=iterations,
         first=first,
         samples=samples,
+        starts=starts,
         method=method,
     )
