@@ -80,7 +80,9 @@ def rollout(
                 f"{env.action_size}); got {given.shape}"
             )
         if steps is not None and steps != given.shape[0]:
-            raise ValueError(f"steps is {steps}, but there are {given.shape[0]} actions")
+            raise ValueError(
+                f"steps is {steps}, but there are {given.shape[0]} actions"
+            )
         steps = given.shape[0]
     elif steps is None:
         raise ValueError("steps must be given for a policy")

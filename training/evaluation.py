@@ -74,9 +74,7 @@ def evaluate(
     params = env.default_params() if env_params is None else env_params
     env = repeating(env, held_for(policy))
     plain = not isinstance(policy, MemoryPolicy)
-    if plain and (
-        not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0])
-    ):
+    if plain and (not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0])):
         # A plain function: part of the program. A `Policy` is an argument of it.
         policy = jax.tree_util.Partial(policy)
     record = _episodes(jax.random.key(seed), policy, params, env, episodes)

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrod.envs.memory_policy import held_for
 from jaxrod.files import (
     OBJECT,
     check_entries,
@@ -35,7 +36,6 @@ from jaxrod.training.leaves import (
     with_leaves,
 )
 from jaxrod.training.normalisation import RunningMoments
-from jaxrod.envs.memory_policy import held_for
 from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy
 
 PERCEPTRON, PYTREE = 1, 2

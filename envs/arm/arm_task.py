@@ -19,10 +19,6 @@ OBSERVED_NODES = 11
 """Points of the arm that are observed, base and tip included."""
 
 
-COST_WIDTH = 0.1
-"""Distance from the target beyond which the cost of a plan grows linearly [m]."""
-
-
 class Arm(Protocol):
     """Interface of an arm to its task: the `paper` and the `clean` one have it."""
 
@@ -81,26 +77,6 @@ def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
         + 0.5 * (distance_squared <= bonus.near**2)
         + 1.5 * (distance_squared <= bonus.touching**2)
     )
-
-
-def tip_residuals(
-    way: Float[Array, "3"], touching: Array, width: float | Array
-) -> Float[Array, "3"]:
-    r"""Smooth stand-in for the reward's distance, whose squares are the cost [1].
-
-    With $s = |way|/width$ the squares add up to
-    $2\,(width/touching)^2\,(\sqrt{1 + s^2} - 1)$: about $(|way|/touching)^2$ nearby,
-    linear far away, with a slope everywhere but at the target. The reward's bonuses are
-    steps, which have none.
-
-    Args:
-        way: From the target to the tip [m].
-        touching: Distance that costs about one [m].
-        width: Distance beyond which the cost grows linearly [m].
-    """
-    root = jnp.sqrt(1 + jnp.sum(way**2) / width**2)
-    # (root - 1) / s^2 without the difference of near numbers.
-    return way / touching * jnp.sqrt(2 / (1 + root))
 
 
 def shown_distance(arm: RodState, target: Float[Array, "3"]) -> Array:

@@ -22,7 +22,6 @@ from jaxrod import RodState, contact, control_spline, freeze
 from jaxrod.contacts.bodies import Body
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
-    COST_WIDTH,
     OBSERVED_NODES,
     Arm,
     Bonus,
@@ -32,9 +31,9 @@ from jaxrod.envs.arm.arm_task import (
     observed_points,
     shown_distance,
     speed_and_direction,
-    tip_residuals,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH
@@ -123,7 +122,7 @@ class ObstacleState:
 
 
 @dataclasses.dataclass(frozen=True)
-class ObstacleTask:
+class ObstacleTask(CostOfResiduals):
     """Base of the two tasks; see the module."""
 
     variant: Variant
@@ -319,23 +318,6 @@ class ObstacleTask:
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
         )
-
-    def cost(
-        self,
-        state: ObstacleState,
-        action: Float[Array, " action"],
-        params: ObstacleParams,
-        width: float = COST_WIDTH,
-    ) -> Float[Array, ""]:
-        """Smooth cost of a state, least where the reward is greatest [1].
-
-        Args:
-            state: After the control step.
-            action: That led there.
-            params: Numbers of the task.
-            width: Distance from the target beyond which it grows linearly [m].
-        """
-        return jnp.sum(self.residuals(state, action, params, width) ** 2)
 
     def _moved(
         self,

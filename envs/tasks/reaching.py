@@ -38,7 +38,6 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxrod import RodState, control_spline, freeze
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
-    COST_WIDTH,
     OBSERVED_NODES,
     Arm,
     Bonus,
@@ -48,9 +47,9 @@ from jaxrod.envs.arm.arm_task import (
     observed_points,
     shown_distance,
     speed_and_direction,
-    tip_residuals,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.published.arm import published_arm
@@ -124,7 +123,7 @@ class ReachingState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Reaching:
+class Reaching(CostOfResiduals):
     """The reaching task; see the module. Make one with `reaching`."""
 
     variant: Variant
@@ -275,23 +274,6 @@ class Reaching:
         turn = turn_from(tip_frame(state.arm), state.target.orientation)
         return jnp.concatenate([way, turn / jnp.sqrt(params.aligned[1])])
 
-    def cost(
-        self,
-        state: ReachingState,
-        action: Float[Array, " action"],
-        params: ReachingParams,
-        width: float = COST_WIDTH,
-    ) -> Float[Array, ""]:
-        """Smooth cost of a state, least where the reward is greatest [1].
-
-        Args:
-            state: After the control step.
-            action: That led there.
-            params: Numbers of the task.
-            width: Distance from the goal beyond which it grows linearly [m].
-        """
-        return jnp.sum(self.residuals(state, action, params, width) ** 2)
-
     def _moved(
         self,
         state: ReachingState,
@@ -352,9 +334,7 @@ def tip_frame(arm: RodState) -> Float[Array, "4"]:
     return sign * jnp.stack([w, -x, -y, -z])
 
 
-def turn_from(
-    frame: Float[Array, "4"], goal: Float[Array, "4"]
-) -> Float[Array, "3"]:
+def turn_from(frame: Float[Array, "4"], goal: Float[Array, "4"]) -> Float[Array, "3"]:
     """Vector part of the rotation between two frames, unit quaternions both [1].
 
     Its squares add up to the misalignment; it is the same for either sign of a frame

@@ -29,7 +29,6 @@ from jaxrod import RodState, control_spline, freeze
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
-    COST_WIDTH,
     OBSERVED_NODES,
     Arm,
     Bonus,
@@ -39,9 +38,9 @@ from jaxrod.envs.arm.arm_task import (
     observed_points,
     shown_distance,
     speed_and_direction,
-    tip_residuals,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.moving_target import Target, TargetParams
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
@@ -95,7 +94,7 @@ class TrackingState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tracking:
+class Tracking(CostOfResiduals):
     """The tracking task; see the module. Make one with `tracking`."""
 
     variant: Variant
@@ -242,23 +241,6 @@ class Tracking:
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
         )
-
-    def cost(
-        self,
-        state: TrackingState,
-        action: Float[Array, " action"],
-        params: TrackingParams,
-        width: float = COST_WIDTH,
-    ) -> Float[Array, ""]:
-        """Smooth cost of a state, least where the reward is greatest [1].
-
-        Args:
-            state: After the control step.
-            action: That led there.
-            params: Numbers of the task.
-            width: Distance from the target beyond which it grows linearly [m].
-        """
-        return jnp.sum(self.residuals(state, action, params, width) ** 2)
 
     def _moved(
         self,

@@ -1,7 +1,8 @@
 """Differentiable control: problems, and solvers by gradients and by sampling."""
 
 from jaxrod.control.least_squares import LeastSquares, least_squares
-from jaxrod.control.mpc import PlanningPolicy, mpc
+from jaxrod.control.mpc import mpc
+from jaxrod.control.planning_policy import PlanningPolicy
 from jaxrod.control.problem import Problem, make_problem
 
 __all__ = [

@@ -62,8 +62,7 @@ class PlanCost:
         return lax.scan(interval, state, self.actions(now, knots))[1]
 
     def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
-        """The environment's after every knot's interval, over the root of their
-        number."""
+        """The environment's after every interval, over the root of their number."""
         found = self.along(
             now,
             knots,
@@ -172,8 +171,7 @@ def by_gradient(
     iterations: Int[Array, ""],
     rate: Array,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Knots after so many steps of Adam, and the least cost on the way, whose knots
-    they are."""
+    """The best knots of so many steps of Adam, and their cost."""
     slow, slower = 0.8, 0.95
 
     def again(index: Array, given: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Model-predictive control: plans that are good, and that know nothing of the future."""
+"""Model-predictive control: good plans that know nothing of the future."""
 
 import dataclasses
 
@@ -132,7 +132,8 @@ def test_a_quadratic_problem_is_solved_within_its_bounds():
     found = quadratic_step(cost, values, jacobian, now, begin)
     assert float(jnp.abs(best).max()) == 1.0  # bounds do hold some
     assert float(jnp.abs(found).max()) <= 1.0
-    gained = (quadratic(begin) - quadratic(found)) / (quadratic(begin) - quadratic(best))
+    found, best, first = quadratic(found), quadratic(best), quadratic(begin)
+    gained = (first - found) / (first - best)
     assert 0.98 < float(gained) <= 1 + 1e-9
 
 
@@ -141,7 +142,7 @@ def test_what_cannot_be_planned_with_is_refused():
     class Blind:
         action_size: int = 1
 
-    with pytest.raises(ValueError, match="Blind cannot be planned with.*no predict"):
+    with pytest.raises(ValueError, match=r"Blind cannot be planned with.*no predict"):
         mpc(Blind())
     env = make("trivial")
     for wrong, words in [
