@@ -48,8 +48,9 @@ the arm, variant `clean`, on the same episodes (seed {seed} of `evaluate`):
 - **planned**: `jaxrod.control.mpc`, which plans with the rod itself and does not know
   what is random, untrained;
 - **learned**: the best learner of each recorded grid by the mean over its seeds, its
-  policies without exploration noise. They were measured on other episodes; those of the `paper` variant under the
-  published physics, too. Their shares are of the mean ceiling here;
+  policies without exploration noise. They were measured on other episodes, those of the
+  `paper` variant under the published physics, too. Their shares are of the mean
+  ceiling here;
 - **random**: actions drawn anew every {hold} control steps.
 
 ![Shares of the ceiling](../benchmarks/optimum/optimum.png)

@@ -2,8 +2,8 @@ r"""Model-predictive control: a policy that plans ahead with the model, ever aga
 
 A plan is a line of actions through `knots`, over the next `horizon` control steps. It
 is made better by one of three methods, its beginning is acted, and `replan` control
-steps later it is moved on and made better again (receding horizon, warm start). What is made
-small is
+steps later it is moved on and made better again (receding horizon, warm start). What is
+made small is
 
 $$\frac1K \sum_k |r(x_k)|^2 + \frac{e}{K} \sum_k |u_k|^2
   + \frac{s}{K} \sum_k |u_k - u_{k-1}|^2,$$

@@ -1,4 +1,4 @@
-"""`benchmarks/optimum.py`: ceilings by construction, and a page that says its records."""
+"""`benchmarks/optimum.py`: ceilings by construction, and a page of its records."""
 
 import dataclasses
 import json
