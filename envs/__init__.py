@@ -5,7 +5,12 @@ if __name__ != "jaxrod.envs":
 
 from jaxrod.envs.action_repeat import ActionRepeat
 from jaxrod.envs.checking import check_environment
-from jaxrod.envs.memory_policy import MemoryPolicy
+from jaxrod.envs.memory_policy import (
+    MemoryPolicy,
+    OneEpisode,
+    held_for,
+    remembering,
+)
 from jaxrod.envs.protocol import Drawable, Environment, Plannable
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.rollout import Rollout, rollout
@@ -23,6 +28,7 @@ __all__ = [
     "Environment",
     "EpisodeRecord",
     "MemoryPolicy",
+    "OneEpisode",
     "Plannable",
     "Rollout",
     "Snapshot",
@@ -30,7 +36,9 @@ __all__ = [
     "VectorState",
     "VectorStep",
     "check_environment",
+    "held_for",
     "make",
     "names",
+    "remembering",
     "rollout",
 ]

@@ -12,9 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs import (
+    Environment,
+    EpisodeRecord,
+    MemoryPolicy,
+    VectorEnvironment,
+    VectorState,
+    held_for,
+    remembering,
+)
 from jaxrod.envs.action_repeat import repeating
-from jaxrod.envs.memory_policy import MemoryPolicy, held_for, remembering
 from jaxrod.validation import check_seed
 
 

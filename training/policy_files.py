@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.envs.memory_policy import held_for
+from jaxrod.envs import held_for
 from jaxrod.files import (
     OBJECT,
     check_entries,

@@ -11,9 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from jaxrod.envs import Environment
+from jaxrod.envs import Environment, OneEpisode, held_for
 from jaxrod.envs.drawing import drawable, missing, replay, snapshots
-from jaxrod.envs.memory_policy import OneEpisode, held_for
 from jaxrod.structure import pytree
 from jaxrod.viz import Replay
 
