@@ -25,7 +25,7 @@ def plain(env, start, actions, params, key=KEY):
     return jax.lax.scan(one, start, (jnp.arange(len(actions)), actions))
 
 
-@pytest.mark.parametrize("steps", [1, 3, 16, 37])
+@pytest.mark.parametrize("steps", [1, 37])
 def test_results_and_gradients_are_the_plain_loops(steps):
     env = make("trivial", episode_length=100)
     params = env.default_params()
