@@ -91,7 +91,7 @@ def rollout(
     policy = None if given is not None else OneEpisode(act)
     repeat = 1 if given is not None else held_for(act)
 
-    def step(carry: Any, now: tuple[Array, Array | None]) -> tuple[Any, Any]:
+    def step(carry: Any, now: tuple[Array, Any]) -> tuple[Any, Any]:
         observation, state, held, running = carry
         index, action = now
         if policy is not None:
