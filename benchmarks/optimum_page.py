@@ -37,7 +37,8 @@ HEADER = """\
 # How good is good: what the tasks of the arm can earn
 
 Written by `python -m benchmarks.optimum`; do not edit. For those of the four tasks of
-the arm that have a record (`python -m benchmarks.optimum TASK`), variant `clean`, on the same episodes (seed {seed} of `evaluate`):
+the arm that have a record (`python -m benchmarks.optimum TASK`), variant `clean`, on
+the same episodes (seed {seed} of `evaluate`):
 
 - **ceiling**: the reward with the tip on the target, or as near to it as the arm's
   length from its base allows, and in `reaching` with the goal's orientation. By
