@@ -15,13 +15,16 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
 
+from docutils import nodes  # noqa: E402
+from docutils.utils.math.latex2mathml import tex2mathml  # noqa: E402
 from reference_pages import write_reference  # noqa: E402
+from sphinx.ext.napoleon import Config, GoogleDocstring  # noqa: E402
 
 import jaxrod  # noqa: E402
 
 project = "jaxrod"
 author = "jaxrod authors"
-copyright = "jaxrod authors"  # noqa: A001
+copyright = "jaxrod authors"
 version = release = jaxrod.__version__
 
 root_doc = "docs/index"
@@ -39,8 +42,6 @@ exclude_patterns = ["docs/conf.py", "docs/reference_pages.py"]
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
-    "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
 ]
 # The notebooks are executed by the tests, and hold what they made.
@@ -51,14 +52,11 @@ suppress_warnings = ["myst.header"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_mock_imports: list[str] = []
-napoleon_google_docstring = True
-napoleon_numpy_docstring = False
 default_role = "code"
 
 html_theme = "sphinx_book_theme"
 html_title = "jaxrod"
-html_static_path: list[str] = []
+html_math_renderer = "mathml"
 html_extra_path = ["site"]
 html_theme_options = {
     "show_navbar_depth": 1,
@@ -67,19 +65,27 @@ html_theme_options = {
 }
 
 
+def google_docstring(
+    app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Reads sections of a docstring; one of a field is plain text, colons included."""
+    if what not in ("attribute", "data", "property"):
+        lines[:] = GoogleDocstring(
+            lines, Config(napoleon_use_rtype=False), app, what, name, thing, options
+        ).lines()
+
+
 def math_in_docstrings(
     app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
 ) -> None:
     """Makes `$x$` in a docstring a formula, as it is in the pages."""
     text = "\n".join(lines)
-
-    def block(found: re.Match[str]) -> str:
-        formula = " ".join(found[1].split())
-        indent = re.match(r" *", found.string[found.string.rfind("\n", 0, found.start()) + 1 :])
-        space = indent[0] if indent else ""
-        return f"\n\n{space}.. math:: {formula}\n\n{space}"
-
-    text = re.sub(r"\$\$(.+?)\$\$", block, text, flags=re.DOTALL)
+    text = re.sub(
+        r"\$\$(.+?)\$\$",
+        lambda found: "\n\n.. math:: " + " ".join(found[1].split()) + "\n\n",
+        text,
+        flags=re.DOTALL,
+    )
     text = re.sub(
         r"(?<![\\$`])\$([^$`]+?)\$",
         lambda found: ":math:`" + " ".join(found[1].split()) + "`",
@@ -88,7 +94,22 @@ def math_in_docstrings(
     lines[:] = text.split("\n")
 
 
+def inline_math(translator: Any, node: nodes.Element) -> None:
+    """A formula in a line, as MathML: browsers draw it without a script."""
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise nodes.SkipNode
+
+
+def display_math(translator: Any, node: nodes.Element) -> None:
+    """A formula of its own."""
+    formula = tex2mathml(node.astext(), as_block=True)
+    translator.body.append(f'<div class="math">{formula}</div>')
+    raise nodes.SkipNode
+
+
 def setup(app: Any) -> None:
     """Writes the pages of the reference before anything is read."""
     write_reference(ROOT / "docs" / "reference")
-    app.connect("autodoc-process-docstring", math_in_docstrings, priority=100)
+    app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
+    app.connect("autodoc-process-docstring", google_docstring)
+    app.connect("autodoc-process-docstring", math_in_docstrings, priority=900)

@@ -1,4 +1,4 @@
-"""Pages of the reference: every public name with its docstring, a page for each room."""
+"""Pages of the reference: every public name and its docstring, a page a room."""
 
 from __future__ import annotations
 
