@@ -103,7 +103,7 @@ def inline_math(translator: Any, node: nodes.Element) -> None:
 def display_math(translator: Any, node: nodes.Element) -> None:
     """A formula of its own."""
     formula = tex2mathml(node.astext(), as_block=True)
-    translator.body.append(f'<div class="math">{formula}</div>')
+    translator.body.append(f'<div style="margin: 1em 0">{formula}</div>')
     raise nodes.SkipNode
 
 
