@@ -287,10 +287,10 @@ def near_ones(
     block = min(BLOCK, some.size)
     within = jnp.arange(block, dtype=jnp.int32)
 
-    def more(carry: tuple[Array, ...]) -> Array:
+    def more(carry: tuple[Array, Array, Array]) -> Array:
         return carry[0] < jnp.minimum(some.count, some.size)
 
-    def worked(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+    def worked(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         begin, taken, kept = carry
         listed = some.named(begin + within)
         near = listed.there & near_each_other(
