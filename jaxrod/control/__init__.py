@@ -6,6 +6,8 @@ from jaxrod.control.codesign import codesign
 from jaxrod.control.ilqr import ilqr
 from jaxrod.control.least_squares import LeastSquares, least_squares
 from jaxrod.control.levenberg_marquardt import levenberg_marquardt
+from jaxrod.control.mpc import mpc
+from jaxrod.control.planning_policy import PlanningPolicy
 from jaxrod.control.problem import Problem, make_problem
 from jaxrod.control.reach import Reach, UnreachableTargetWarning, reach
 from jaxrod.control.rolled_out import RolledOut, rolled_out
@@ -15,6 +17,7 @@ from jaxrod.control.solution import Solution
 __all__ = [
     "ActuatedArm",
     "LeastSquares",
+    "PlanningPolicy",
     "Problem",
     "Reach",
     "RolledOut",
@@ -27,6 +30,7 @@ __all__ = [
     "least_squares",
     "levenberg_marquardt",
     "make_problem",
+    "mpc",
     "mppi",
     "reach",
     "rolled_out",
