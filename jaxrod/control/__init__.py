@@ -1,11 +1,19 @@
 """Differentiable control: problems, and solvers by gradients and by sampling."""
 
+from jaxrod.control.fit import Fit, Forecast
+from jaxrod.control.identify import identify
 from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.parameters import Parameters, make_parameters
 from jaxrod.control.problem import Problem, make_problem
 
 __all__ = [
+    "Fit",
+    "Forecast",
     "LeastSquares",
+    "Parameters",
     "Problem",
+    "identify",
     "least_squares",
+    "make_parameters",
     "make_problem",
 ]
