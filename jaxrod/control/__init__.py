@@ -3,6 +3,7 @@
 from jaxrod.control.fit import Fit, Forecast
 from jaxrod.control.identify import identify
 from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.match_shape import ShapeMatch, match_shape
 from jaxrod.control.parameters import Parameters, make_parameters
 from jaxrod.control.problem import Problem, make_problem
 
@@ -12,8 +13,10 @@ __all__ = [
     "LeastSquares",
     "Parameters",
     "Problem",
+    "ShapeMatch",
     "identify",
     "least_squares",
     "make_parameters",
     "make_problem",
+    "match_shape",
 ]

@@ -30,6 +30,8 @@ from jaxrod.validation import is_traced
 
 VAGUE = 1.0
 """A direction known to no better than this share of the values is not determined."""
+NEAR = 0.1
+"""A search has converged if what is left is less than this many standard deviations."""
 PLAIN = 0.05
 """Shares of a direction below this are left out of words."""
 
@@ -70,8 +72,10 @@ class Fit:
     misfit: Float[Array, ""]
     """Sum of squares in units of the noise, for each degree of freedom: one if model
     and noise are right. One by definition where the noise was not given."""
+    remaining: Float[Array, ""]
+    """Gauss-Newton step from here to the minimum, in standard deviations."""
     converged: Bool[Array, ""]
-    """Whether the search has ended by itself."""
+    """Whether what remains is less than a tenth of a standard deviation."""
     iterations: Int[Array, ""]
     """Points tried after the first."""
     at_bound: Bool[Array, " p"]
@@ -94,9 +98,7 @@ class Fit:
     @property
     def vague(self) -> Bool[Array, " p"]:
         """Which directions, as rows of `directions`, the data do not determine."""
-        s = self.singular_values
-        hidden = s <= smallest_ratio(s.dtype) * s[..., :1]
-        return hidden | (s * VAGUE < 1) | ~jnp.isfinite(s)
+        return vague_ways(self.singular_values)
 
     @property
     def determined(self) -> Bool[Array, ""]:
@@ -169,6 +171,12 @@ class Fit:
             )
 
 
+def vague_ways(s: Array) -> Array:
+    """Which singular values are of directions that the data do not determine."""
+    hidden = s <= smallest_ratio(s.dtype) * s[..., :1]
+    return hidden | (s * VAGUE < 1) | ~jnp.isfinite(s)
+
+
 def smallest_ratio(dtype: Any) -> float:
     """Singular values below this share of the largest are round-off."""
     return float(jnp.finfo(dtype).eps) ** 0.5
@@ -217,7 +225,11 @@ def _remarks(fit: Fit) -> list[str]:
     lines.append(
         f"misfit {float(fit.misfit):.3g} over {int(fit.freedoms)} degrees of freedom; "
         f"{int(fit.iterations)} iterations"
-        + ("" if bool(fit.converged) else ", NOT CONVERGED")
+        + (
+            ""
+            if bool(fit.converged)
+            else f", NOT CONVERGED: {float(fit.remaining):.2g} standard deviations left"
+        )
     )
     if float(fit.misfit) > 1 + 5 * np.sqrt(2 / max(int(fit.freedoms), 1)):
         lines.append(

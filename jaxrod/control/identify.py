@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.fit import Fit, smallest_ratio
+from jaxrod.control.fit import NEAR, Fit, smallest_ratio, vague_ways
 from jaxrod.control.least_squares import least_squares
 from jaxrod.control.parameters import Parameters, make_parameters
 from jaxrod.validation import is_traced
@@ -129,6 +129,13 @@ def _fit(
     shared = jnp.any(hidden[:, None] & (ways**2 > 1e-4), axis=0)
     sds = jnp.abs(parameters.slopes(point)) * jnp.sqrt(jnp.diagonal(covariance))
     low, high = bounds
+    at_bound = (point <= low) | (point >= high)
+    # The Gauss-Newton step that is left, in standard deviations, along what the data
+    # determine and no bound holds.
+    pull = (found.residuals / safe) @ jacobian
+    pull = jnp.where(sound & ~at_bound, pull, 0)
+    left = jnp.where(vague_ways(s), 0, (ways @ pull) * inverse)
+    remaining = jnp.where(sound, jnp.sqrt(jnp.sum(left**2)), jnp.inf)
     return Fit(
         parameters=parameters,
         values=parameters.values(point),
@@ -138,9 +145,10 @@ def _fit(
         directions=ways,
         residual_sd=_spreads(found.residuals, seen, noise),
         misfit=misfit if given else misfit / safe**2,
-        converged=found.converged,
+        remaining=remaining,
+        converged=remaining < NEAR,
         iterations=found.iterations,
-        at_bound=(point <= low) | (point >= high),
+        at_bound=at_bound,
         freedoms=freedoms,
     )
 
@@ -215,7 +223,9 @@ def _noise(sd: Any, observed: Any) -> Any:
             f"{jax.tree.structure(sd)} for {tree}"
         ) from error
     return jax.tree.map(
-        lambda s, o: jnp.broadcast_to(jnp.asarray(s, jnp.asarray(o).dtype), jnp.shape(o)),
+        lambda s, o: jnp.broadcast_to(
+            jnp.asarray(s, jnp.asarray(o).dtype), jnp.shape(o)
+        ),
         full,
         observed,
     )
