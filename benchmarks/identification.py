@@ -4,12 +4,13 @@
 
 `dropped`: an arm that is let go, from noisy positions, and with a force sensor at the
 clamp; what positions alone do not say; 100 draws of the noise. `poses`: eight poses at
-rest. `shapes`: rest curvatures that make an arm take a shape. All by default; what is not
-measured keeps its rows.
+rest. `shapes`: rest curvatures that make an arm take a shape. All by default; what is
+not measured keeps its rows.
 
-float32 on one core. Seconds are of processor time; compiling, with the first run, apart.
-Every observation is simulated with the model that is fitted, and noise is added: what is
-measured is the search and the standard deviations, not whether a model is right.
+float32 on one core. Seconds are of processor time; compiling, with the first run,
+apart. Every observation is simulated with the model that is fitted, and noise is added:
+what is measured is the search and its standard deviations, not whether a model is
+right.
 """
 
 from __future__ import annotations
@@ -149,8 +150,9 @@ def dropped_rows() -> Iterable[str]:
     fits, first, run = timed(many, draws)
     z = {k: np.asarray(v) for k, v in fits.z(two).items()}
     shown = "; ".join(f"{k} {v.mean():+.2f} ± {v.std():.2f}" for k, v in z.items())
+    ended = int(np.sum(fits.converged))
     yield (
-        f"| 100 draws of the noise, at once | {int(np.sum(fits.converged))} converged | "
+        f"| 100 draws of the noise, at once | {ended} converged | "
         f"z-scores: {shown} | | {int(np.max(fits.iterations))} | {first:.1f} | "
         f"{run:.2f} |"
     )

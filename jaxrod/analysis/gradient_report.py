@@ -1,19 +1,19 @@
-r"""A report on derivatives through time: are they right, what do they cost, what remains.
+r"""A report on derivatives through time: errors, cost, memory, and what remains.
 
 A scene is run for a time that is cut into equal intervals. Controls are two couples per
 interval, the same on all elements, and a stiffness by its logarithm; the loss is the
 squared distance of the tip from a point. Measured are
 
-- errors of derivatives in reverse and forward mode along a direction $d$ against central
-  differences $(L(z + h d) - L(z - h d)) / 2h$ over step sizes $h$, in float64, and
-  against float64 in float32;
+- errors of derivatives in reverse and forward mode along a direction $d$ against
+  central differences $(L(z + h d) - L(z - h d)) / 2h$ over step sizes $h$, in float64,
+  and against float64 in float32;
 - processor time of a gradient by that of the forward pass, of one rod and of a batch;
 - memory that a compiled gradient works in, by the number of steps;
 - singular values of the tip's derivative by the controls so far, $\partial x_k /
   \partial u_{1..k}$, by the horizon $k$.
 
-Source: the measures are those of Mosaic (Pasteur Labs, arXiv 2606.27895), which looks at
-solvers of fields.
+Source: the measures are those of Mosaic (Pasteur Labs, arXiv 2606.27895), which looks
+at solvers of fields.
 """
 
 from __future__ import annotations
@@ -263,15 +263,9 @@ def _errors(
         "float64": _hurried(jax.grad(double.loss))(double.start()),
         "float32": programs["gradient"][0](*programs["gradient"][1])[1],
     }
-    whole = {
-        kind: np.concatenate(
-            [np.ravel(np.asarray(tree[k], float)) for k in sorted(tree)]
-        )
-        for kind, tree in gradient.items()
-    }
+    whole = {kind: _row(tree) for kind, tree in gradient.items()}
     way = _direction(double)
-    along = np.concatenate([np.ravel(way[k]) for k in sorted(way)])
-    reverse = float(np.vdot(whole["float64"], along))
+    reverse = float(np.vdot(whole["float64"], _row(way)))
     moved = sum(
         np.tensordot(np.asarray(columns[k])[-1], np.asarray(way[k]), np.ndim(way[k]))
         for k in way
@@ -290,6 +284,10 @@ def _errors(
         ),
         "single_forward": abs(forward_single - forward) / abs(forward),
     }
+
+
+def _row(tree: dict[str, Any]) -> np.ndarray:
+    return np.concatenate([np.ravel(np.asarray(tree[k], float)) for k in sorted(tree)])
 
 
 def _differences(run: _Run, losses: Callable[..., Any], rods: int) -> np.ndarray:

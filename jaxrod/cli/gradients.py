@@ -1,10 +1,10 @@
 """Measure derivatives through time: errors, cost, memory, what a tip still feels.
 
 Takes a named scene (swing: an arm let go; slam: the same onto a post, with and without
-the contact; rope: a thin one), differentiates the end of the run with respect to couples
-over time and the stiffness, and compares with central differences over step sizes, in
-float64 and float32. Prints two tables; with --out, writes report.md, report.json and
-gradients.png too. A minute or two for each scene.
+the contact; rope: a thin one), differentiates the end of the run with respect to
+couples over time and the stiffness, and compares with central differences over step
+sizes, in float64 and float32. Prints two tables; with --out, writes report.md,
+report.json and gradients.png too. A minute or two for each scene.
 
 Exits with 0 if the derivative in float64 is right to 1e-6, and with 1 if not.
 """

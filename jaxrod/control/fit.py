@@ -233,8 +233,9 @@ def _remarks(fit: Fit) -> list[str]:
     )
     if float(fit.misfit) > 1 + 5 * np.sqrt(2 / max(int(fit.freedoms), 1)):
         lines.append(
-            "the misfit is more than noise: the model is wrong somewhere, the search has "
-            "stopped short, or sd is too small; standard deviations are too small then"
+            "the misfit is more than noise: the model is wrong somewhere, the search "
+            "has stopped short, or sd is too small; the standard deviations are too "
+            "small then"
         )
     for k, name in enumerate(fit.names):
         if bool(fit.at_bound[k]):

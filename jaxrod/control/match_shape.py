@@ -66,7 +66,7 @@ def match_shape(
     twist: bool = False,
     iterations: int = 30,
 ) -> ShapeMatch:
-    """A rod that takes a shape under the loads of a scene. Pure; works under `jax.vmap`.
+    """A rod that takes a shape under the loads of a scene. Pure; works under `vmap`.
 
     Args:
         scene: The scene; something has to hold the rod.

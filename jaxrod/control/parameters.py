@@ -9,7 +9,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxrod.structure import pytree, static
@@ -18,9 +17,9 @@ from jaxrod.validation import is_traced
 
 @pytree
 class Parameters:
-    """Names, start and scales of parameters that are sought.
+    r"""Names, start and scales of parameters that are sought.
 
-    Search variables are logarithms of shares of the start, $z = \\log(p / p_0)$, or
+    Search variables are logarithms of shares of the start, $z = \log(p / p_0)$, or
     deviations as shares of a scale, $z = (p - p_0) / s$.
     """
 
@@ -115,7 +114,7 @@ def make_parameters(
             f"log names {', '.join(strange)}, which start does not: "
             f"it has {', '.join(start)}"
         )
-    dtype = jnp.result_type(ravel_pytree(dict(start))[0], jnp.float32)
+    dtype = jnp.result_type(1.0, *jax.tree.leaves(dict(start)))
     first = {name: jnp.asarray(value, dtype) for name, value in start.items()}
     for name, value in first.items():
         if is_traced(value):

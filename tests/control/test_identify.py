@@ -55,6 +55,7 @@ def test_a_straight_line_has_its_closed_form():
     assert found == pytest.approx(list(share * sds), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_those_of_many_draws():
     clean = ring(TRUTH)
     draws = clean[None] + jnp.asarray(noise(1, (400, len(TIMES))))
@@ -103,6 +104,7 @@ def test_what_the_data_do_not_say_is_said_in_words():
     assert set(fit.residual_sd) == {"film", "weight"}
 
 
+@pytest.mark.slow
 def test_a_parameter_that_does_nothing_is_named_alone():
     observed = ring(TRUTH) + noise(3)
     fit = identify(ring, observed, START | {"colour": 1.0}, sd=SD)
@@ -111,6 +113,7 @@ def test_a_parameter_that_does_nothing_is_named_alone():
     assert float(fit.values["rate"]) == pytest.approx(TRUTH["rate"], rel=0.2)
 
 
+@pytest.mark.slow
 def test_observations_that_were_not_made_are_left_out():
     observed = np.asarray(ring(TRUTH) + noise(4))
     hidden = observed.copy()
@@ -122,6 +125,7 @@ def test_observations_that_were_not_made_are_left_out():
     assert int(fit.freedoms) == int(cut.freedoms) == 23
 
 
+@pytest.mark.slow
 def test_bounds_hold_and_are_said():
     fit = identify(ring, ring(TRUTH), START, sd=SD, lower={"rate": 1.0})
     assert float(fit.values["rate"]) == pytest.approx(1.0)
@@ -129,12 +133,14 @@ def test_bounds_hold_and_are_said():
     assert "more than noise" in str(fit)
 
 
+@pytest.mark.slow
 def test_a_search_that_was_cut_short_says_so():
     fit = identify(ring, ring(TRUTH), START, sd=SD, iterations=2)
     assert not bool(fit.converged)
     assert "NOT CONVERGED" in str(fit)
 
 
+@pytest.mark.slow
 def test_forecasts_have_the_spread_of_many_fits():
     later = np.linspace(2, 3, 5)
 
@@ -148,6 +154,7 @@ def test_forecasts_have_the_spread_of_many_fits():
     np.testing.assert_allclose(np.mean(np.asarray(ahead.sd), axis=0), spread, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_arrays_are_parameters_too():
     truth = {"heights": np.array([1.0, 2.0, 3.0])}
     fit = identify(
