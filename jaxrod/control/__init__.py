@@ -6,6 +6,7 @@ from jaxrod.control.least_squares import LeastSquares, least_squares
 from jaxrod.control.match_shape import ShapeMatch, match_shape
 from jaxrod.control.parameters import Parameters, make_parameters
 from jaxrod.control.problem import Problem, make_problem
+from jaxrod.control.shots import shots, windows
 
 __all__ = [
     "Fit",
@@ -19,4 +20,6 @@ __all__ = [
     "make_parameters",
     "make_problem",
     "match_shape",
+    "shots",
+    "windows",
 ]
