@@ -3,8 +3,8 @@
     python -m benchmarks.identification [dropped forced poses shapes] [--dry]
 
 `dropped`: an arm that is let go, from noisy positions; 100 draws of the noise; what
-positions alone do not say. `forced`: the same with a force sensor at the clamp. `poses`:
-eight poses at rest. `shapes`: rest curvatures that make an arm take a shape. All by
+positions alone do not say. `forced`: the same with a force sensor at the clamp.
+`poses`: eight poses at rest. `shapes`: rest curvatures that make an arm take a shape. All by
 default; what is not measured keeps its rows.
 
 float32 on one core. Seconds are of processor time; compiling, with the first run,
@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "identification.md"
 HEADS = {
     "dropped": (
-        "| dropped arm, 60 films a second | found | errors | stated sd "
+        "| dropped arm, 60 frames a second | found | errors | stated sd "
         "| iterations | first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
     ),
     "forced": (
