@@ -4,8 +4,8 @@
 
 `dropped`: an arm that is let go, from noisy positions; 100 draws of the noise; what
 positions alone do not say. `forced`: the same with a force sensor at the clamp.
-`poses`: eight poses at rest. `shapes`: rest curvatures that make an arm take a shape. All by
-default; what is not measured keeps its rows.
+`poses`: eight poses at rest. `shapes`: rest curvatures that make an arm take a shape.
+All by default; what is not measured keeps its rows.
 
 float32 on one core. Seconds are of processor time; compiling, with the first run,
 apart. Every observation is simulated with the model that is fitted, and noise is added:
