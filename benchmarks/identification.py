@@ -277,8 +277,8 @@ class Shapes:
         self.scene = jaxrod.make_scene(
             rod, jaxrod.clamp(state), jaxrod.gravity((0.0, -9.81, 0.0))
         )
-        self.state = state
-        self.nodes = tuple(range(n // 10, n + 1, n // 10))
+        self.state, self.every = state, max(1, n // 10)
+        self.nodes = tuple(range(self.every, n + 1, self.every))
 
     def target(self, key: Any) -> Any:
         """Markers on a smooth curve as long as the arm, bent by up to two radians."""
@@ -290,7 +290,7 @@ class Shapes:
         x, y = jnp.cos(tilt) * jnp.cos(turn), jnp.sin(tilt)
         z = jnp.cos(tilt) * jnp.sin(turn)
         steps = 0.5 / n * jnp.stack([x, y, z])
-        return jnp.cumsum(steps, axis=1)[:, n // 10 - 1 :: n // 10]
+        return jnp.cumsum(steps, axis=1)[:, self.every - 1 :: self.every]
 
     def match(self, markers: Any) -> Any:
         """The arm whose equilibrium it is."""

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from jaxrod.cli import settings
 
 if TYPE_CHECKING:
-    from jaxrod.analysis.gradient_report import GradientReport
+    from jaxrod.tradeoff.gradient_report import GradientReport
 
 EXAMPLES = """\
 examples:
@@ -84,8 +84,7 @@ def run(args: argparse.Namespace) -> int:
 def _reports(args: argparse.Namespace) -> list[GradientReport]:
     import jax
 
-    from jaxrod.analysis.gradient_report import gradient_report
-    from jaxrod.contacts.contact import Contact
+    from jaxrod.tradeoff.gradient_report import gradient_report, without_contact
     from jaxrod.tradeoff.scenes import SCENES as PROBLEMS
 
     problem = PROBLEMS[args.scene]()
@@ -97,9 +96,8 @@ def _reports(args: argparse.Namespace) -> list[GradientReport]:
     with jax.enable_x64(True):
         scene, state = problem.build(args.elements, "consistent")
     reports = [gradient_report(scene, state, name=args.scene, **options)]
-    left = tuple(e for e in scene.effects if not isinstance(e, Contact))
-    if len(left) < len(scene.effects):
-        free = dataclasses.replace(scene, effects=left)
+    free = without_contact(scene)
+    if free is not None:
         name = f"{args.scene}, no contact"
         reports.append(gradient_report(free, state, name=name, **options))
     return reports

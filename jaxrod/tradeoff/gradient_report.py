@@ -29,6 +29,7 @@ import numpy as np
 from jax import lax
 
 from jaxrod.analysis.stability import stable_dt
+from jaxrod.contacts.contact import Contact
 from jaxrod.effects.actuation import ElementCouples
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
@@ -217,6 +218,14 @@ class _Run:
         """From there to the last tip."""
         length = np.sum(np.asarray(self.scene.rod.rest_lengths))
         return tips[-1] - jnp.asarray(np.array([0.3, -0.4, 0.2]) * length, self.dtype)
+
+
+def without_contact(scene: Scene) -> Scene | None:
+    """The scene with nothing to touch; `None` if there is nothing anyway."""
+    left = tuple(e for e in scene.effects if not isinstance(e, Contact))
+    if len(left) == len(scene.effects):
+        return None
+    return dataclasses.replace(scene, effects=left)
 
 
 Program = tuple[Callable[..., Any], tuple[Any, ...]]
