@@ -148,7 +148,20 @@ def _equilibrium(
 
 
 def _no_moves(motion: Motion) -> Moves:
-    return Moves(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
+    """Moves of zero, made of the motion.
+
+    Under `vmap` they have to be as many as what they are differentiated with: of plain
+    zeros there would be one set for all rods, and JAX takes the derivatives of a
+    compiled function with its own derivative rule to be one set, too.
+    """
+
+    def nothing(component: Array) -> Array:
+        return jnp.where(component < jnp.inf, 0, jnp.zeros_like(component))
+
+    _, *turning = motion.orientation
+    x, y, z = motion.position
+    q1, q2, q3 = turning
+    return Moves(*jax.tree.map(nothing, ((x, y, z), (q1, q2, q3))))
 
 
 def _keep_held(scene: Scene, found: Motion, start: Motion) -> Motion:

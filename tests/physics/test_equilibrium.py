@@ -225,6 +225,28 @@ def test_a_batch_of_equilibria_is_found_as_one_by_one(dtype):
         assert difference(one.state, member.state) < bar
 
 
+@pytest.mark.slow
+def test_derivatives_of_a_batch_of_equilibria_are_those_of_each():
+    rod, state = arm(4, radius=0.02)
+    forces = jnp.asarray([[1.0, 0.0, 0.0], [2.0, 3.0, -4.0]]) * bending(rod)
+
+    def tip(stiffness, force):
+        soft = replace(rod, bend_twist_stiffness=stiffness * rod.bend_twist_stiffness)
+        return under_end_load(soft, state, force).state.tip
+
+    def tips(stiffness):
+        return jax.vmap(lambda force: tip(stiffness, force))(forces)
+
+    hurry = partial(jax.jit, compiler_options=HURRY)
+    together, backwards = hurry(jax.jacfwd(tips))(1.0), hurry(jax.jacrev(tips))(1.0)
+    step = 1e-4
+    for index, force in enumerate(forces):
+        change = tip(1 + step, force) - tip(1 - step, force)
+        expected = change / (2 * step)
+        for found in (together, backwards):
+            np.testing.assert_allclose(found[index], expected, rtol=1e-6, atol=1e-9)
+
+
 def test_what_has_not_converged_says_so():
     rod, state = arm(20, radius=0.005)
     found = under_end_load(rod, state, (5 * bending(rod), 0, 0), max_iterations=3)

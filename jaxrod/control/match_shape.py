@@ -1,0 +1,162 @@
+r"""Inverse design at rest: what makes a rod take a given shape.
+
+Found are rest curvatures $\kappa_0$ of joints, or stiffnesses of elements, so that the
+markers $m_k$ of the equilibrium are where they should be,
+
+$$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
+
+with a tolerance $\epsilon$, $z$ being rest curvatures less their first values in units
+of a curvature, or logarithms of factors of stiffness. The second term says which of the
+many designs with the same markers it is: the one nearest to the given rod. Derivatives
+are those of `equilibrium`, one linear solve for each number that is matched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrod.control.least_squares import least_squares
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Scene, scene_of
+from jaxrod.statics.equilibrium import Equilibrium, equilibrium
+from jaxrod.structure import pytree
+from jaxrod.validation import as_array, check_count, is_traced
+
+OVER = ("rest_curvature", "stiffness")
+"""What may be sought."""
+
+
+@pytree
+class ShapeMatch:
+    """A rod whose equilibrium has a given shape, if `converged`."""
+
+    scene: Scene
+    """The scene with the rod that was found."""
+    equilibrium: Equilibrium
+    """Its equilibrium; look at `stable` too."""
+    error: Float[Array, ""]
+    """Largest distance of a marker from where it should be [m]."""
+    rest_curvature: Float[Array, "3 n-1"]
+    """Change of the rest curvatures of the joints [1/m]; zero if not sought."""
+    stiffness: Float[Array, " n"]
+    """Factors of the elements' stiffnesses; one if not sought."""
+    converged: Bool[Array, ""]
+    """Whether the error is below the tolerance, in a stable equilibrium."""
+    iterations: Int[Array, ""]
+    """Points tried after the first."""
+
+
+def match_shape(
+    scene: Scene,
+    state: RodState,
+    markers: Any,
+    nodes: Sequence[int],
+    *,
+    over: Sequence[str] = ("rest_curvature",),
+    tolerance: float = 1e-3,
+    curvature: float | None = None,
+    stiffness: float = 1.0,
+    twist: bool = False,
+    iterations: int = 30,
+) -> ShapeMatch:
+    """A rod that takes a shape under the loads of a scene. Pure; works under `vmap`.
+
+    Args:
+        scene: The scene; something has to hold the rod.
+        state: Where equilibria are sought from, as in `equilibrium`.
+        markers: Where nodes should be `(3, markers)` [m].
+        nodes: Which nodes they are.
+        over: What is sought, `"rest_curvature"` or `"stiffness"` or both.
+        tolerance: How near markers have to be [m].
+        curvature: Change of a rest curvature that costs as much as a marker off by the
+            tolerance [1/m]; by default 30 radians over the length of the rod.
+        stiffness: Logarithm of a factor of stiffness that costs as much [1].
+        twist: Whether rest twist is sought too, with rest curvature.
+        iterations: Points tried after the first, at most.
+
+    Raises:
+        ValueError: An argument is out of range or does not fit, or as `equilibrium`.
+        TypeError: If `scene` or `state` is something else.
+    """
+    scene = scene_of(scene, state)
+    rod = scene.rod
+    dtype, n = rod.rest_lengths.dtype, rod.n_elements
+    at = _checked_nodes(nodes, n)
+    if not over or any(word not in OVER for word in over):
+        raise ValueError(f"over must name some of {', '.join(OVER)}, got {over!r}")
+    for name, value in (("tolerance", tolerance), ("stiffness", stiffness)):
+        as_array(name, value, "", positive=True, dtype=dtype)
+    target = jnp.asarray(markers, dtype)
+    if target.shape != (3, len(at)):
+        raise ValueError(
+            f"markers must have shape {(3, len(at))}, one column for each of nodes, "
+            f"got {target.shape}"
+        )
+    iterations = check_count("iterations", iterations, 1)
+    unit = 30 / jnp.sum(rod.rest_lengths) if curvature is None else curvature
+    unit = jnp.asarray(unit, dtype)
+    unknowns: dict[str, Array] = {}
+    if "rest_curvature" in over:
+        unknowns["rest_curvature"] = jnp.zeros((3 if twist else 2, n - 1), dtype)
+    if "stiffness" in over:
+        unknowns["stiffness"] = jnp.zeros((n,), dtype)
+
+    def designed(z: dict[str, Array]) -> tuple[Array, Array, Scene]:
+        bent = jnp.zeros((3, n - 1), dtype)
+        if "rest_curvature" in z:
+            rows = unit * z["rest_curvature"]
+            bent = jnp.concatenate([rows, bent[len(rows) :]])
+        factor = jnp.exp(stiffness * z.get("stiffness", jnp.zeros((n,), dtype)))
+        made = replace(
+            rod,
+            rest_curvatures=rod.rest_curvatures + bent,
+            shear_stretch_stiffness=rod.shear_stretch_stiffness * factor[None],
+            bend_twist_stiffness=rod.bend_twist_stiffness * factor[None],
+        )
+        return bent, factor, replace(scene, rod=made)
+
+    def found(z: dict[str, Array]) -> Equilibrium:
+        return equilibrium(designed(z)[2], state)
+
+    def away(z: dict[str, Array]) -> Array:
+        rest = found(z)
+        gap = _columns(rest.state.positions, at) - target
+        # A point without an equilibrium is no design.
+        return jnp.where(rest.converged, gap, jnp.inf) / tolerance
+
+    best = least_squares(away, unknowns, ridge=1.0, iterations=iterations)
+    bent, factor, made = designed(best.solution)
+    rest = found(best.solution)
+    gap = _columns(rest.state.positions, at) - target
+    error = jnp.max(jnp.sqrt(jnp.sum(gap**2, axis=0)))
+    return ShapeMatch(
+        scene=made,
+        equilibrium=rest,
+        error=error,
+        rest_curvature=bent,
+        stiffness=factor,
+        converged=(error < tolerance) & rest.stable,
+        iterations=best.iterations,
+    )
+
+
+def _checked_nodes(nodes: Sequence[int], n: int) -> tuple[int, ...]:
+    if is_traced(nodes):
+        raise ValueError("nodes must be integers known when the program is traced")
+    at = tuple(check_count("nodes", int(k), 0, n) for k in np.asarray(nodes).ravel())
+    if not at or list(at) != sorted(set(at)):
+        raise ValueError(f"nodes must be different and in order, got {nodes!r}")
+    return at
+
+
+def _columns(positions: Array, at: tuple[int, ...]) -> Array:
+    """Columns at fixed places, by slices: nothing is gathered."""
+    columns = [jax.lax.slice_in_dim(positions, k, k + 1, axis=1) for k in at]
+    return jnp.concatenate(columns, axis=1)

@@ -1,0 +1,131 @@
+"""Named parameters, and the variables by which they are sought."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.structure import pytree, static
+from jaxrod.validation import is_traced
+
+
+@pytree
+class Parameters:
+    r"""Names, start and scales of parameters that are sought.
+
+    Search variables are logarithms of shares of the start, $z = \log(p / p_0)$, or
+    deviations as shares of a scale, $z = (p - p_0) / s$.
+    """
+
+    start: dict[str, Any]
+    """Where a search begins, $p_0$."""
+    scales: dict[str, Any]
+    """Of those not sought by their logarithm, $s$: sizes of the start, 1 for a zero."""
+    shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
+    """Names in alphabetical order, each with its shape."""
+    log: tuple[str, ...] = static()
+    """Which are sought by their logarithm."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all numbers, one after the other, as in `flat`."""
+        return tuple(
+            name + ("[" + ",".join(map(str, place)) + "]" if shape else "")
+            for name, shape in self.shapes
+            for place in np.ndindex(shape)
+        )
+
+    @property
+    def by_log(self) -> tuple[bool, ...]:
+        """Of all numbers, whether they are sought by their logarithm."""
+        return tuple(
+            name in self.log for name, shape in self.shapes for _ in np.ndindex(shape)
+        )
+
+    def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
+        """Numbers of all parameters, one after the other."""
+        return jnp.concatenate([jnp.ravel(values[name]) for name, _ in self.shapes])
+
+    def named(self, flat: Float[Array, " p"]) -> dict[str, Array]:
+        """The inverse of `flat`."""
+        found, at = {}, 0
+        for name, shape in self.shapes:
+            size = math.prod(shape)
+            found[name] = jnp.reshape(flat[at : at + size], shape)
+            at += size
+        return found
+
+    def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
+        """Search variables of parameters."""
+        first, scale, value = map(self.flat, (self.start, self.scales, values))
+        log = np.asarray(self.by_log)
+        # Both branches finite, so that derivatives are.
+        ratio = jnp.where(log, value, 1) / jnp.where(log, first, 1)
+        return jnp.where(log, jnp.log(ratio), (value - first) / scale)
+
+    def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
+        """Parameters of search variables."""
+        first, scale = self.flat(self.start), self.flat(self.scales)
+        log = np.asarray(self.by_log)
+        factor = jnp.exp(jnp.where(log, point, 0))
+        return self.named(jnp.where(log, first * factor, first + scale * point))
+
+    def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Derivative of each parameter by its own search variable."""
+        first, scale = self.flat(self.start), self.flat(self.scales)
+        log = np.asarray(self.by_log)
+        return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
+
+    def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:
+        """Bounds of search variables; infinite where none is given."""
+        far = {}
+        for name, shape in self.shapes:
+            none = 0.0 if sign < 0 and name in self.log else sign * jnp.inf
+            far[name] = jnp.broadcast_to((given or {}).get(name, none), shape)
+        return self.searched(far)
+
+
+def make_parameters(
+    start: Mapping[str, Any], log: bool | Iterable[str] = True
+) -> Parameters:
+    """Parameters by name, checked.
+
+    Args:
+        start: Where a search begins; numbers or arrays by name.
+        log: Which are sought by their logarithm, so that they stay positive: names, or
+            all or none.
+
+    Raises:
+        ValueError: There is none, a name of `log` is none of them, one sought by its
+            logarithm is not positive, or one is not finite.
+    """
+    if not start:
+        raise ValueError("start must name at least one parameter")
+    names = tuple(start) if log is True else tuple(log or ())
+    strange = [name for name in names if name not in start]
+    if strange:
+        raise ValueError(
+            f"log names {', '.join(strange)}, which start does not: "
+            f"it has {', '.join(start)}"
+        )
+    dtype = jnp.result_type(1.0, *jax.tree.leaves(dict(start)))
+    first = {name: jnp.asarray(value, dtype) for name, value in start.items()}
+    for name, value in first.items():
+        if is_traced(value):
+            continue
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"start of {name} must be finite, got {start[name]!r}")
+        if name in names and not np.all(np.asarray(value) > 0):
+            raise ValueError(
+                f"start of {name} must be positive to be sought by its logarithm, got "
+                f"{start[name]!r}: leave it out of log"
+            )
+    scales = jax.tree.map(lambda a: jnp.where(a == 0, 1, jnp.abs(a)), first)
+    shapes = tuple((name, np.shape(first[name])) for name in sorted(first))
+    return Parameters(first, scales, shapes, tuple(sorted(names)))
