@@ -15,6 +15,8 @@ import argparse
 import dataclasses
 import io
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,9 +105,14 @@ def _reports(args: argparse.Namespace) -> list[GradientReport]:
     return reports
 
 
+def _kilobytes(steps: int, report: GradientReport) -> str:
+    """Memory of the gradient of a run of so many steps."""
+    return f"{report.room[steps] / 1e3:.0f}"
+
+
 def markdown(reports: list[GradientReport]) -> str:
     """Two tables."""
-    cells = [
+    cells: list[tuple[str, Callable[[GradientReport], str]]] = [
         ("steps of a run", lambda r: f"{r.steps} of {r.n_elements} elements"),
         ("reverse mode, error, float64", lambda r: f"{min(r.reverse_errors):.1e}"),
         ("forward mode, error, float64", lambda r: f"{min(r.forward_errors):.1e}"),
@@ -122,13 +129,9 @@ def markdown(reports: list[GradientReport]) -> str:
         ("gradient / forward pass, batch", lambda r: f"{r.batch_ratio:.1f}"),
         ("rods of the batch", lambda r: f"{r.batch}"),
     ]
-    cells += [
-        (
-            f"memory of a gradient, {steps} steps [kB]",
-            lambda r, s=steps: f"{r.room[s] / 1e3:.0f}",
-        )
-        for steps in reports[0].room
-    ]
+    for steps in reports[0].room:
+        label = f"memory of a gradient, {steps} steps [kB]"
+        cells.append((label, partial(_kilobytes, steps)))
     names = [report.name for report in reports]
     lines = ["| | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     lines += [

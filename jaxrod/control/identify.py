@@ -180,10 +180,10 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
     """Which observations were made."""
     made = jax.eval_shape(simulate, parameters.start)
-    if jax.tree.structure(made) != jax.tree.structure(observed):
+    kinds: list[Any] = [jax.tree.structure(tree) for tree in (made, observed)]
+    if kinds[0] != kinds[1]:
         raise ValueError(
-            "observed must be a tree as simulate makes, "
-            f"{jax.tree.structure(made)}, got {jax.tree.structure(observed)}"
+            f"observed must be a tree as simulate makes, {kinds[0]}, got {kinds[1]}"
         )
     for y, o in zip(jax.tree.leaves(made), jax.tree.leaves(observed), strict=True):
         if y.shape != jnp.shape(o):
