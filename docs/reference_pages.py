@@ -47,11 +47,12 @@ def write_reference(folder: Path) -> None:
     for package, title in PACKAGES.items():
         names = importlib.import_module(package).__all__
         rooms[title] = [(package, name) for name in sorted(names)]
-    pages = []
+    pages: list[str] = []
+    seen: set[int] = set()
     for title, names in sorted(rooms.items()):
         page = "".join(c if c.isalnum() else "_" for c in title.lower())
         pages.append(page)
-        _write(folder / f"{page}.md", f"# {title}\n\n" + _entries(names))
+        _write(folder / f"{page}.md", f"# {title}\n\n" + _entries(names, seen))
     listed = "\n".join(pages)
     _write(
         folder / "index.md",
@@ -60,18 +61,20 @@ def write_reference(folder: Path) -> None:
     )
 
 
-def _entries(names: list[tuple[str, str]]) -> str:
-    """Directives for all names."""
+def _entries(names: list[tuple[str, str]], seen: set[int]) -> str:
+    """Directives for all names; what another page has is not in the index twice."""
     lines = ["```{eval-rst}"]
     for package, name in names:
         thing = getattr(importlib.import_module(package), name)
         lines += ["", f".. currentmodule:: {package}", ""]
         if inspect.isclass(thing):
-            lines += [f".. autoclass:: {name}", "   :members:", ""]
+            lines += [f".. autoclass:: {name}", "   :members:"]
         elif callable(thing):
-            lines += [f".. autofunction:: {name}", ""]
+            lines += [f".. autofunction:: {name}"]
         else:
-            lines += [f".. autodata:: {name}", "   :no-value:", ""]
+            lines += [f".. autodata:: {name}", "   :no-value:"]
+        lines += ["   :no-index:"] if id(thing) in seen else []
+        seen.add(id(thing))
     return "\n".join([*lines, "```", ""])
 
 
