@@ -122,19 +122,15 @@ def markdown(reports: list[GradientReport]) -> str:
         ("gradient / forward pass, batch", lambda r: f"{r.batch_ratio:.1f}"),
         ("rods of the batch", lambda r: f"{r.batch}"),
     ]
-    cells += [
-        (
-            f"memory of a gradient, {steps} steps [kB]",
-            lambda r, s=steps: f"{r.room[s] / 1e3:.0f}",
-        )
-        for steps in reports[0].room
-    ]
     names = [report.name for report in reports]
     lines = ["| | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     lines += [
         f"| {label} | " + " | ".join(show(r) for r in reports) + " |"
         for label, show in cells
     ]
+    for steps in reports[0].room:
+        rooms = " | ".join(f"{r.room[steps] / 1e3:.0f}" for r in reports)
+        lines.append(f"| memory of a gradient, {steps} steps [kB] | {rooms} |")
     lines += [
         "",
         "Singular values of the tip's derivative by the controls until then [m], and "
