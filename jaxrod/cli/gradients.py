@@ -15,8 +15,6 @@ import argparse
 import dataclasses
 import io
 import json
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,14 +103,9 @@ def _reports(args: argparse.Namespace) -> list[GradientReport]:
     return reports
 
 
-def _kilobytes(steps: int, report: GradientReport) -> str:
-    """Memory of the gradient of a run of so many steps."""
-    return f"{report.room[steps] / 1e3:.0f}"
-
-
 def markdown(reports: list[GradientReport]) -> str:
     """Two tables."""
-    cells: list[tuple[str, Callable[[GradientReport], str]]] = [
+    cells = [
         ("steps of a run", lambda r: f"{r.steps} of {r.n_elements} elements"),
         ("reverse mode, error, float64", lambda r: f"{min(r.reverse_errors):.1e}"),
         ("forward mode, error, float64", lambda r: f"{min(r.forward_errors):.1e}"),
@@ -129,15 +122,15 @@ def markdown(reports: list[GradientReport]) -> str:
         ("gradient / forward pass, batch", lambda r: f"{r.batch_ratio:.1f}"),
         ("rods of the batch", lambda r: f"{r.batch}"),
     ]
-    for steps in reports[0].room:
-        label = f"memory of a gradient, {steps} steps [kB]"
-        cells.append((label, partial(_kilobytes, steps)))
     names = [report.name for report in reports]
     lines = ["| | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     lines += [
         f"| {label} | " + " | ".join(show(r) for r in reports) + " |"
         for label, show in cells
     ]
+    for steps in reports[0].room:
+        rooms = " | ".join(f"{r.room[steps] / 1e3:.0f}" for r in reports)
+        lines.append(f"| memory of a gradient, {steps} steps [kB] | {rooms} |")
     lines += [
         "",
         "Singular values of the tip's derivative by the controls until then [m], and "

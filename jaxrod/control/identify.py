@@ -57,8 +57,10 @@ def identify(
             begins (one for each kind). If `None` it is that of the residuals.
         log: Which parameters are positive and sought by their logarithm: all, none, or
             names.
-        lower: Smallest values, of all or some.
-        upper: Largest values. An explicit step size must be stable up to them.
+        lower: Smallest values, of all or some; of those sought by their logarithm, a
+            thousandth of the start by default.
+        upper: Largest values, a thousand times the start by default. An explicit step
+            size must be stable up to them.
         iterations: Points tried after the first, at most.
         damping: Of the first step, a share [1]. More of it makes shorter first steps.
         tolerance: As in `least_squares`.
@@ -180,10 +182,11 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
     """Which observations were made."""
     made = jax.eval_shape(simulate, parameters.start)
-    kinds: list[Any] = [jax.tree.structure(tree) for tree in (made, observed)]
-    if kinds[0] != kinds[1]:
+    wanted: Any = jax.tree.structure(made)
+    given: Any = jax.tree.structure(observed)
+    if wanted != given:
         raise ValueError(
-            f"observed must be a tree as simulate makes, {kinds[0]}, got {kinds[1]}"
+            f"observed must be a tree as simulate makes, {wanted}, got {given}"
         )
     for y, o in zip(jax.tree.leaves(made), jax.tree.leaves(observed), strict=True):
         if y.shape != jnp.shape(o):
@@ -195,7 +198,7 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
     sizes = [math.prod(leaf.shape) for leaf in jax.tree.leaves(made)]
     if sum(sizes) == 0:
         raise ValueError("observed must hold at least one number")
-    if not is_traced(observed):
+    if not is_traced(seen):
         numbers = sum(int(np.sum(np.asarray(s))) for s in jax.tree.leaves(seen))
         if numbers == 0:
             raise ValueError("observed must hold at least one finite number")

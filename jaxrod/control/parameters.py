@@ -14,6 +14,9 @@ from jaxtyping import Array, Float
 from jaxrod.structure import pytree, static
 from jaxrod.validation import is_traced
 
+FARTHEST = 1e3
+"""A logarithm without a bound is sought within this factor of the start."""
+
 
 @pytree
 class Parameters:
@@ -83,11 +86,16 @@ class Parameters:
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
     def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:
-        """Bounds of search variables; infinite where none is given."""
-        far = {}
+        """Bounds of search variables: those given, or as far as a search goes.
+
+        Without a bound a logarithm may change by that of `FARTHEST`. A step down to
+        zero could not be taken back: nothing depends on the logarithm there.
+        """
+        far = dict(given or {})
         for name, shape in self.shapes:
-            none = 0.0 if sign < 0 and name in self.log else sign * jnp.inf
-            far[name] = jnp.broadcast_to((given or {}).get(name, none), shape)
+            log = name in self.log
+            none = self.start[name] * FARTHEST**sign if log else sign * jnp.inf
+            far[name] = jnp.broadcast_to(far.get(name, none), shape)
         return self.searched(far)
 
 

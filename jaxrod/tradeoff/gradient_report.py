@@ -141,10 +141,7 @@ def gradient_report(
         programs = _programs(runs["float32"], batch)
         columns = _hurried(jax.jacfwd(runs["float64"].tips))(runs["float64"].start())
         sizes = [
-            np.linalg.svd(
-                np.reshape(columns["controls"][k, :, : k + 1], (3, -1)),
-                compute_uv=False,
-            )
+            _three(np.reshape(columns["controls"][k, :, : k + 1], (3, -1)))
             for k in range(1, intervals)
         ]
         return GradientReport(
@@ -158,7 +155,7 @@ def gradient_report(
             **_times(programs, window),
             room=_room(runs["float32"]) if memory else {},
             horizons=tuple(duration * (k + 1) / intervals for k in range(1, intervals)),
-            singular_values=tuple(tuple(map(float, s)) for s in sizes),
+            singular_values=tuple(sizes),
         )
 
 
@@ -208,8 +205,7 @@ class _Run:
             after = advance(scene, state, dt, self.per)
             return after, after.tip
 
-        kept = jax.checkpoint(one, prevent_cse=False)
-        return lax.scan(kept, self.state, numbers["controls"])[1]
+        return lax.scan(one, self.state, numbers["controls"])[1]
 
     def loss(self, numbers: dict[str, jax.Array]) -> jax.Array:
         """Squared distance of the last tip from a point that it does not reach."""
@@ -382,6 +378,12 @@ def _bending(scene: Scene) -> float:
     stiffness = float(np.mean(np.asarray(rod.bend_twist_stiffness)[0]))
     length = float(np.sum(np.asarray(rod.rest_lengths)))
     return 2 * stiffness / length / rod.n_elements
+
+
+def _three(matrix: np.ndarray) -> tuple[float, float, float]:
+    """Singular values of a matrix of three rows."""
+    first, second, third = np.linalg.svd(matrix, compute_uv=False)
+    return float(first), float(second), float(third)
 
 
 def _typed(leaf: Any, dtype: Any) -> Any:

@@ -134,6 +134,26 @@ def test_bounds_hold_and_are_said():
 
 
 @pytest.mark.slow
+def test_a_step_to_nothing_can_be_taken_back():
+    """Far off in one parameter, the first step takes the other to next to nothing."""
+
+    def curve(p):
+        return p["a"] * (1 + p["b"] * TIMES)
+
+    truth = {"a": 1.0, "b": 0.4}
+    fit = identify(curve, curve(truth), {"a": 3.0, "b": 0.2}, sd=SD)
+    assert bool(fit.converged)
+    assert float(fit.values["b"]) == pytest.approx(0.4, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_what_is_observed_may_be_known_while_a_program_is_traced():
+    observed = np.asarray(ring(TRUTH))
+    fit = jax.jit(lambda s: identify(ring, observed, s, sd=SD))(START)
+    assert float(fit.values["rate"]) == pytest.approx(TRUTH["rate"], rel=1e-4)
+
+
+@pytest.mark.slow
 def test_a_search_that_was_cut_short_says_so():
     fit = identify(ring, ring(TRUTH), START, sd=SD, iterations=2)
     assert not bool(fit.converged)

@@ -62,7 +62,7 @@ def test_positions_alone_do_not_weigh_an_arm_and_a_force_sensor_does(drop):
 
 
 def test_three_constants_are_found_from_poses_at_rest():
-    poses = Poses(10, 4)
+    poses = Poses(10)
     sd = {"markers": 1e-3}
     seen = noisy(jax.jit(poses.markers)(MATERIAL), sd, jax.random.key(3))
     start = {"youngs_modulus": 9e5, "poisson_ratio": 0.2, "density": 650.0}
