@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxrod.lanes.cycle import Cycle, Ends, Plan, adjoint_cycle, chosen
 from jaxrod.lanes.graph import VARYING
 from jaxrod.lanes.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
-from jaxrod.lanes.kernel_plan import Entries
+from jaxrod.lanes.kernel_plan import Entries, Step
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.unroll import NotUnrolled, kind_of
 from jaxrod.lanes.unrolled import check_length, unrolled_run, unrolled_step
