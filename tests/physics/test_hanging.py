@@ -52,15 +52,10 @@ def test_a_rope_between_pins_is_a_catenary(record):
     )
     x, z = place(pull, np.linspace(0, LENGTH, n + 1))
     # From a parabola as long: the solution is not told.
-    sag = brentq(
-        lambda d: (
-            np.sum(np.hypot(np.diff(x), np.diff(4 * d * x * (x - span) / span**2)))
-            - LENGTH
-        ),
-        0.01,
-        1.0,
-    )
-    guess = np.stack([x, 0 * x, 4 * sag * x * (x - span) / span**2])
+    parabola = lambda sag: 4 * sag * x * (x - span) / span**2
+    length = lambda sag: np.sum(np.hypot(np.diff(x), np.diff(parabola(sag))))
+    sag = brentq(lambda sag: length(sag) - LENGTH, 0.01, 1.0)
+    guess = np.stack([x, 0 * x, parabola(sag)])
     _, state = jaxrod.rod_along(
         guess, radius=RADIUS, density=1000.0, youngs_modulus=1e7, dtype=jnp.float64
     )

@@ -170,7 +170,7 @@ def test_states_that_do_not_fit(given):
         jaxrod.advance(system, {**state, "one": short}, 1e-4, 1)
     half = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), state["far"])
     with pytest.raises(
-        ValueError, match="state of 'far' must be float64.* got float32"
+        ValueError, match=r"state of 'far' must be float64.* got float32"
     ):
         jaxrod.advance(system, {**state, "far": half}, 1e-4, 1)
     with pytest.raises(ValueError, match="dt must be"):
