@@ -48,7 +48,7 @@ float32, with {batches} environments on each of {cores} cores, under new random
 actions in every step; medians of {windows} windows of {seconds:g} s, compiling not
 counted. The time of a control step, the elements of a rod and the simulation steps per
 control step are the tasks' own: the octopus has eight arms, the gripper three fingers
-and a ball. A large batch is not always the fastest on a CPU.
+and a ball. Batches run in [lanes](performance.md) where llvmlite is installed.
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |

@@ -139,7 +139,7 @@ def main() -> None:
     for n_rods in SIZES:
         if n_rods > most:
             continue
-        cost = measure(nest, n_rods, max(20, steps * SIZES[0] // n_rods))
+        cost = measure(nest, n_rods, max(60, steps * SIZES[0] // n_rods))
         first = cost if first is None else first
         print(f"       {cost / first:.2f} times the smallest's cost per element")
     for n_rods in THEIR_SIZES:

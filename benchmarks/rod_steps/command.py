@@ -165,5 +165,9 @@ def _table(report: Report, machine: dict[str, Any]) -> str:
         )
         lines.append(f"| {' | '.join(cells)} |")
     compiling = sum(row.compile_s for row in report.rows)
-    lines += ["", f"Compiling took {compiling:.0f} s and is not counted."]
+    lines += [
+        "",
+        f"Compiling took {compiling:.0f} s and is not counted. Batches run in",
+    ]
+    lines += ["lanes (docs/performance.md) where llvmlite is installed."]
     return "\n".join(lines) + "\n"

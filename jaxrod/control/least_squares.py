@@ -192,7 +192,8 @@ def _like(bound: Any, start: Any, sign: int) -> Array:
     first, _ = ravel_pytree(start)
     if bound is None:
         return jnp.full(first.shape, sign * jnp.inf, first.dtype)
-    if jax.tree.structure(bound) != jax.tree.structure(start):
+    kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, start)]
+    if kinds[0] != kinds[1]:
         bound = jax.tree.map(lambda _: bound, start)
     full = jax.tree.map(lambda b, s: jnp.broadcast_to(b, jnp.shape(s)), bound, start)
     return jnp.asarray(ravel_pytree(full)[0], first.dtype)

@@ -30,7 +30,7 @@ def machine_facts(load: float | None) -> dict[str, Any]:
     from jaxrod.installation.backend import available_cores
 
     versions = {"python": platform.python_version()}
-    for package in ("jax", "jaxlib", "numpy", "pyelastica", "mujoco"):
+    for package in ("jax", "jaxlib", "llvmlite", "numpy", "pyelastica", "mujoco"):
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -13,6 +13,10 @@ import jax
 
 from jaxrod.lanes.call_frame import handler_text, unknown_layout
 from jaxrod.lanes.kernel import Kernel
+from jaxrod.lanes.object_cache import keeps_objects
+
+OPTIMISATION = 2
+"""LLVM's level."""
 
 _LIBRARY = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
@@ -87,6 +91,7 @@ def registered(kernel: Kernel) -> str:
         module.verify()
         machine = _target_machine()
         engine = llvm.create_mcjit_compiler(module, machine)
+        keeps_objects(engine, f"{processor()} {OPTIMISATION} {text}")
         engine.finalize_object()
         address = engine.get_function_address(name)
         _engines[name] = engine
@@ -101,7 +106,7 @@ def _target_machine() -> Any:
     return target.create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
-        opt=2,
+        opt=OPTIMISATION,
     )
 
 

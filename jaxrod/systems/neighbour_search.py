@@ -4,12 +4,14 @@ The grid has cells of an edge no pair within reach is longer apart by, about the
 all middles; farther than 512 cells from there all is in the outermost ones, so that
 neighbours are still in neighbouring cells and only their number grows. Elements are
 sorted by cell, and three cells in a row are one stretch of that order: nine stretches
-hold all that may be near.
+hold all that may be near, five where each pair of one member is looked for once.
 
 Of those, pairs are candidates whose middles are near enough for their lengths, and of
-the candidates the exact distance is worked out. Both times what is left is put in one
-row: the k-th is where the running count gets to k, found by halving. No scatter, no
-sort but that by cells.
+the candidates the exact distance is worked out. The k-th candidate of an element is
+where its running count gets to k, found by halving; candidates are worked through in
+blocks, and what is left of a block is put behind what is left of those before. No
+scatter, no sort but that by cells, and no more rows and blocks than there is something
+in.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ from jaxrod.systems.segment_distance import nearest_places
 
 CELLS = 1024
 """Cells along each axis: three times ten bits are one key."""
+BLOCK = 16_384
+"""Candidates that are worked through at once."""
 _ROUNDING = 1e-3
 """Of a cell, what its edge is longer, so that rounding puts nothing a cell farther."""
 
@@ -65,17 +69,24 @@ class Rows:
     """How many others are in them."""
     order: Int[Array, " other"]
     """The others, in order."""
+    wide: Int[Array, ""]
+    """Rows of each stretch: the most that one holds, as far as there is room."""
     slots: int = static()
-    """How many of a stretch are looked at."""
+    """How many of a stretch there is room for."""
 
     @property
-    def count(self) -> int:
-        """Numbers of rows."""
+    def room(self) -> int:
+        """Rows that there may be."""
         return self.begin.shape[0] * self.slots
+
+    @property
+    def count(self) -> Array:
+        """Rows that there are."""
+        return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
         """Places in the order of the others of a row, and whether there are such."""
-        stretch, slot = row // self.slots, row % self.slots
+        stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1
         return jnp.minimum(place, most), slot < self.held[stretch, own]
@@ -117,12 +128,13 @@ def found_by(
         own, other = every[a], every[b]
         rows = all_rows(own, other)
         if how.cell_slots:
-            rows, held = rows_of_cells(own, other, how.cell_slots)
+            rows, held = rows_of_cells(own, other, how.cell_slots, once=once and a == b)
             most = jnp.maximum(most, held)
         may = lambda one, two, a=a, b=b: allowed(a, b, one, two)
         many, few = _room(how.candidates, number), _room(how.pairs, number)
-        some, count = candidates(own, other, rows, many, once=once and a == b)
+        some = candidates(own, other, rows, many, once=once and a == b)
         near, taken = near_ones(own, other, some, may, few)
+        count = some.count
         lists.append(near)
         looked_at.append(count)
         used.append(taken)
@@ -153,17 +165,23 @@ def all_rows(own: Stretches, other: Stretches) -> Rows:
         begin=jnp.zeros((1, size), jnp.int32),
         held=jnp.full((1, size), count, jnp.int32),
         order=jnp.arange(count, dtype=jnp.int32),
+        wide=jnp.asarray(count, jnp.int32),
         slots=count,
     )
 
 
-def rows_of_cells(own: Stretches, other: Stretches, slots: int) -> tuple[Rows, Array]:
+def rows_of_cells(
+    own: Stretches, other: Stretches, slots: int, *, once: bool
+) -> tuple[Rows, Array]:
     """Others in the cells around each element, and the most in three of them.
 
     Args:
         own: Of the one member.
         other: Of the other.
         slots: Elements that three neighbouring cells may hold.
+        once: Whether of two elements of one member only one is to find the other: then
+            only the cells on one side are looked into, and an element's own column,
+            which is the first stretch.
     """
     edge = _cell_edge(own, other)
     centre = tuple(jnp.mean(component) for component in other.middle)
@@ -172,6 +190,7 @@ def rows_of_cells(own: Stretches, other: Stretches, slots: int) -> tuple[Rows, A
     ordered = keys[order]
     x, y, z = (cell[None, :] for cell in _cells(own, centre, edge))
     aside = np.array(list(np.ndindex(3, 3)), np.int32) - 1
+    aside = aside[4:] if once else aside
     u, v = x + aside[:, :1], y + aside[:, 1:]
     exists = (u >= 0) & (u < CELLS) & (v >= 0) & (v < CELLS)
     low = _key(u, v, jnp.maximum(z - 1, 0))
@@ -179,79 +198,136 @@ def rows_of_cells(own: Stretches, other: Stretches, slots: int) -> tuple[Rows, A
     begin = jnp.searchsorted(ordered, low, side="left").astype(jnp.int32)
     end = jnp.searchsorted(ordered, high, side="right").astype(jnp.int32)
     held = jnp.where(exists, end - begin, 0)
-    return Rows(begin, held, order, slots), jnp.max(held)
+    most = jnp.max(held)
+    return Rows(begin, held, order, jnp.clip(most, 1, slots), slots), most
+
+
+@pytree
+class Candidates:
+    """Pairs whose middles are near, as running counts."""
+
+    rows: Rows
+    """Which others were looked at."""
+    running: Int[Array, "rows own"]
+    """Of an element, as far as a row."""
+    until: Int[Array, " own"]
+    """Of all elements as far as one."""
+    size: int = static()
+    """How many may be named."""
+    once: bool = static()
+    """Whether the lower of two numbers is to be the first."""
+
+    @property
+    def count(self) -> Array:
+        """How many there are."""
+        return self.until[-1]
+
+    def named(self, number: Array) -> IndexList:
+        """Those of some numbers."""
+        until, rows = self.until, self.rows
+        column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
+        column = jnp.minimum(column, until.shape[0] - 1)
+        before = jnp.where(column > 0, until[column - 1], 0)
+        count = lambda row: self.running[row, column]
+        row = _reached(count, number - before, rows.count, rows.room)
+        found = rows.order[rows.places(row, column)[0]]
+        there = number < jnp.minimum(until[-1], self.size)
+        if self.once:
+            column, found = jnp.minimum(column, found), jnp.maximum(column, found)
+        return IndexList(column, found, there)
 
 
 def candidates(
     own: Stretches, other: Stretches, rows: Rows, size: int, *, once: bool
-) -> tuple[IndexList, Array]:
-    """Pairs whose middles are near, and how many there are.
+) -> Candidates:
+    """Pairs whose middles are near.
 
     Args:
         own: Of the one member.
         other: Of the other.
         rows: Which others to look at.
-        size: Entries of the list.
-        once: Whether of two elements of one member only the first has the other.
+        size: How many may be named.
+        once: Whether of two elements of one member only one has the other: in the
+            first stretch, where both are, the first.
     """
     x, y, z = own.middle
     reach = _half_length(own) + own.reach
     fields = (other.middle, _half_length(other) + other.reach, other.numbers)
     there = looked_up(fields, rows.order)
 
-    def counted(before: Array, row: Array) -> tuple[Array, Array]:
+    def counted(row: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        before, running = carry
         place, exists = rows.places(row, slice(None))
         (u, v, w), farther, fellow = looked_up(there, place)
         square = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
         near = exists & (square <= (reach + farther) ** 2)
         if once:
-            near = near & (own.numbers < fellow)
+            near = near & ((row >= rows.wide) | (own.numbers < fellow))
         after = before + near.astype(before.dtype)
-        return after, after
+        return after, lax.dynamic_update_index_in_dim(running, after, row, 0)
 
     none = jnp.zeros(x.shape, jnp.int32)
-    total, running = lax.scan(counted, none, jnp.arange(rows.count, dtype=jnp.int32))
-    until = jnp.cumsum(total)
-    number = jnp.arange(size, dtype=jnp.int32)
-    column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
-    column = jnp.minimum(column, x.shape[0] - 1)
-    rank = number - (until - total)[column]
-    row = _reached(lambda k: running[k, column], rank, rows.count)
-    place, _ = rows.places(row, column)
-    return IndexList(column, rows.order[place], number < until[-1]), until[-1]
+    running = jnp.zeros((rows.room, *x.shape), jnp.int32)
+    total, running = lax.fori_loop(0, rows.count, counted, (none, running))
+    return Candidates(rows, running, jnp.cumsum(total), size, once)
 
 
 def near_ones(
-    own: Stretches, other: Stretches, some: IndexList, allowed: Allowed, size: int
+    own: Stretches, other: Stretches, some: Candidates, allowed: Allowed, size: int
 ) -> tuple[IndexList, Array]:
-    """Those of a list that are within reach, and how many there are.
+    """Those of some candidates that are within reach, and how many there are.
 
     Args:
         own: Of the one member.
         other: Of the other.
-        some: A list of candidates.
+        some: The candidates.
         allowed: Which pairs may touch.
         size: Entries of the list that is made.
     """
-    near = near_each_other(
-        looked_up(own, some.own), looked_up(other, some.other), allowed
-    )
-    running = jnp.cumsum((near & some.there).astype(jnp.int32))
-    number = jnp.arange(size, dtype=jnp.int32)
-    place = jnp.searchsorted(running, number, side="right").astype(jnp.int32)
-    place = jnp.minimum(place, running.shape[0] - 1)
-    taken = number < running[-1]
-    found = IndexList(
-        jnp.where(taken, some.own[place], 0),
-        jnp.where(taken, some.other[place], 0),
-        taken,
-    )
-    return found, running[-1]
+    block = min(BLOCK, some.size)
+    within = jnp.arange(block, dtype=jnp.int32)
+
+    def more(carry: tuple[Array, Array, Array]) -> Array:
+        return carry[0] < jnp.minimum(some.count, some.size)
+
+    def worked(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        begin, taken, kept = carry
+        listed = some.named(begin + within)
+        near = listed.there & near_each_other(
+            looked_up(own, listed.own), looked_up(other, listed.other), allowed
+        )
+        running = jnp.cumsum(near.astype(jnp.int32))
+        place = jnp.searchsorted(running, within, side="right").astype(jnp.int32)
+        place = jnp.minimum(place, block - 1)
+        # Both numbers as one row: XLA's CPU compiler aborts the process over two
+        # updates of a batch by the same index.
+        pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
+        # What follows the last that is near is written over by the next block. Once the
+        # list is full, all goes into what is cut off in the end.
+        behind = (jnp.minimum(taken, size), jnp.zeros_like(taken))
+        kept = lax.dynamic_update_slice(kept, pairs, behind)
+        return begin + block, taken + running[-1], kept
+
+    none = jnp.zeros((), jnp.int32)
+    room = jnp.zeros((size + block, 2), jnp.int32)
+    _, taken, kept = lax.while_loop(more, worked, (none, none, room))
+    there = jnp.arange(size, dtype=jnp.int32) < taken
+    kept = jnp.where(there[:, None], kept[:size], 0)
+    return IndexList(kept[:, 0], kept[:, 1], there), taken
 
 
-def _reached(running: Callable[[Array], Array], rank: Array, size: int) -> Array:
-    """First place at which a running count is above a rank, by halving."""
-    place, step = jnp.zeros_like(rank), 1 << (size.bit_length() - 1)
+def _reached(
+    running: Callable[[Array], Array], rank: Array, size: Array, room: int
+) -> Array:
+    """First place at which a running count is above a rank, by halving.
+
+    Args:
+        running: The count at a place.
+        rank: The rank.
+        size: Places that there are.
+        room: The most that there may be.
+    """
+    place, step = jnp.zeros_like(rank), 1 << (room.bit_length() - 1)
     while step:
         tried = jnp.minimum(place + step, size)
         below = running(tried - 1) <= rank

@@ -1,0 +1,79 @@
+"""Tasks are the same by lanes: rewards, restarts, flags, observations."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from jaxrod.envs import VectorEnvironment, make
+from jaxrod.lanes.choice import lane_choices, use_lanes
+
+ARMS = [
+    (task, variant)
+    for task in ("tracking", "reaching", "structured", "unstructured")
+    for variant in ("clean", "paper")
+]
+ENVIRONMENTS, STEPS, EPISODE = 9, 20, 7
+
+
+def played(env, params, mode):
+    """Steps of a batch under random actions, through restarts."""
+    use_lanes(mode)
+    batch = VectorEnvironment(env)
+
+    def step(state, key):
+        actions = jax.random.uniform(
+            key, (ENVIRONMENTS, env.action_size), minval=-1.0, dtype="float64"
+        )
+        state, out = batch.step(state, actions, params)
+        return state, out
+
+    @jax.jit
+    def run(key):
+        state = batch.reset(key, ENVIRONMENTS, params, spread_phases=True)
+        return jax.lax.scan(step, state, jax.random.split(key, STEPS))[1]
+
+    return jax.device_get(run(jax.random.key(3)))
+
+
+def same(taken, expected, tolerance):
+    for name in ("terminated", "truncated", "episodes"):
+        pairs = zip(
+            jax.tree.leaves(getattr(taken, name)),
+            jax.tree.leaves(getattr(expected, name)),
+            strict=True,
+        )
+        for one, two in pairs:
+            np.testing.assert_allclose(one, two, rtol=tolerance, atol=tolerance)
+    for name in ("reward", "observation", "final_observation"):
+        one, two = getattr(taken, name), getattr(expected, name)
+        np.testing.assert_allclose(one, two, rtol=tolerance, atol=tolerance)
+    np.testing.assert_array_equal(taken.info["flagged"], expected.info["flagged"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "variant"), ARMS)
+def test_episodes_are_those_of_xla(task, variant):
+    env = dataclasses.replace(make(task, variant=variant), episode_length=EPISODE)
+    params = env.default_params()
+    taken = played(env, params, "always")
+    assert lane_choices()[-1].taken
+    expected = played(env, params, "never")
+    assert np.sum(expected.truncated | expected.terminated) >= ENVIRONMENTS
+    # Places that are rounded in every step make published velocities coarser.
+    same(taken, expected, 1e-9 if variant == "clean" else 1e-7)
+
+
+@pytest.mark.slow
+def test_arms_that_break_are_flagged_and_restart_alike():
+    env = dataclasses.replace(make("tracking", variant="clean"), episode_length=50)
+    params = env.default_params()
+    params = dataclasses.replace(params, dt=3 * params.dt)
+    taken = played(env, params, "always")
+    expected = played(env, params, "never")
+    assert np.any(expected.info["flagged"])
+    assert np.all(np.isfinite(taken.observation))
+    for name in ("truncated", "terminated"):
+        np.testing.assert_array_equal(getattr(taken, name), getattr(expected, name))
+    np.testing.assert_array_equal(taken.info["flagged"], expected.info["flagged"])
