@@ -270,9 +270,9 @@ def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array,
 def _damped(scene: Any, rate: Array) -> Any:
     """The model with all members damped at a rate besides [1/s]."""
     if isinstance(scene, Composite):
-        members: dict[str, Any] = scene.members
-        damped = {name: _damped(own, rate) for name, own in members.items()}
-        return replace(scene, members=damped)
+        system: Any = scene
+        damped = {name: _damped(own, rate) for name, own in system.members.items()}
+        return replace(system, members=damped)
     if isinstance(scene, Scene):
         # Of equal rods every number has a leading axis.
         rate = jnp.broadcast_to(rate, scene.rod.rest_lengths.shape[:-1])

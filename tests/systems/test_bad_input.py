@@ -168,11 +168,16 @@ def test_states_that_do_not_fit(given):
     short = replace(state["one"], positions=state["one"].positions[:, :3])
     with pytest.raises(ValueError, match="positions of 'one'"):
         jaxrod.advance(system, {**state, "one": short}, 1e-4, 1)
-    half = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), state["far"])
+    half = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), state)
     with pytest.raises(
         ValueError, match=r"state of 'far' must be float64.* got float32"
     ):
-        jaxrod.advance(system, {**state, "far": half}, 1e-4, 1)
+        jaxrod.advance(system, {**state, "far": half["far"]}, 1e-4, 1)
+    for name, field in (("far", "velocities"), ("ball", "angular_velocities")):
+        mixed = replace(state[name], **{field: getattr(half[name], field)})
+        words = f"{field} of '{name}' must be float64, as the system is, got float32"
+        with pytest.raises(ValueError, match=words):
+            jaxrod.advance(system, {**state, name: mixed}, 1e-4, 1)
     with pytest.raises(ValueError, match="dt must be"):
         jaxrod.advance(system, state, -1e-4, 1)
 

@@ -20,5 +20,5 @@ def test_random_systems_stay_finite_and_make_no_energy(number, record):
         f"{words} of energy",
         "0, over the largest kinetic energy",
         np.max(found[figure]),
-        at_most=1e-2,
+        at_most=1e-3,
     )

@@ -1,5 +1,7 @@
 """Where systems come to rest: against equilibria of one rod and closed forms."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -210,3 +212,41 @@ def test_bad_input():
             jaxrod.settled(model, own)
     with pytest.raises(ValueError, match="must have the members"):
         jaxrod.settled(system, {"left": state["left"]})
+
+
+@jaxrod.pytree
+class Slackens(jaxrod.Effect):
+    """Pulls the tip up, the less the longer it has pulled."""
+
+    rate: jax.Array
+    pull: jax.Array = jaxrod.memory()
+
+    def loads(self, rod, motion):
+        up = jnp.zeros_like(motion.position[0]).at[-1].set(self.pull)
+        return jaxrod.Loads(forces=(0 * up, 0 * up, up))
+
+    def after_step(self, rod, motion, dt):
+        return replace(self, pull=self.pull * jnp.exp(-dt * self.rate))
+
+
+@pytest.mark.slow
+def test_equal_rods_that_remember_settle():
+    """What they remember goes on with the steps, and is in the state that is found."""
+
+    def made(pull):
+        one, state = rod(5, 0.4)
+        effects = jaxrod.gravity((0.0, 0.0, -2.0)), Slackens(jnp.array(200.0), pull)
+        return jaxrod.make_scene(one, jaxrod.clamp(state), *effects), state
+
+    scenes, states = jax.vmap(made)(jnp.array([0.1, 0.3]))
+    system = jaxrod.make_system({"rods": scenes}, state={"rods": states})
+    found = jaxrod.settled(system, {"rods": states})
+    assert found.converged and system.remembers
+    after = found.state["rods"]
+    assert len(after.memory) == 3 and np.max(np.abs(after.memory[2]["pull"])) < 1e-6
+    scene, state = jax.tree.map(lambda leaf: leaf[0], (scenes, states))
+    alone = jaxrod.make_scene(scene.rod, *scene.effects[:2])
+    expected = jaxrod.equilibrium(alone, state)
+    assert expected.converged and expected.state.tip[2] < -0.02
+    for positions in after.positions:
+        np.testing.assert_allclose(positions, expected.state.positions, atol=4e-7)
