@@ -75,6 +75,6 @@ def pushed(state, k):
 if __name__ == "__main__":
     jaxrod.configure_cpu()
     found = swing_up()
-    for policy in (found.policy, found.open_loop):
+    for name, policy in (("gains", found.policy), ("plan alone", found.open_loop)):
         motion = jaxrod.control.rolled_out(found.problem, policy, pushed)
-        print(f"pushed, {policy.__name__}: tip at {motion.states['rod'].tip[-1]} m")
+        print(f"pushed, {name}: tip at {motion.states['rod'].tip[-1]} m")

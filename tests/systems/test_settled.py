@@ -250,3 +250,24 @@ def test_equal_rods_that_remember_settle():
     assert expected.converged and expected.state.tip[2] < -0.02
     for positions in after.positions:
         np.testing.assert_allclose(positions, expected.state.positions, atol=4e-7)
+
+
+@pytest.mark.slow
+def test_step_and_tolerances_may_be_traced():
+    """Looser tolerances are met sooner, by one program."""
+    rod, state = jaxrod.straight_rod(
+        3, length=0.4, radius=0.02, density=1e3, youngs_modulus=1e6, dtype=jnp.float64
+    )
+    hanging = jaxrod.gravity((9.81, 0.0, 0.0))
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), hanging)
+
+    @jax.jit
+    def rest(dt, force, couple):
+        tolerances = {"force_tolerance": force, "couple_tolerance": couple}
+        return jaxrod.settled(scene, state, dt=dt, **tolerances)
+
+    dt = jaxrod.stable_dt(scene).dt
+    coarse, fine = (rest(dt, bound, 0.4 * bound) for bound in (1e-2, 1e-7))
+    assert coarse.converged and fine.converged
+    assert coarse.steps < fine.steps
+    assert rest._cache_size() == 1
