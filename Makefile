@@ -1,4 +1,4 @@
-# make setup | demo | test | test-slow | lint | clean      PYTHON=... EXTRAS=... to choose
+# make setup | demo | test | test-slow | lint | docs | clean      PYTHON=... EXTRAS=... to choose
 SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,7 +12,7 @@ DEMO := runs/demo
 # Enough to learn the task in about two minutes on two cores.
 DEMO_STEPS ?= 6000000
 
-.PHONY: setup demo test test-slow lint typecheck format clean
+.PHONY: setup demo test test-slow lint typecheck format docs clean
 
 setup: $(INSTALLED)
 
@@ -66,6 +66,14 @@ typecheck: $(INSTALLED)
 	    --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache -p jaxrod \
 	    -p benchmarks.paper -p benchmarks.rod_steps -p benchmarks.tradeoff \
 	    -m benchmarks.algorithms
+
+# The site, from what is installed: pip install -e ".[docs]" -c constraints.txt first.
+docs: $(INSTALLED)
+	@$(BIN)/python -c 'import myst_nb, sphinx_book_theme' 2>/dev/null || \
+	    $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input \
+	    -e ".[$(EXTRAS),docs]" -c constraints.txt
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -c docs . build/site
+	@echo "build/site/docs/index.html"
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

@@ -5,8 +5,15 @@ if __name__ != "jaxrod.envs":
 
 from jaxrod.envs.action_repeat import ActionRepeat
 from jaxrod.envs.checking import check_environment
-from jaxrod.envs.protocol import Drawable, Environment
+from jaxrod.envs.memory_policy import (
+    MemoryPolicy,
+    OneEpisode,
+    held_for,
+    remembering,
+)
+from jaxrod.envs.protocol import Drawable, Environment, Plannable
 from jaxrod.envs.registry import make, names
+from jaxrod.envs.rollout import Rollout, rollout
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.wrappers import (
     EpisodeRecord,
@@ -20,11 +27,18 @@ __all__ = [
     "Drawable",
     "Environment",
     "EpisodeRecord",
+    "MemoryPolicy",
+    "OneEpisode",
+    "Plannable",
+    "Rollout",
     "Snapshot",
     "VectorEnvironment",
     "VectorState",
     "VectorStep",
     "check_environment",
+    "held_for",
     "make",
     "names",
+    "remembering",
+    "rollout",
 ]

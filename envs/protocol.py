@@ -116,3 +116,49 @@ class Drawable(Environment, Protocol):
             state: of the moment.
             params: traced parameters.
         """
+
+
+class Plannable(Environment, Protocol):
+    """An environment that can be planned with; the others train and evaluate as well.
+
+    The four tasks of the arm are. `predict` and `cost` are pure and differentiable;
+    what is random is not foreseen, so a plan knows no more than an agent could.
+    `jaxrod.control.mpc` takes it; `residuals` only where it plans by Gauss-Newton.
+    """
+
+    def predict(
+        self,
+        state: State,
+        action: Float[Array, " action"],
+        params: Params,
+        control_steps: int = 1,
+    ) -> State:
+        """The state later, under one action, without the randomness to come.
+
+        It is what `step` makes of the state, wherever no random event falls.
+
+        Args:
+            state: of the moment.
+            action: in [-1, 1].
+            params: traced parameters.
+            control_steps: for how many the action is held.
+        """
+
+    def cost(
+        self, state: State, action: Float[Array, " action"], params: Params
+    ) -> Float[Array, ""]:
+        """Smooth cost of a state and of the action that led there.
+
+        It is least where the reward is greatest, and has a slope where the reward's
+        steps have none.
+
+        Args:
+            state: after the control step.
+            action: in it.
+            params: traced parameters.
+        """
+
+    def residuals(
+        self, state: State, action: Float[Array, " action"], params: Params
+    ) -> Float[Array, " residuals"]:
+        """Numbers whose squares add up to the cost; arguments as of `cost`."""

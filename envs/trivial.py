@@ -93,3 +93,33 @@ class Trivial:
         info = {"distance": jnp.abs(position)}
         state = TrivialState(position, steps)
         return position[None], state, 1 - position**2, terminated, truncated, info
+
+    def predict(
+        self,
+        state: TrivialState,
+        action: Float[Array, " action"],
+        params: TrivialParams,
+        control_steps: int = 1,
+    ) -> TrivialState:
+        """The state later, under one action."""
+        position = state.position + control_steps * params.stride * action[0]
+        return TrivialState(position, state.steps + control_steps)
+
+    def residuals(
+        self,
+        state: TrivialState,
+        action: Float[Array, " action"],
+        params: TrivialParams,
+    ) -> Float[Array, "1"]:
+        """The point's place."""
+        del action, params
+        return state.position[None]
+
+    def cost(
+        self,
+        state: TrivialState,
+        action: Float[Array, " action"],
+        params: TrivialParams,
+    ) -> Float[Array, ""]:
+        """Squared distance from zero: what the reward takes off."""
+        return jnp.sum(self.residuals(state, action, params) ** 2)

@@ -163,6 +163,7 @@ _NAMES = {
     "systems.rigid_contact": ("RigidContact", "rigid_contact"),
     "systems.rings": ("ring",),
     "systems.rod_contact": ("RodContact", "rod_contact"),
+    "systems.settled": ("Settled", "settled"),
     "systems.springs": ("ball_joint", "spring"),
     "systems.system": ("System", "make_system"),
     "systems.ties": ("tie",),

@@ -200,6 +200,8 @@ from jaxrod.systems.rigid_contact import rigid_contact as rigid_contact
 from jaxrod.systems.rings import ring as ring
 from jaxrod.systems.rod_contact import RodContact as RodContact
 from jaxrod.systems.rod_contact import rod_contact as rod_contact
+from jaxrod.systems.settled import Settled as Settled
+from jaxrod.systems.settled import settled as settled
 from jaxrod.systems.springs import ball_joint as ball_joint
 from jaxrod.systems.springs import spring as spring
 from jaxrod.systems.system import System as System

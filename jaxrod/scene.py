@@ -171,7 +171,7 @@ def check_scene(scene: Any) -> None:
             f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
             "of one rod alone, not of several members together. Those can be stepped "
             "(advance, rollout) and asked for stable_dt, potential_energy, "
-            "total_energy and health; with damping, steps lead to their equilibrium"
+            "total_energy and health; jaxrod.settled finds where they come to rest"
         )
     check_kind("scene", scene, Scene)
     shape = jnp.shape(scene.rod.rest_lengths)

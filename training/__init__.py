@@ -6,6 +6,8 @@ if __name__ != "jaxrod.training":
     )
 
 try:
+    from jaxrod.control.arm import ActuatedArm
+    from jaxrod.control.reach import UnreachableTargetWarning
     from jaxrod.training.algorithm import (
         DEVICE_AXIS,
         Algorithm,
@@ -32,11 +34,8 @@ try:
     from jaxrod.training.runs.run import Result
     from jaxrod.training.runs.seeds import train_seeds
     from jaxrod.training.settings import LearnerConfig
-    from jaxrod.training.trajectory.actuated_arm import ActuatedArm, actuated_arm
-    from jaxrod.training.trajectory.optimise import (
-        UnreachableTargetWarning,
-        optimise_trajectory,
-    )
+    from jaxrod.training.trajectory.actuated_arm import actuated_arm
+    from jaxrod.training.trajectory.optimise import optimise_trajectory
     from jaxrod.training.trajectory.result import TrajectoryHistory, TrajectoryResult
 except ModuleNotFoundError as missing:
     package = (missing.name or "").partition(".")[0]

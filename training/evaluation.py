@@ -12,9 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs import (
+    Environment,
+    EpisodeRecord,
+    MemoryPolicy,
+    VectorEnvironment,
+    VectorState,
+    held_for,
+    remembering,
+)
 from jaxrod.envs.action_repeat import repeating
-from jaxrod.training.policy import held_for
 from jaxrod.validation import check_seed
 
 
@@ -47,7 +54,7 @@ class Evaluation:
 
 def evaluate(
     env: Environment,
-    policy: Callable[[Array], Array],
+    policy: Callable[[Array], Array] | MemoryPolicy,
     *,
     episodes: int = 16,
     seed: int = 0,
@@ -59,7 +66,8 @@ def evaluate(
         env: the environment.
         policy: observations (episodes, observation_size) -> actions; a `Policy`,
             whose actions are held for its `action_repeat` control steps, or any
-            other function of that kind, called at every control step.
+            other function of that kind, called at every control step; or a
+            `jaxrod.envs.MemoryPolicy`, which remembers, and sees the states.
         episodes: number of episodes.
         seed: seed of their randomness.
         env_params: parameters of the environment, None for its own.
@@ -72,7 +80,8 @@ def evaluate(
     check_seed(seed)
     params = env.default_params() if env_params is None else env_params
     env = repeating(env, held_for(policy))
-    if not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0]):
+    plain = not isinstance(policy, MemoryPolicy)
+    if plain and (not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0])):
         # A plain function: part of the program. A `Policy` is an argument of it.
         policy = jax.tree_util.Partial(policy)
     record = _episodes(jax.random.key(seed), policy, params, env, episodes)
@@ -86,13 +95,15 @@ def evaluate(
 @partial(jax.jit, static_argnums=(3, 4))
 def _episodes(
     key: Key[Array, ""],
-    policy: Callable[[Array], Array],
+    policy: Callable[[Array], Array] | MemoryPolicy,
     params: Any,
     env: Environment,
     episodes: int,
 ) -> EpisodeRecord:
-    batch = VectorEnvironment(env)
+    batch, acting = VectorEnvironment(env), remembering(policy)
     state = batch.reset(key, episodes, params)
+    # Not begun anew where an episode ends: those that follow do not count.
+    memory = acting.init(state.observation, state.states)
     record = EpisodeRecord(
         finished=jnp.zeros(episodes, bool),
         episode_return=state.episode_return,
@@ -100,19 +111,19 @@ def _episodes(
         flagged=jnp.zeros(episodes, bool),
     )
 
-    def running(carry: tuple[VectorState, EpisodeRecord]) -> Bool[Array, ""]:
-        return ~jnp.all(carry[1].finished)
+    def running(carry: tuple[VectorState, Any, EpisodeRecord]) -> Bool[Array, ""]:
+        return ~jnp.all(carry[2].finished)
 
     def step(
-        carry: tuple[VectorState, EpisodeRecord],
-    ) -> tuple[VectorState, EpisodeRecord]:
-        state, record = carry
-        action = jnp.clip(policy(state.observation), -1, 1)
-        state, outcome = batch.step(state, action, params)
+        carry: tuple[VectorState, Any, EpisodeRecord],
+    ) -> tuple[VectorState, Any, EpisodeRecord]:
+        state, memory, record = carry
+        action, memory = acting.act(memory, state.observation, state.states)
+        state, outcome = batch.step(state, jnp.clip(action, -1, 1), params)
         first = outcome.episodes.finished & ~record.finished
         record = jax.tree.map(
             lambda new, old: jnp.where(first, new, old), outcome.episodes, record
         )
-        return state, record
+        return state, memory, record
 
-    return jax.lax.while_loop(running, step, (state, record))[1]
+    return jax.lax.while_loop(running, step, (state, memory, record))[2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -62,8 +62,3 @@ class MLPPolicy:
             bias = jnp.expand_dims(bias, tuple(range(hidden.ndim - 1)))
             hidden = hidden @ kernel + bias
         return OUTPUTS[self.output](hidden)
-
-
-def held_for(policy: Any) -> int:
-    """Control steps for which an action of a policy is to be held: 1 if not told."""
-    return getattr(policy, "action_repeat", 1)

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrod.envs import held_for
 from jaxrod.files import (
     OBJECT,
     check_entries,
@@ -35,7 +36,7 @@ from jaxrod.training.leaves import (
     with_leaves,
 )
 from jaxrod.training.normalisation import RunningMoments
-from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy, held_for
+from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy
 
 PERCEPTRON, PYTREE = 1, 2
 """Formats of the files; there will be others when their meaning changes."""

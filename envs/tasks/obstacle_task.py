@@ -14,6 +14,7 @@ import dataclasses
 from abc import abstractmethod
 from typing import Any, ClassVar, Literal
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
@@ -32,6 +33,7 @@ from jaxrod.envs.arm.arm_task import (
     speed_and_direction,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH
@@ -120,7 +122,7 @@ class ObstacleState:
 
 
 @dataclasses.dataclass(frozen=True)
-class ObstacleTask:
+class ObstacleTask(CostOfResiduals):
     """Base of the two tasks; see the module."""
 
     variant: Variant
@@ -259,18 +261,13 @@ class ObstacleTask:
         dict[str, Array],
     ]:
         """One control period: the muscles follow the action for 1.4 ms."""
-        values = jnp.reshape(action, (self.n_directions, self.n_controls))
-        controls = jnp.pad(values, ((0, 3 - self.n_directions), (0, 0)))
-        arm, muscles, crashed = params.arm.advance(
-            state.arm, state.muscles, controls, params.dt, self.substeps
-        )
         before = state
-        steps = state.steps + 1
-        state = ObstacleState(arm, muscles, state.target, steps)
+        state, crashed = self._moved(state, action, params)
+        arm = state.arm
         observation = self.observe(state, params)
         distance_squared = jnp.sum((arm.tip - state.target.position) ** 2)
         reward = distance_reward(distance_squared, params.bonus)
-        timeout = steps >= self.episode_length
+        timeout = state.steps >= self.episode_length
         if self.variant == "paper":
             finite = jnp.isfinite(observation)
             crashed = ~jnp.all(finite)
@@ -285,6 +282,56 @@ class ObstacleTask:
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
+
+    def predict(
+        self,
+        state: ObstacleState,
+        action: Float[Array, " action"],
+        params: ObstacleParams,
+        control_steps: int = 1,
+    ) -> ObstacleState:
+        """The state later, under one action: what steps make, nothing being random.
+
+        Args:
+            state: Of the moment.
+            action: In [-1, 1].
+            params: Numbers of the task.
+            control_steps: For how many the action is held.
+        """
+
+        def again(state: ObstacleState, _: None) -> tuple[ObstacleState, None]:
+            return self._moved(state, action, params)[0], None
+
+        # One by one: control values follow the action step by step, and obstacles in
+        # view are chosen anew.
+        return jax.lax.scan(again, state, length=control_steps)[0]
+
+    def residuals(
+        self,
+        state: ObstacleState,
+        action: Float[Array, " action"],
+        params: ObstacleParams,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, "3"]:
+        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        del action
+        return tip_residuals(
+            state.arm.tip - state.target.position, params.bonus.touching, width
+        )
+
+    def _moved(
+        self,
+        state: ObstacleState,
+        action: Float[Array, " action"],
+        params: ObstacleParams,
+    ) -> tuple[ObstacleState, Bool[Array, ""]]:
+        """The state a control step later, and whether the arm crashed."""
+        values = jnp.reshape(action, (self.n_directions, self.n_controls))
+        controls = jnp.pad(values, ((0, 3 - self.n_directions), (0, 0)))
+        arm, muscles, crashed = params.arm.advance(
+            state.arm, state.muscles, controls, params.dt, self.substeps
+        )
+        return ObstacleState(arm, muscles, state.target, state.steps + 1), crashed
 
     def snapshot(self, state: ObstacleState, params: ObstacleParams) -> Snapshot:
         """The arm, the target and the obstacles."""

@@ -49,6 +49,7 @@ from jaxrod.envs.arm.arm_task import (
     speed_and_direction,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.published.arm import published_arm
@@ -122,7 +123,7 @@ class ReachingState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Reaching:
+class Reaching(CostOfResiduals):
     """The reaching task; see the module. Make one with `reaching`."""
 
     variant: Variant
@@ -213,17 +214,14 @@ class Reaching:
         dict[str, Array],
     ]:
         """One control period: the couples set by the action act for 1.4 ms."""
-        controls = jnp.reshape(action, (3, N_CONTROLS))
-        arm, muscles, crashed = params.arm.advance(
-            state.arm, state.muscles, controls, params.dt, self.substeps
-        )
-        before, steps = state.arm, state.steps + 1
-        state = ReachingState(arm, muscles, state.target, steps)
+        before = state.arm
+        state, crashed = self._moved(state, action, params, 1)
+        arm = state.arm
         observation = self.observe(state)
         distance_squared = jnp.sum((arm.tip - state.target.position) ** 2)
         misalignment = misaligned(arm, state.target)
         reward = reaching_reward(distance_squared, misalignment, params)
-        timeout = steps >= self.episode_length
+        timeout = state.steps >= self.episode_length
         if self.variant == "paper":
             crashed |= ~jnp.all(jnp.isfinite(observation))
             reward = jnp.where(crashed, params.crash_reward, reward)
@@ -238,6 +236,58 @@ class Reaching:
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
+
+    def predict(
+        self,
+        state: ReachingState,
+        action: Float[Array, " action"],
+        params: ReachingParams,
+        control_steps: int = 1,
+    ) -> ReachingState:
+        """The state later, under one action: what steps make, nothing being random.
+
+        Args:
+            state: Of the moment.
+            action: In [-1, 1].
+            params: Numbers of the task.
+            control_steps: For how many the action is held.
+        """
+        return self._moved(state, action, params, control_steps)[0]
+
+    def residuals(
+        self,
+        state: ReachingState,
+        action: Float[Array, " action"],
+        params: ReachingParams,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, "6"]:
+        r"""What plans make small: the tip's way from the goal, and its turn.
+
+        The three numbers of the turn are $\sin(\varphi/2)$ times its axis, whose
+        squares add up to the misalignment, over the root of the largest one that is
+        paid for.
+        """
+        del action
+        way = tip_residuals(
+            state.arm.tip - state.target.position, params.bonus.touching, width
+        )
+        turn = turn_from(tip_frame(state.arm), state.target.orientation)
+        return jnp.concatenate([way, turn / jnp.sqrt(params.aligned[1])])
+
+    def _moved(
+        self,
+        state: ReachingState,
+        action: Float[Array, " action"],
+        params: ReachingParams,
+        control_steps: int,
+    ) -> tuple[ReachingState, Bool[Array, ""]]:
+        """The state later, and whether the arm crashed."""
+        controls = jnp.reshape(action, (3, N_CONTROLS))
+        arm, muscles, crashed = params.arm.advance(
+            state.arm, state.muscles, controls, params.dt, control_steps * self.substeps
+        )
+        steps = state.steps + control_steps
+        return ReachingState(arm, muscles, state.target, steps), crashed
 
     def snapshot(self, state: ReachingState, params: ReachingParams) -> Snapshot:
         """The arm and a sphere in the place of the goal."""
@@ -282,6 +332,23 @@ def tip_frame(arm: RodState) -> Float[Array, "4"]:
     w, x, y, z = arm.orientations[:, -1]
     sign = jnp.where(w < 0, -1, 1)
     return sign * jnp.stack([w, -x, -y, -z])
+
+
+def turn_from(frame: Float[Array, "4"], goal: Float[Array, "4"]) -> Float[Array, "3"]:
+    """Vector part of the rotation between two frames, unit quaternions both [1].
+
+    Its squares add up to the misalignment; it is the same for either sign of a frame
+    but for its own.
+    """
+    w, x, y, z = frame
+    a, b, c, d = goal
+    return jnp.stack(
+        [
+            a * x - w * b + y * d - z * c,
+            a * y - w * c + z * b - x * d,
+            a * z - w * d + x * c - y * b,
+        ]
+    )
 
 
 def misaligned(arm: RodState, goal: Goal) -> Array:

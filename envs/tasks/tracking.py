@@ -40,6 +40,7 @@ from jaxrod.envs.arm.arm_task import (
     speed_and_direction,
 )
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.moving_target import Target, TargetParams
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
@@ -93,7 +94,7 @@ class TrackingState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tracking:
+class Tracking(CostOfResiduals):
     """The tracking task; see the module. Make one with `tracking`."""
 
     variant: Variant
@@ -183,26 +184,18 @@ class Tracking:
         dict[str, Array],
     ]:
         """One control period: the couples set by the action act for 1.4 ms."""
-        bends = jnp.reshape(action, (2, N_CONTROLS))
-        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
         before = state.arm
-        arm, muscles, crashed = params.arm.advance(
-            before, state.muscles, controls, params.dt, self.substeps
-        )
-        # The published walls are tested after every half step.
-        target = moving_target.fly(
-            state.target, params.target, 0.5 * params.dt, 2 * self.substeps
-        )
-        steps = state.steps + 1
-        turning = steps % HEADING_STEPS == 0
+        state, crashed = self._moved(state, action, params, 1)
+        arm, target = state.arm, state.target
+        turning = state.steps % HEADING_STEPS == 0
         velocity = jnp.where(
             turning, moving_target.heading(key, params.target.speed), target.velocity
         )
-        state = TrackingState(arm, muscles, Target(target.position, velocity), steps)
+        state = dataclasses.replace(state, target=Target(target.position, velocity))
 
         distance_squared = jnp.sum((arm.tip - target.position) ** 2)
         reward = distance_reward(distance_squared, params.bonus)
-        timeout = steps >= self.episode_length
+        timeout = state.steps >= self.episode_length
         observation = self.observe(state)
         if self.variant == "paper":
             reward = jnp.where(crashed, params.crash_reward, reward)
@@ -216,6 +209,59 @@ class Tracking:
             "flagged": crashed,
         }
         return observation, state, reward, terminated, truncated, info
+
+    def predict(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        control_steps: int = 1,
+    ) -> TrackingState:
+        """The state later, under one action: the target flies on as it does now.
+
+        Between two new headings this is what steps make; none is foreseen.
+
+        Args:
+            state: Of the moment.
+            action: In [-1, 1].
+            params: Numbers of the task.
+            control_steps: For how many the action is held.
+        """
+        return self._moved(state, action, params, control_steps)[0]
+
+    def residuals(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, "3"]:
+        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        del action
+        return tip_residuals(
+            state.arm.tip - state.target.position, params.bonus.touching, width
+        )
+
+    def _moved(
+        self,
+        state: TrackingState,
+        action: Float[Array, " action"],
+        params: TrackingParams,
+        control_steps: int,
+    ) -> tuple[TrackingState, Bool[Array, ""]]:
+        """Without a new heading; and whether the arm crashed."""
+        bends = jnp.reshape(action, (2, N_CONTROLS))
+        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
+        substeps = control_steps * self.substeps
+        arm, muscles, crashed = params.arm.advance(
+            state.arm, state.muscles, controls, params.dt, substeps
+        )
+        # The published walls are tested after every half step.
+        target = moving_target.fly(
+            state.target, params.target, 0.5 * params.dt, 2 * substeps
+        )
+        steps = state.steps + control_steps
+        return TrackingState(arm, muscles, target, steps), crashed
 
     def snapshot(self, state: TrackingState, params: TrackingParams) -> Snapshot:
         """The arm and the target."""

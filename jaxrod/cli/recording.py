@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from jaxrod.envs import Environment
+from jaxrod.envs import Environment, OneEpisode, held_for
 from jaxrod.envs.drawing import drawable, missing, replay, snapshots
 from jaxrod.structure import pytree
-from jaxrod.training.policy import held_for
 from jaxrod.viz import Replay
 
 FRAMES_PER_SECOND = 60.0
@@ -44,8 +43,8 @@ def record(
 
     Args:
         env: the environment.
-        policy: observation -> action, a pytree; its actions are held for its
-            `action_repeat` control steps, if it has one.
+        policy: observation -> action, a pytree, or a `jaxrod.envs.MemoryPolicy`; its
+            actions are held for its `action_repeat` control steps, if it has one.
         seconds: how long to play [s]; None for a whole episode, which also ends it.
         seed: seed of the episode.
         title: heading of the replay.
@@ -97,11 +96,17 @@ def _play(
     """The first frame, and `count` more, `stride` control steps apart."""
     start_key, step_key = jax.random.split(key)
     observation, start = env.reset(start_key, params)
+    acting, repeat = OneEpisode(policy), held_for(policy)
 
     def step(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Array]:
-        observation, state, action, running = carry
-        decided = jnp.clip(policy(observation), -1, 1)
-        action = jnp.where(index % held_for(policy) == 0, decided, action)
+        observation, state, action, memory, running = carry
+        action, memory = jax.lax.cond(
+            index % repeat == 0,
+            lambda _, memory: acting.act(memory, observation, state),
+            lambda *held: held,
+            action,
+            memory,
+        )
         seen, moved, reward, terminated, truncated, _ = env.step(
             jax.random.fold_in(step_key, index), state, action, params
         )
@@ -112,7 +117,7 @@ def _play(
         )
         reward = jnp.where(running, reward, 0)
         running = running & ~terminated & ~truncated
-        return (observation, state, action, running), reward
+        return (observation, state, action, memory, running), reward
 
     def frame(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Frame]:
         running = carry[-1]
@@ -121,7 +126,9 @@ def _play(
         return carry, Frame(carry[1], jnp.mean(rewards), running)
 
     running = jnp.ones((), bool)
-    carry = observation, start, policy(observation), running
+    memory = acting.init(observation, start)
+    action, _ = jax.eval_shape(acting.act, memory, observation, start)
+    carry = observation, start, jnp.zeros(action.shape, action.dtype), memory, running
     _, frames = jax.lax.scan(frame, carry, jnp.arange(count))
     reward = jnp.zeros_like(frames.reward[0])
     return Frame(start, reward, running), frames

@@ -107,11 +107,11 @@ class Fit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """What the data do not determine, each direction in words.
+        """Directions that the data do not determine, in words.
 
         Raises:
-            ValueError: It is a batch of fits: take one, `jax.tree.map(lambda a: a[0],
-                fit)`.
+            ValueError: It is a batch of fits: take one,
+                `jax.tree.map(lambda a: a[0], fit)`.
         """
         self._alone("undetermined")
         rows = zip(self.vague, self.directions, self.singular_values, strict=True)

@@ -79,7 +79,8 @@ def least_squares(
     lower: Any = None,
     upper: Any = None,
     ridge: Any = 0.0,
-    damping: float = 1e-3,
+    centre: Any = None,
+    damping: Any = 1e-3,
     iterations: int = 50,
     tolerance: float | None = None,
     mode: str | None = None,
@@ -91,8 +92,9 @@ def least_squares(
         start: Where to begin, any pytree of floats.
         lower: Smallest values of the unknowns, a number or as `start`; none if `None`.
         upper: Largest ones.
-        ridge: Cost of the squared distance of the unknowns from `start`, a number or
+        ridge: Cost of the squared distance of the unknowns from `centre`, a number or
             as `start`.
+        centre: What the ridge pulls to, a number or as `start`; `start` by default.
         damping: Of the first step, a share of the diagonal [1].
         iterations: Points tried after the first, at most.
         tolerance: Relative change of the cost, or of the largest unknown, below which
@@ -119,12 +121,13 @@ def least_squares(
     dtype = first.dtype
     low, high = (_like(bound, start, sign) for bound, sign in ((lower, -1), (upper, 1)))
     rho = jnp.broadcast_to(_like(ridge, start, 0), first.shape)
+    middle = first if centre is None else _like(centre, start, 0)
     small = float(jnp.finfo(dtype).eps) ** 0.75 if tolerance is None else tolerance
     forward = mode == "forward" or (mode is None and first.size <= count)
     evaluated = _by_columns(flat) if forward else _by_rows(flat)
 
     def total(values: Array, point: Array) -> Array:
-        return jnp.sum(values**2) + jnp.sum(rho * (point - first) ** 2)
+        return jnp.sum(values**2) + jnp.sum(rho * (point - middle) ** 2)
 
     def more(search: _Search) -> Array:
         going = (search.tried <= iterations) & ~search.converged
@@ -147,7 +150,7 @@ def least_squares(
         least = jnp.where(better, cost, search.cost)
         change = jnp.where(better, 1 / FASTER, SLOWER)
         mu = jnp.where(begun, search.damping * change, search.damping)
-        step = _step(jacobian, now, rho, rho * (point - first), mu, point, low, high)
+        step = _step(jacobian, now, rho, rho * (point - middle), mu, point, low, high)
         return _Search(
             point=point,
             residuals=now,

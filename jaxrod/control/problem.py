@@ -128,7 +128,7 @@ def make_problem(
         lambda p: p.move(p.data, p.start, p.lower, jnp.zeros((), jnp.int32)), problem
     )
     before = jax.eval_shape(lambda state: state, start)
-    if before != after:
+    if not _alike(before, after):
         raise ValueError(
             "move must make a state of the same shapes and types as the start: "
             f"{before} became {after}"
@@ -143,7 +143,7 @@ def trajectory(problem: Problem, controls: Float[Array, "intervals controls"]) -
         after = problem.move(problem.data, state, *given)
         return after, after
 
-    _, states = lax.scan(one, problem.start, (controls, _numbers(problem)))
+    _, states = lax.scan(one, problem.start, (controls, numbers(problem)))
     return jax.tree.map(
         lambda first, rest: jnp.concatenate([first[None], rest]), problem.start, states
     )
@@ -155,6 +155,15 @@ def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) ->
     In reverse mode one state per interval is kept and the steps of one interval at a
     time.
     """
+    along, last = run(problem, controls)
+    end = None if problem.final is None else problem.final(problem.data, last)
+    return along, end
+
+
+def run(
+    problem: Problem, controls: Float[Array, "intervals controls"]
+) -> tuple[Any, Any]:
+    """Residuals of all intervals, stacked in front, and the last state."""
 
     def one(state: Any, given: tuple[Array, Array]) -> tuple[Any, Any]:
         after = problem.move(problem.data, state, *given)
@@ -163,20 +172,21 @@ def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) ->
         return after, problem.running(problem.data, after, *given)
 
     kept = jax.checkpoint(one, prevent_cse=False)
-    last, along = lax.scan(kept, problem.start, (controls, _numbers(problem)))
-    end = None if problem.final is None else problem.final(problem.data, last)
-    return along, end
+    last, along = lax.scan(kept, problem.start, (controls, numbers(problem)))
+    return along, last
 
 
 def cost(
     problem: Problem, controls: Float[Array, "intervals controls"]
 ) -> Float[Array, ""]:
     """Sum of the squares of all residuals; differentiable."""
-    made = residuals(problem, controls)
-    return sum(
-        (jnp.sum(leaf**2) for leaf in jax.tree.leaves(made)),
-        jnp.zeros((), problem.lower.dtype),
-    )
+    return squares(residuals(problem, controls))
+
+
+def squares(made: Any) -> Float[Array, ""]:
+    """Sum of the squares of all numbers of a pytree that has some."""
+    first, *rest = (jnp.sum(leaf**2) for leaf in jax.tree.leaves(made))
+    return sum(rest, first)
 
 
 def over_time(
@@ -194,8 +204,19 @@ def over_time(
     return (1 - share) * knots[before] + share * knots[after]
 
 
-def _numbers(problem: Problem) -> Int[Array, " intervals"]:
+def numbers(problem: Problem) -> Int[Array, " intervals"]:
+    """Of the intervals, from 0."""
     return jnp.arange(problem.n_intervals, dtype=jnp.int32)
+
+
+def _alike(before: Any, after: Any) -> bool:
+    """Whether two trees have the same structure, shapes and types."""
+    trees: list[Any] = [jax.tree.structure(state) for state in (before, after)]
+    kinds = [
+        [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(state)]
+        for state in (before, after)
+    ]
+    return bool(trees[0] == trees[1]) and kinds[0] == kinds[1]
 
 
 def _floats(tree: Any) -> list[Array]:

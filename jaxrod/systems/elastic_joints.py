@@ -128,7 +128,7 @@ def natural_stiffness(a: Points, b: Points, parts: AllParts) -> Float[Array, "3 
             f"a joint between rigid bodies {a.member!r} and {b.member!r} needs a "
             "stiffness [N m]"
         )
-    weighted, length, compliance = jnp.zeros(()), jnp.zeros(()), jnp.zeros(())
+    weighted = length = compliance = jnp.zeros((), rods[0][1].inertias.dtype)
     for points, own in rods:
         assert own.rest_lengths is not None and own.bend_twist_stiffness is not None
         index = points.elements.values

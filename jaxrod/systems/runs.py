@@ -82,6 +82,13 @@ def _check_member(name: str, member: Any, state: Any, dtype: Any) -> None:
             f"state of {name!r} must be {dtype}, as the system is, got "
             f"{state.positions.dtype}"
         )
+    spins = "angular_velocities" if kind is BodyState else "angular_momenta"
+    for field in ("orientations", "velocities", spins):
+        own = getattr(state, field).dtype
+        if own != dtype:
+            raise ValueError(
+                f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
+            )
 
 
 def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:

@@ -193,10 +193,13 @@ def ball_joint(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If there is no such place, or a number is out of range.
+        ValueError: If there is no such place, a number is out of range, or two rods
+            are further apart there than their elements are long and `at` is not given.
     """
     point = None if at is None else _point("at", at)
     if point is None:
+        for one, other in zip(*pairs(a, b), strict=True):
+            _check_near(one, other, state)
         points = [pose.place for pose in _poses(a, state)]
         return _springs(a, b, state, stiffness, damping, (None, points))
     return _springs(a, b, state, stiffness, damping, (point, point))
@@ -223,6 +226,20 @@ def _springs(
         stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
         damping=optional_number("damping", damping, "kg/s"),
     )
+
+
+def _check_near(a: Place, b: Place, state: Mapping[str, Any]) -> None:
+    """Raises a `ValueError` if two rods of a known state are far apart at places."""
+    one, two = position_of("a", a, state), position_of("b", b, state)
+    spacings = one.spacing, two.spacing
+    if is_traced(one, two) or not all(np.isfinite(spacings)):
+        return
+    apart = float(np.linalg.norm(np.asarray(one.place) - np.asarray(two.place)))
+    if apart > max(spacings):
+        raise ValueError(
+            f"{tuple(a)} and {tuple(b)} are {apart:.3g} m apart, further than their "
+            f"elements are long ({max(spacings):.3g} m): give at, where the joint is"
+        )
 
 
 def _point(name: str, value: Numbers) -> Array:

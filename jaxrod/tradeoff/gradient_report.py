@@ -79,7 +79,7 @@ class GradientReport:
     """Steps of a run to bytes that the gradient of one rod works in, float32."""
     horizons: tuple[float, ...]
     """Ends of the intervals [s]."""
-    singular_values: tuple[tuple[float, float, float], ...]
+    singular_values: tuple[tuple[float, ...], ...]
     """Of the tip's derivative by the controls so far, at each horizon [m]."""
 
     @property
@@ -126,8 +126,9 @@ def gradient_report(
     intervals = check_count("intervals", intervals, 2)
     batch = check_count("batch", batch, 1)
     with jax.enable_x64(True):
-        double = jax.tree.map(lambda a: _typed(a, np.float64), (scene, state))
-        single = jax.tree.map(lambda a: _typed(a, np.float32), (scene, state))
+        both: tuple[Scene, RodState] = (scene, state)
+        double = jax.tree.map(lambda a: _typed(a, np.float64), both)
+        single = jax.tree.map(lambda a: _typed(a, np.float32), both)
         dt = float(stable_dt(double[0]).dt)
         per = int(np.ceil(duration / intervals / dt))
         dt = duration / intervals / per

@@ -14,7 +14,7 @@ import pytest
 from jaxrod.cli import recording
 from jaxrod.envs import Snapshot, make
 from jaxrod.envs.drawing import drawable
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.training import MLPPolicy, save_policy
 from jaxrod.training.normalisation import no_moments
 
@@ -95,6 +95,30 @@ def test_actions_are_held_as_the_policy_says():
     )
     replay = recording.record(Echo(), policy)
     acted = 0.01 * (np.arange(100) // 3 * 3)
+    np.testing.assert_allclose(
+        replay.readouts["reward"][1:], acted.reshape(25, 4).mean(axis=1)
+    )
+
+
+@pytree
+class Counting:
+    """Acts by how often it was asked, whatever it sees."""
+
+    share: jax.Array
+    action_repeat: int = static(default=1)
+
+    def init(self, observation, state):
+        return jnp.zeros(observation.shape[0])
+
+    def act(self, memory, observation, state):
+        assert state.steps.shape == observation.shape[:1]
+        return self.share * memory[:, None], memory + 1
+
+
+@pytest.mark.parametrize("held", [1, 3])
+def test_policies_that_remember_are_recorded(held):
+    replay = recording.record(Echo(), Counting(jnp.asarray(0.01), held))
+    acted = 0.01 * (np.arange(100) // held)
     np.testing.assert_allclose(
         replay.readouts["reward"][1:], acted.reshape(25, 4).mean(axis=1)
     )

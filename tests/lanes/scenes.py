@@ -7,6 +7,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxrod
 from physics.actuators import actuators
@@ -40,7 +41,7 @@ def random_scene(seed):
 
     ball = jaxrod.sphere((0.5, -0.1, 0.0), 0.09)
     touch = {"stiffness": 500.0, "damping": 0.5, "friction": 0.3}
-    touch["points_per_element"] = 2
+    touch["points_per_element"] = 3
     tip = (0.0, 0.0, 0.0)
     pushed = jaxrod.end_load(jaxrod.ramp(tip, vector(1.0), 0.02), tip)
     choices = {

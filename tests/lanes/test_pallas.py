@@ -46,7 +46,7 @@ def always():
 def interpreted():
     """Runs on the CPU go through the kernels for GPUs, interpreted."""
 
-    def by_pallas(name, plan):
+    def by_pallas(name, plan, results):
         if lane_mode() == "never":
             return None
         rods = plan.batch.size if plan.batch is not None else 1

@@ -1,5 +1,10 @@
 """Programs made at random: lanes and XLA come to the same numbers."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from lanes.programs import difference
@@ -13,11 +18,27 @@ def test_a_random_program_is_the_same_by_lanes(seed):
 
 @pytest.mark.slow
 def test_many_random_programs_are_the_same_by_lanes(record):
-    found = [difference(seed)[0] for seed in range(1000, 1300)]
-    assert all(worst is not None for worst in found)
+    """In a process of their own, by XLA as it is without `configure_cpu`.
+
+    With its fusion XLA's compiler (0.10.1) aborts the process on a few of them.
+    """
+    root = Path(__file__).parents[2]
+    env = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    env["PYTHONPATH"] = os.pathsep.join((str(root / "tests"), str(root)))
+    program = [sys.executable, str(root / "tests" / "lanes" / "programs.py")]
+    done = subprocess.run(
+        [*program, "--first", "1000", "--count", "300"],
+        env=env,
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    *apart, last = done.stdout.splitlines()
+    assert last == "300 programs, 0 differ, 0 left to XLA", (apart, done.stderr[-1000:])
     record(
         "lanes: random programs",
         "XLA; differences beyond rounding, of 300",
-        sum(worst > 1 for worst in found),
+        done.returncode,
         at_most=0,
     )

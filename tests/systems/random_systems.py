@@ -193,6 +193,7 @@ def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
                 youngs_modulus=10 ** random.uniform(5.5, 7),
                 start=starts[k],
                 direction=ways[k],
+                dtype=jnp.float32,
             )
             if k == 0 and structure.held:
                 effects.append(jaxrod.clamp(state))
@@ -208,6 +209,7 @@ def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
                 effects=tuple(effects),
                 velocity=0.3 * random.normal(size=3),
                 angular_velocity=3 * random.normal(size=3),
+                dtype=jnp.float32,
             )
             moving[name] = state
         rest[name] = state

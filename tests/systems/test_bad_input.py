@@ -62,7 +62,68 @@ def given():
         ),
         (
             lambda s: jaxrod.ball_joint(("one", 4), ("ball",), s, stiffness=-1.0),
-            "stiffness.*N/m",
+            "stiffness must be positive, got -1 N/m",
+        ),
+        (
+            lambda s: jaxrod.ball_joint(("one", 0), ("far", 4), s, stiffness=1.0),
+            r"\('one', 0\) and \('far', 4\) are 5.* m apart.*0.075 m.*give at",
+        ),
+        (
+            lambda s: jaxrod.rigid_joint(
+                ("one", 0), ("far", 0), s, stiffness=1.0, turning_stiffness=1.0
+            ),
+            "are 5 m apart",
+        ),
+        (
+            lambda s: jaxrod.hinge_joint(
+                ("one", 0),
+                ("far", 0),
+                s,
+                axis=(0, 0, 1),
+                stiffness=1.0,
+                axis_stiffness=1.0,
+            ),
+            "are 5 m apart",
+        ),
+        (
+            lambda s: jaxrod.weld(("one", "start"), ("nobody", 0), s),
+            "b: no member is called 'nobody'",
+        ),
+        (
+            lambda s: jaxrod.attach(("two", 0), ("bell",), s),
+            "no member is called 'bell'",
+        ),
+        (
+            lambda s: jaxrod.spring(("two", 0), ("bell",), s, stiffness=1.0),
+            "b: no member is called 'bell'",
+        ),
+        (
+            lambda s: jaxrod.pose_spring(("bell",), s, stiffness=1.0),
+            "place: no member is called 'bell'",
+        ),
+        (
+            lambda s: jaxrod.body_contact("two", "bell", stiffness=1.0),
+            "no member is called 'bell'",
+        ),
+        (
+            lambda s: jaxrod.attach(("two", -6), ("ball",), s),
+            "node of 'two' must be at least 0, got -1",
+        ),
+        (
+            lambda s: jaxrod.spring(("two", 7), ("ball",), s, stiffness=1.0),
+            "a: node of 'two' must be at most 4, got 7",
+        ),
+        (
+            lambda s: jaxrod.spring(("two", 3, 0), ("ball",), s, stiffness=1.0),
+            "the number of 'two' must be at most 0, got 3",
+        ),
+        (
+            lambda s: jaxrod.pose_spring(("ball", 2), s, stiffness=1.0),
+            "the number of 'ball' must be at most 0, got 2",
+        ),
+        (
+            lambda s: jaxrod.attach(("two", 0.5), ("ball",), s),
+            "node of 'two' must be an integer, got 0.5",
         ),
         (
             lambda s: jaxrod.hinge_joint(
@@ -107,6 +168,16 @@ def test_states_that_do_not_fit(given):
     short = replace(state["one"], positions=state["one"].positions[:, :3])
     with pytest.raises(ValueError, match="positions of 'one'"):
         jaxrod.advance(system, {**state, "one": short}, 1e-4, 1)
+    half = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), state)
+    with pytest.raises(
+        ValueError, match=r"state of 'far' must be float64.* got float32"
+    ):
+        jaxrod.advance(system, {**state, "far": half["far"]}, 1e-4, 1)
+    for name, field in (("far", "velocities"), ("ball", "angular_velocities")):
+        mixed = replace(state[name], **{field: getattr(half[name], field)})
+        words = f"{field} of '{name}' must be float64, as the system is, got float32"
+        with pytest.raises(ValueError, match=words):
+            jaxrod.advance(system, {**state, name: mixed}, 1e-4, 1)
     with pytest.raises(ValueError, match="dt must be"):
         jaxrod.advance(system, state, -1e-4, 1)
 
@@ -117,7 +188,12 @@ def test_states_that_do_not_fit(given):
         ({}, "density .* or a mass"),
         ({"mass": 1.0}, "inertia .* is needed"),
         ({"density": 1.0}, "density needs a sphere"),
-        ({"mass": 0.0, "inertia": (1, 1, 1)}, "mass.*kg"),
+        ({"mass": 0.0, "inertia": (1, 1, 1)}, "mass must be positive, got 0 kg"),
+        ({"mass": 1.0, "inertia": (1, 0, 1)}, "inertia must be positive.* kg m"),
+        (
+            {"shape": jaxrod.sphere((0, 0, 0), 0.1), "density": 0.0},
+            "density must be positive, got 0 kg/m",
+        ),
         ({"mass": 1.0, "inertia": (1, 1, 3)}, "no moment above the sum"),
         ({"mass": 1.0, "inertia": (1, 1)}, "inertia"),
     ],
@@ -125,6 +201,11 @@ def test_states_that_do_not_fit(given):
 def test_bodies_that_are_none(options, words):
     with pytest.raises(ValueError, match=words):
         jaxrod.rigid_body(**options)
+
+
+def test_rods_without_mass():
+    with pytest.raises(ValueError, match=r"density must be positive, got 0 kg/m\^3"):
+        rod(4, 0.3, density=0.0)
 
 
 def test_a_batch_of_systems_is_no_system_of_groups(given):

@@ -1,5 +1,6 @@
 """Contact of rigid bodies with one another, with the ground and with walls."""
 
+import itertools
 from dataclasses import replace
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.systems.energies import seen_at_rest
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import jaxrod
 import jaxrod.training.trajectory.optimise as module
+from jaxrod.control.reach import time_steps
 from jaxrod.training import (
     ActuatedArm,
     UnreachableTargetWarning,
@@ -19,7 +20,6 @@ from jaxrod.training import (
 from jaxrod.training.trajectory.cost import (
     controls_over_time,
     cost_and_gradient,
-    time_steps,
     trajectory_cost,
 )
 

@@ -1,58 +1,14 @@
-"""An arm with muscles, for trajectory optimisation."""
+"""The arm of the benchmark, with muscles, for trajectory optimisation."""
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from jaxrod import (
-    ControlSpline,
-    ElementAverages,
-    RodState,
-    Scene,
-    clamp,
-    control_spline,
-    exponential_damping,
-    make_scene,
-    spline_couples,
-)
+from jaxrod import clamp, control_spline, exponential_damping, make_scene
+from jaxrod.control.arm import ActuatedArm
 from jaxrod.envs.arm.soft_arm import COUPLE_DENSITY, LENGTH, VISCOSITY, clean_rod
-from jaxrod.structure import pytree
-
-
-@pytree
-class ActuatedArm:
-    """A scene, its initial state, and the muscles that are added to it.
-
-    Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
-    couple_density)`, or take the benchmark's with `actuated_arm`.
-    """
-
-    scene: Scene
-    """The rod and everything that acts on it but its muscles."""
-    state: RodState
-    """Initial state."""
-    spline: ControlSpline | ElementAverages
-    """Shape of the muscle couples along the rod, from `control_spline`."""
-    couple_density: Float[Array, ""]
-    """Couple per rest length for a control value of one [N m/m]."""
-
-    def with_controls(self, controls: Float[Array, "directions n_controls"]) -> Scene:
-        """The scene with its muscles at work.
-
-        Args:
-            controls: Control values [1] about d1 and d2 and, if there is a third
-                row, d3 (twist).
-        """
-        missing = 3 - controls.shape[0]
-        padded = jnp.pad(controls, ((0, missing), (0, 0)))
-        muscles = spline_couples(
-            self.scene.rod, self.spline, padded, self.couple_density
-        )
-        return dataclasses.replace(self.scene, effects=(*self.scene.effects, muscles))
 
 
 def actuated_arm(

@@ -9,8 +9,8 @@ Three lines make an arm reach for a point and show it:
 
 from __future__ import annotations
 
+import dataclasses
 import time
-import warnings
 from typing import Any
 
 import jax
@@ -19,19 +19,20 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from jaxrod.stepping.checks import check_step
+from jaxrod.control.arm import ActuatedArm
+from jaxrod.control.descent import clipped_adam, follow_gradient
+from jaxrod.control.reach import on_the_way, reach_problem
 from jaxrod.training.progress import ProgressBar
 from jaxrod.training.settings import LARGEST_COUNT
-from jaxrod.training.trajectory.actuated_arm import ActuatedArm, actuated_arm
+from jaxrod.training.trajectory.actuated_arm import actuated_arm
 from jaxrod.training.trajectory.cost import (
+    TrajectoryCost,
     TrajectoryProblem,
     controls_over_time,
     cost_and_gradient,
     record_trajectory,
-    time_steps,
 )
 from jaxrod.training.trajectory.result import (
-    Reason,
     TrajectoryHistory,
     TrajectoryResult,
 )
@@ -39,10 +40,6 @@ from jaxrod.validation import Numbers, check_array, check_count
 
 # Breaks the symmetry of a straight arm, for which the gradient may vanish exactly.
 _INITIAL_SPREAD = 1e-3
-
-
-class UnreachableTargetWarning(UserWarning):
-    """The target lies further from the arm's base than the arm is long."""
 
 
 def optimise_trajectory(
@@ -119,70 +116,50 @@ def optimise_trajectory(
     limit = _positive("tolerance", tolerance, "m")
     if speed_tolerance is not None:
         _positive("speed_tolerance", speed_tolerance, "m/s")
-    problem = _problem(
+    if directions not in (2, 3):
+        raise ValueError(
+            f"directions must be 2 (bending) or 3 (with twist), got {directions!r}"
+        )
+    control = reach_problem(
         arm,
         target,
-        duration=_positive("duration", duration, "s"),
-        control_interval=_positive("control_interval", control_interval, "s"),
-        dt=None if dt is None else _positive("dt", dt, "s"),
-        weights=(
-            _weight("speed_weight", speed_weight, "s^2"),
-            _weight("running_weight", running_weight, ""),
-            _weight("effort_weight", effort_weight, "m^2"),
-        ),
+        duration,
+        weights=(speed_weight, running_weight, effort_weight),
+        control_interval=control_interval,
+        dt=dt,
+        control_shape=(directions, arm.spline.n_controls),
+        bounds=(-1.0, 1.0),
+        depth=1,
     )
+    # With residuals on the way also where they weigh nothing: one program for all.
+    problem = TrajectoryProblem(dataclasses.replace(control, running=on_the_way))
     knots = _first_knots(arm, n_knots, directions, initial_knots, seed)
     if optimiser is None:
-        optimiser = _clipped_adam(
+        optimiser = clipped_adam(
             _positive("learning_rate", learning_rate, ""),
             _positive("max_gradient_norm", max_gradient_norm, "m^2"),
             iterations,
         )
-    update = jax.jit(_updater(optimiser))
-    memory = optimiser.init(knots)
 
     bar = ProgressBar(iterations, "steps", done=1, enabled=progress)
     rows: list[tuple[float, ...]] = []
-    best, best_loss = knots, np.inf
-    reason: Reason = "max iterations"
-    compile_s = 0.0
-    try:
-        for iteration in range(iterations):
-            cost, gradient = cost_and_gradient(problem, knots)
-            loss, distance, speed, norm = (
-                float(number)
-                for number in (
-                    cost.loss,
-                    cost.tip_distance,
-                    cost.tip_speed,
-                    np.linalg.norm(np.asarray(gradient, float)),
-                )
-            )
-            rows.append((loss, distance, speed, norm, time.monotonic() - began))
-            if iteration == 0:
-                compile_s = rows[0][-1]
-                bar.restart()
-                bar.message(f"ready after {compile_s:.1f} s (the first call compiles)")
-            reached = f"loss {loss:.2e}  tip {1e3 * distance:.1f} mm from target"
-            bar.update(iteration + 1, reached)
-            if not np.isfinite([loss, norm]).all():
-                reason = "not finite"
-                break
-            arrived = distance <= limit
-            if speed_tolerance is not None:
-                arrived = arrived and speed <= speed_tolerance
-            if arrived or loss < best_loss:
-                best, best_loss = knots, loss
-            if arrived:
-                reason = "converged"
-                break
-            if iteration + 1 < iterations:
-                knots, memory = update(knots, memory, gradient)
-    except KeyboardInterrupt:
-        if not rows:
-            raise
-        reason = "interrupted"
 
+    def evaluated(knots: Array) -> tuple[Array, TrajectoryCost, Array]:
+        cost, gradient = cost_and_gradient(problem, knots)
+        return cost.loss, cost, gradient
+
+    def seen(iteration: int, loss: float, norm: float, cost: TrajectoryCost) -> bool:
+        distance, speed = float(cost.tip_distance), float(cost.tip_speed)
+        rows.append((loss, distance, speed, norm, time.monotonic() - began))
+        if iteration == 0:
+            bar.restart()
+            bar.message(f"ready after {rows[0][-1]:.1f} s (the first call compiles)")
+        reached = f"loss {loss:.2e}  tip {1e3 * distance:.1f} mm from target"
+        bar.update(iteration + 1, reached)
+        arrived = distance <= limit
+        return arrived and (speed_tolerance is None or speed <= speed_tolerance)
+
+    best, reason = follow_gradient(evaluated, seen, knots, optimiser, iterations)
     states = record_trajectory(problem, best)
     offset = np.asarray(states.positions[-1, :, -1] - problem.target, float)
     distance = float(np.linalg.norm(offset))
@@ -203,7 +180,7 @@ def optimise_trajectory(
         iterations=len(rows),
         history=TrajectoryHistory(*np.array(rows, float).T),
         problem=problem,
-        compile_s=compile_s,
+        compile_s=rows[0][-1],
         wall_s=time.monotonic() - began,
     )
     bar.message(
@@ -213,51 +190,12 @@ def optimise_trajectory(
     return result
 
 
-def _problem(
-    arm: ActuatedArm,
-    target: Numbers,
-    *,
-    duration: float,
-    control_interval: float,
-    dt: float | None,
-    weights: tuple[float, float, float],
-) -> TrajectoryProblem:
-    place = check_array("target", target, [(3,)], "m")
-    base = np.asarray(arm.state.positions[:, 0], float)
-    away, length = float(np.linalg.norm(place - base)), float(arm.scene.rod.length)
-    if away > length * (1 + 1e-6):
-        warnings.warn(
-            f"target is {away:.3g} m from the arm's base and the arm is {length:.3g} m "
-            "long: it will only be approached",
-            UnreachableTargetWarning,
-            stacklevel=3,
-        )
-    n_intervals, steps, step = time_steps(arm, duration, control_interval, dt)
-    kind = arm.state.positions.dtype
-    check_step(arm.scene, jnp.asarray(step, kind))
-    speed, running, effort = (jnp.asarray(weight, kind) for weight in weights)
-    return TrajectoryProblem(
-        arm=arm,
-        target=jnp.asarray(place, kind),
-        dt=jnp.asarray(step, kind),
-        speed_weight=speed,
-        running_weight=running,
-        effort_weight=effort,
-        n_intervals=n_intervals,
-        steps_per_interval=steps,
-    )
-
-
 def _first_knots(
     arm: ActuatedArm, n_knots: int, directions: int, given: Any, seed: int
 ) -> Array:
     n_knots = check_count("n_knots", n_knots, 2)
     if n_knots > LARGEST_COUNT:
         raise ValueError(f"n_knots must be at most {LARGEST_COUNT}, got {n_knots}")
-    if directions not in (2, 3):
-        raise ValueError(
-            f"directions must be 2 (bending) or 3 (with twist), got {directions!r}"
-        )
     shape = (n_knots, directions, arm.spline.n_controls)
     kind = arm.state.positions.dtype
     if given is None:
@@ -270,28 +208,5 @@ def _first_knots(
     return jnp.asarray(knots, kind)
 
 
-def _clipped_adam(
-    learning_rate: float, max_gradient_norm: float, iterations: int
-) -> optax.GradientTransformation:
-    schedule = optax.cosine_decay_schedule(learning_rate, iterations, alpha=0.1)
-    return optax.chain(
-        optax.clip_by_global_norm(max_gradient_norm), optax.adam(schedule)
-    )
-
-
-def _updater(optimiser: optax.GradientTransformation) -> Any:
-    def update(knots: Array, memory: Any, gradient: Array) -> tuple[Array, Any]:
-        change, memory = optimiser.update(gradient, memory, knots)
-        # Projection keeps every control value one the muscles can follow.
-        moved = jnp.clip(knots + change.astype(knots.dtype), -1.0, 1.0)
-        return moved, memory
-
-    return update
-
-
 def _positive(name: str, value: float, unit: str) -> float:
     return float(check_array(name, value, [()], unit, positive=True))
-
-
-def _weight(name: str, value: float, unit: str) -> float:
-    return float(check_array(name, value, [()], unit, non_negative=True))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod import RodState
+from jaxrod.control.descent import Ending
 from jaxrod.training.trajectory.cost import TrajectoryProblem
 
-Reason = Literal["converged", "max iterations", "not finite", "interrupted"]
+Reason = Ending
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,0 +1,143 @@
+"""Measures solvers of trajectories for docs/control.md.
+
+    python -m benchmarks.control_trajectories [reach swing] [--dry]
+
+`reach`: the tip of an arm of 20 elements to a point 0.6 m away in 1 s, in float32, by
+each solver. `swing`: a soft pendulum and a soft pole on a cart swing up, and are pushed
+with feedback and without. What is not measured keeps its rows.
+
+Counted is processor time of one core; the first call, which compiles, and the next are
+apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import jaxrod
+from jaxrod import control
+from jaxrod.files import write_atomically
+from jaxrod.installation.machine import processor_and_versions
+from jaxrod.training import actuated_arm
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "control.md"
+TARGET = (0.4, 0.6, 0.2)
+HEADS = {
+    "reach": (
+        "| reach, 20 elements | iterations | tip from the target [mm] "
+        "| tip speed [m/s] | first call [s] | next [s] |\n"
+        "|---|---:|---:|---:|---:|---:|"
+    ),
+    "swing": (
+        "| swing-up by `ilqr` | iterations | tip from upright [mm] "
+        "| pushed, with feedback [mm] | without [mm] | first call [s] | next [s] |\n"
+        "|---|---:|---:|---:|---:|---:|---:|"
+    ),
+}
+
+
+def timed(solve: Callable[[], control.Solution]) -> tuple[control.Solution, float]:
+    """A solution, and the processor time it took [s]."""
+    begun = time.process_time()
+    found = solve()
+    return found, time.process_time() - begun
+
+
+def reach_rows() -> Iterable[str]:
+    """A row for each solver."""
+    problem = control.reach(actuated_arm(20), TARGET)
+    solvers: dict[str, Callable[[], control.Solution]] = {
+        "`levenberg_marquardt`": lambda: control.levenberg_marquardt(
+            problem, iterations=5
+        ),
+        "`levenberg_marquardt`, by columns": lambda: control.levenberg_marquardt(
+            problem, iterations=5, mode="forward"
+        ),
+        "`adam`": lambda: control.adam(problem, iterations=150),
+    }
+    for name, solve in solvers.items():
+        (found, first), (_, second) = timed(solve), timed(solve)
+        distance, speed = (series[-1] for series in found.readouts.values())
+        yield (
+            f"| {name} | {found.iterations} | {1e3 * distance:.2f} | {speed:.3f} | "
+            f"{first:.1f} | {second:.2f} |"
+        )
+
+
+def swing_rows() -> Iterable[str]:
+    """A row for each rod that swings up."""
+    for name, member in (("soft_pendulum", None), ("soft_cart_pole", "rod")):
+        example = _example(name)
+        (found, first), (_, second) = timed(example.swing_up), timed(example.swing_up)
+
+        def missed(states: Any, member: str | None = member, top: Any = example) -> Any:
+            rod = states if member is None else states[member]
+            tip = np.asarray(rod.tip[-1])
+            return 1e3 * np.linalg.norm(tip - np.array([0, 0, top.LENGTH]))
+
+        ends = [
+            missed(control.rolled_out(found.problem, policy, example.pushed).states)
+            for policy in (found.policy, found.open_loop)
+        ]
+        yield (
+            f"| `examples/{name}.py` | {found.iterations} | "
+            f"{missed(found.states):.1f} | {ends[0]:.0f} | {ends[1]:.0f} | "
+            f"{first:.1f} | {second:.1f} |"
+        )
+
+
+def _example(name: str) -> Any:
+    spec = importlib.util.spec_from_file_location(
+        name, ROOT / "examples" / f"{name}.py"
+    )
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+ROWS = {"reach": reach_rows, "swing": swing_rows}
+
+
+def written(table: str, lines: list[str]) -> None:
+    """Puts a table in its place in the page."""
+    text = PAGE.read_text()
+    begin, end = f"<!-- {table} -->\n", f"<!-- end {table} -->"
+    before, rest = text.split(begin)
+    _, after = rest.split(end)
+    machine = f"Measured on: {processor_and_versions()}."
+    body = "\n".join([HEADS[table], *lines, "", machine, ""])
+    write_atomically(PAGE, (before + begin + body + end + after).encode())
+
+
+def main(arguments: list[str]) -> int:
+    """Measures, prints and writes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tables", nargs="*", choices=[*HEADS, []], metavar="TABLE")
+    parser.add_argument("--dry", action="store_true", help="write nothing")
+    options = parser.parse_args(arguments)
+    jaxrod.configure_cpu(1)
+    for table in options.tables or list(HEADS):
+        lines = []
+        print(HEADS[table], flush=True)
+        begun = time.perf_counter()
+        for line in ROWS[table]():
+            print(line, flush=True)
+            lines.append(line)
+        print(f"{time.perf_counter() - begun:.0f} s", flush=True)
+        if not options.dry:
+            written(table, lines)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,115 @@
+"""Sphinx's settings: the pages of docs/, the notebooks, and a reference of all names.
+
+`make docs` builds the site into build/site, offline, with warnings as errors. Sources
+are read where they are: the root of the repository is Sphinx's source folder, so that
+links between pages hold in the repository and on the site alike.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "docs"))
+
+from docutils import nodes  # noqa: E402
+from docutils.utils.math.latex2mathml import tex2mathml  # noqa: E402
+from reference_pages import write_reference  # noqa: E402
+from sphinx.ext.napoleon import Config, GoogleDocstring  # noqa: E402
+
+import jaxrod  # noqa: E402
+
+project = "jaxrod"
+author = "jaxrod authors"
+copyright = "jaxrod authors"
+version = release = jaxrod.__version__
+
+root_doc = "docs/index"
+include_patterns = [
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "docs/**",
+    "notebooks/*.ipynb",
+    "benchmarks/*.md",
+    "benchmarks/**/*.md",
+]
+exclude_patterns = ["docs/conf.py", "docs/reference_pages.py"]
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+]
+# The notebooks are executed by the tests, and hold what they made.
+nb_execution_mode = "off"
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+myst_heading_anchors = 4
+suppress_warnings = ["myst.header"]
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+default_role = "code"
+
+html_theme = "sphinx_book_theme"
+html_title = "jaxrod"
+html_math_renderer = "mathml"
+html_extra_path = ["site"]
+html_theme_options = {
+    "show_navbar_depth": 1,
+    "use_download_button": False,
+    "home_page_in_toc": True,
+}
+
+
+def google_docstring(
+    app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Reads sections of a docstring; one of a field is plain text, colons included."""
+    if what not in ("attribute", "data", "property"):
+        lines[:] = GoogleDocstring(
+            lines, Config(napoleon_use_rtype=False), app, what, name, thing, options
+        ).lines()
+
+
+def math_in_docstrings(
+    app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Makes `$x$` in a docstring a formula, as it is in the pages."""
+    text = "\n".join(lines)
+    text = re.sub(
+        r"\$\$(.+?)\$\$",
+        lambda found: "\n\n.. math:: " + " ".join(found[1].split()) + "\n\n",
+        text,
+        flags=re.DOTALL,
+    )
+    text = re.sub(
+        r"(?<![\\$`])\$([^$`]+?)\$",
+        lambda found: ":math:`" + " ".join(found[1].split()) + "`",
+        text,
+    )
+    lines[:] = text.split("\n")
+
+
+def inline_math(translator: Any, node: nodes.Element) -> None:
+    """A formula in a line, as MathML: browsers draw it without a script."""
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise nodes.SkipNode
+
+
+def display_math(translator: Any, node: nodes.Element) -> None:
+    """A formula of its own."""
+    formula = tex2mathml(node.astext(), as_block=True)
+    translator.body.append(f'<div style="margin: 1em 0">{formula}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app: Any) -> None:
+    """Writes the pages of the reference before anything is read."""
+    write_reference(ROOT / "docs" / "reference")
+    app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
+    app.connect("autodoc-process-docstring", google_docstring)
+    app.connect("autodoc-process-docstring", math_in_docstrings, priority=900)

@@ -1,0 +1,84 @@
+"""Pages of the reference: every public name and its docstring, a page a room."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from pathlib import Path
+
+import jaxrod
+
+TITLES = {
+    "actuation": "Actuation",
+    "analysis": "Questions to ask: stability, frequencies, health",
+    "assemblies": "Assemblies of rods",
+    "composition": "Scenes",
+    "contacts": "Contact with bodies",
+    "damping": "Damping",
+    "effects": "Effects",
+    "geometry": "Geometry",
+    "installation": "Installation",
+    "lanes": "Lanes",
+    "methods": "Methods",
+    "rods": "Rods",
+    "scene": "Scenes",
+    "statics": "Equilibria",
+    "stepping": "Stepping",
+    "structure": "Structure",
+    "systems": "Systems of rods and bodies",
+    "topology": "Twist, writhe, link",
+    "tradeoff": "Speed for accuracy",
+}
+PACKAGES = {
+    "jaxrod.control": "Control",
+    "jaxrod.envs": "Environments",
+    "jaxrod.training": "Learners",
+    "jaxrod.viz": "Drawing",
+}
+
+
+def write_reference(folder: Path) -> None:
+    """Writes a page for each room and each package, and their list."""
+    folder.mkdir(exist_ok=True)
+    rooms: dict[str, list[tuple[str, str]]] = {}
+    for name, module in sorted(jaxrod._MODULE_OF.items()):
+        room = TITLES.get(module.split(".")[0], module.split(".")[0].title())
+        rooms.setdefault(room, []).append(("jaxrod", name))
+    for package, title in PACKAGES.items():
+        names = importlib.import_module(package).__all__
+        rooms[title] = [(package, name) for name in sorted(names)]
+    pages: list[str] = []
+    seen: set[int] = set()
+    for title, names in sorted(rooms.items()):
+        page = "".join(c if c.isalnum() else "_" for c in title.lower())
+        pages.append(page)
+        _write(folder / f"{page}.md", f"# {title}\n\n" + _entries(names, seen))
+    listed = "\n".join(pages)
+    _write(
+        folder / "index.md",
+        "# Reference\n\nEvery public name, from the docstrings.\n\n"
+        f"```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n",
+    )
+
+
+def _entries(names: list[tuple[str, str]], seen: set[int]) -> str:
+    """Directives for all names; what another page has is not in the index twice."""
+    lines = ["```{eval-rst}"]
+    for package, name in names:
+        thing = getattr(importlib.import_module(package), name)
+        lines += ["", f".. currentmodule:: {package}", ""]
+        if inspect.isclass(thing):
+            lines += [f".. autoclass:: {name}", "   :members:"]
+        elif callable(thing):
+            lines += [f".. autofunction:: {name}"]
+        else:
+            lines += [f".. autodata:: {name}", "   :no-value:"]
+        lines += ["   :no-index:"] if id(thing) in seen else []
+        seen.add(id(thing))
+    return "\n".join([*lines, "```", ""])
+
+
+def _write(path: Path, text: str) -> None:
+    """Only where it changes, so that Sphinx reads again only what did."""
+    if not path.exists() or path.read_text() != text:
+        path.write_text(text)

@@ -1,0 +1,156 @@
+"""One environment stepped many times: cheap to differentiate in reverse.
+
+Reverse mode through a plain loop keeps what happens in every step. Here the steps go in
+blocks of about the root of their number, and only the states between blocks are kept,
+and those within one block at a time, for one more pass forward.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Key
+
+from jaxrod.envs.memory_policy import MemoryPolicy, OneEpisode, held_for
+from jaxrod.envs.protocol import Environment
+from jaxrod.structure import pytree
+from jaxrod.validation import check_count
+
+
+@pytree
+class Rollout:
+    """What happened, the rewards of every control step among it."""
+
+    observation: Float[Array, " observation"]
+    """The last one."""
+    state: Any
+    """The last one."""
+    reward: Float[Array, " steps"]
+    """Of every control step; zero once the episode has ended."""
+    running: Bool[Array, " steps"]
+    """Whether the episode still ran after it."""
+    collected: Any
+    """What `collect` made of every state, stacked in front."""
+
+
+def rollout(
+    env: Environment,
+    start: tuple[Float[Array, " observation"], Any],
+    act: Float[Array, "steps action"] | Callable[[Array], Array] | MemoryPolicy,
+    params: Any,
+    steps: int | None = None,
+    *,
+    key: Key[Array, ""] | None = None,
+    collect: Callable[[Any], Any] | None = None,
+) -> Rollout:
+    """Steps one environment; pure, differentiable, for `jax.vmap`.
+
+    Its gradient is the plain loop's, and takes memory of about twice the root of the
+    number of steps; any number will do. After the end of an episode, by the task or by
+    the time limit, all stays as it is and nothing is paid.
+
+    Args:
+        env: The environment.
+        start: Observation and state, as `env.reset` returns them.
+        act: Actions in [-1, 1] of every control step, or a policy: a function of one
+            observation, or a `MemoryPolicy`, with a batch of one. A policy's actions
+            are clipped, and held for its `action_repeat`.
+        params: Traced parameters.
+        steps: How many control steps, at least 1; needed for a policy.
+        key: Of the randomness: step k draws from `fold_in(key, k)`. May be left out
+            where the task's steps draw nothing that matters.
+        collect: Of a state, what is to be kept of every step.
+
+    Returns:
+        See `Rollout`.
+
+    Raises:
+        ValueError: `steps` is missing, below 1, or not the number of the actions.
+    """
+    given = None if callable(act) or isinstance(act, MemoryPolicy) else jnp.asarray(act)
+    if given is not None:
+        if given.ndim != 2 or given.shape[1] != env.action_size:
+            raise ValueError(
+                "actions must have the shape (steps, action_size), here (steps, "
+                f"{env.action_size}); got {given.shape}"
+            )
+        if steps is not None and steps != given.shape[0]:
+            raise ValueError(
+                f"steps is {steps}, but there are {given.shape[0]} actions"
+            )
+        steps = given.shape[0]
+    elif steps is None:
+        raise ValueError("steps must be given for a policy")
+    steps = check_count("steps", steps, 1)
+    key = jax.random.key(0) if key is None else key
+    policy = None if given is not None else OneEpisode(act)
+    repeat = 1 if given is not None else held_for(act)
+
+    def step(carry: Any, now: tuple[Array, Any]) -> tuple[Any, Any]:
+        observation, state, held, running = carry
+        index, action = now
+        if policy is not None:
+            held = lax.cond(
+                index % repeat == 0,
+                lambda held: policy.act(held[1], observation, state),
+                lambda held: held,
+                held,
+            )
+            action = held[0]
+        seen, moved, reward, terminated, truncated, _ = env.step(
+            jax.random.fold_in(key, index), state, action, params
+        )
+        observation, state = jax.tree.map(
+            lambda new, old: jnp.where(running, new, old),
+            (seen, moved),
+            (observation, state),
+        )
+        reward = jnp.where(running, reward, 0)
+        running = running & ~terminated & ~truncated
+        kept = None if collect is None else collect(state)
+        return (observation, state, held, running), (reward, running, kept)
+
+    observation, state = start
+    held = None
+    if policy is not None:
+        memory = policy.init(observation, state)
+        made, _ = jax.eval_shape(policy.act, memory, observation, state)
+        held = jnp.zeros(made.shape, made.dtype), memory
+    carry = observation, state, held, jnp.ones((), bool)
+    carry, (reward, running, collected) = _scanned(
+        step, carry, (jnp.arange(steps), given), steps
+    )
+    return Rollout(carry[0], carry[1], reward, running, collected)
+
+
+def _scanned(step: Any, carry: Any, along: Any, length: int) -> tuple[Any, Any]:
+    """A scan in two nested loops, both checkpointed, and a remainder."""
+    remembered = jax.checkpoint(step, prevent_cse=False)
+    block = max(1, math.isqrt(length))
+    blocks, rest = divmod(length, block)
+    first = jax.tree.map(
+        lambda leaf: jnp.reshape(
+            leaf[: blocks * block], (blocks, block, *leaf.shape[1:])
+        ),
+        along,
+    )
+
+    def stretch(carry: Any, along: Any) -> tuple[Any, Any]:
+        return lax.scan(remembered, carry, along)
+
+    carry, made = lax.scan(
+        jax.checkpoint(stretch, prevent_cse=False), carry, first, length=blocks
+    )
+    made = jax.tree.map(
+        lambda leaf: jnp.reshape(leaf, (blocks * block, *leaf.shape[2:])), made
+    )
+    if rest:
+        last = jax.tree.map(lambda leaf: leaf[blocks * block :], along)
+        carry, more = lax.scan(remembered, carry, last)
+        made = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), made, more)
+    return carry, made

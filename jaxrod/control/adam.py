@@ -1,0 +1,143 @@
+"""Trajectories by Adam on knots in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.control.descent import clipped_adam, follow_gradient
+from jaxrod.control.knots import check_problem, first_knots, half_widths
+from jaxrod.control.problem import Problem, cost, over_time, trajectory
+from jaxrod.control.programs import timed
+from jaxrod.control.solution import Solution
+from jaxrod.validation import check_array, check_count
+
+
+def adam(
+    problem: Problem,
+    *,
+    n_knots: int = 11,
+    iterations: int = 200,
+    learning_rate: float = 0.05,
+    max_gradient_norm: float = 1.0,
+    optimiser: Any = None,
+    enough: float = 0.0,
+    initial_knots: Any = None,
+    seed: int = 0,
+    progress: Callable[[int, float], None] | None = None,
+) -> Solution:
+    """Controls, linear in time between knots, by following the gradient of the cost.
+
+    For problems with many residuals, or where the cost is no smooth valley;
+    `levenberg_marquardt` needs far fewer iterations where there are few residuals.
+    Knots are counted in half widths of their bounds, and kept within by projection.
+    Ctrl-C ends it with the best so far. Needs optax.
+
+    Args:
+        problem: The problem.
+        n_knots: Knots in time, equally spaced.
+        iterations: Gradients, at most.
+        learning_rate: Of Adam, per step, decaying along a cosine to a tenth [1].
+        max_gradient_norm: Gradients by scaled knots are shortened to this norm.
+        optimiser: An `optax.GradientTransformation` to use instead.
+        enough: Cost at which it ends.
+        initial_knots: Where to begin `(n_knots, n_controls)`; small random ones by
+            default.
+        seed: Of the small random ones.
+        progress: Called with the iteration and the cost.
+
+    Returns:
+        The best that was found, with its motion.
+
+    Raises:
+        ValueError: an argument is out of range or does not fit.
+        TypeError: `problem` is something else.
+    """
+    check_problem(problem)
+    iterations = check_count("iterations", iterations, 1)
+    target = float(check_array("enough", enough, [()], "", non_negative=True))
+    widths = half_widths(problem)[None]
+    start = first_knots(problem, n_knots, initial_knots, seed) / widths
+    if optimiser is None:
+        optimiser = clipped_adam(
+            float(check_array("learning_rate", learning_rate, [()], "", positive=True)),
+            float(
+                check_array(
+                    "max_gradient_norm", max_gradient_norm, [()], "", positive=True
+                )
+            ),
+            iterations,
+        )
+    took = np.zeros(2)
+    rows: list[tuple[float, float]] = []
+
+    def evaluated(scaled: Array) -> tuple[Any, None, Array]:
+        (value, gradient), compile_s, run_s = timed(_valued, problem, scaled)
+        took[:] += compile_s, run_s
+        return value, None, gradient
+
+    def seen(iteration: int, value: float, norm: float, report: None) -> bool:
+        del report
+        rows.append((value, norm))
+        if progress is not None:
+            progress(iteration, value)
+        return value <= target
+
+    best, ending = follow_gradient(
+        evaluated,
+        seen,
+        start,
+        optimiser,
+        iterations,
+        (problem.lower / widths[0])[None],
+        (problem.upper / widths[0])[None],
+    )
+    (knots, controls, states, least), compile_s, _ = timed(_recorded, problem, best)
+    reasons = {
+        "converged": f"the cost is at most {target:g}",
+        "max iterations": f"{iterations} iterations were made",
+        "not finite": "the cost or its gradient is not finite",
+        "interrupted": "it was interrupted",
+    }
+    history = np.array(rows, float).T
+    return Solution(
+        problem=problem,
+        solver="adam",
+        controls=controls,
+        states=states,
+        cost=float(least),
+        history={"cost": history[0], "gradient_norm": history[1]},
+        converged=ending == "converged",
+        reason=reasons[ending],
+        iterations=len(rows),
+        compile_s=took[0] + compile_s,
+        run_s=float(took[1]),
+        knots=knots,
+    )
+
+
+def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
+    """The cost of scaled knots, and its gradient."""
+
+    def value(scaled: Array) -> Array:
+        knots = scaled * half_widths(problem)[None]
+        return cost(problem, over_time(knots, problem.n_intervals))
+
+    return jax.value_and_grad(value)(scaled)
+
+
+def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array]:
+    """Knots, controls, motion and cost."""
+    knots = scaled * half_widths(problem)[None]
+    controls = over_time(knots, problem.n_intervals)
+    return (
+        knots,
+        controls,
+        trajectory(problem, controls),
+        jnp.asarray(cost(problem, controls)),
+    )

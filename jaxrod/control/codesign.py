@@ -1,0 +1,159 @@
+"""A body and its controls, found together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.control.knots import check_problem, first_knots
+from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.problem import Problem, over_time, residuals, trajectory
+from jaxrod.control.programs import timed
+from jaxrod.control.solution import Solution
+from jaxrod.validation import check_array, check_count
+
+Body = Callable[[Any, Any], Any]
+"""`(data, design) -> data`, the problem's data for a body."""
+
+
+def codesign(
+    problem: Problem,
+    body: Body,
+    design: Any,
+    *,
+    n_knots: int = 11,
+    iterations: int = 30,
+    ridge: float = 1e-4,
+    lower: Any = None,
+    upper: Any = None,
+    damping: float = 1.0,
+    initial_knots: Any = None,
+    seed: int = 0,
+) -> Solution:
+    """Numbers of a body and controls for it that make the sum of squares least.
+
+    `levenberg_marquardt` of both together. The step of the simulation is that of the
+    problem: bounds of the design have to keep the body stable with it.
+
+    Args:
+        problem: The problem; the state it starts from is that of all bodies.
+        body: `(data, design) -> data`, a function of a module; pure and
+            differentiable.
+        design: Where the design begins, any pytree of floats.
+        n_knots: Knots in time, equally spaced.
+        iterations: Points tried after the first, at most.
+        ridge: Cost of the mean squared number of the knots: the effort.
+        lower: Smallest numbers of the design, a number or as `design`.
+        upper: Largest ones.
+        damping: Of the first step, a share of the diagonal [1].
+        initial_knots: Where to begin `(n_knots, n_controls)`.
+        seed: Of the small random ones otherwise.
+
+    Returns:
+        The best of both; `design` is the body's, `problem` has its data.
+
+    Raises:
+        ValueError: an argument is out of range or does not fit.
+        TypeError: `problem` is something else.
+    """
+    check_problem(problem)
+    knots = first_knots(problem, n_knots, initial_knots, seed)
+    kind = knots.dtype
+    numbers = {
+        "ridge": check_array("ridge", ridge, [()], "", positive=True),
+        "damping": check_array("damping", damping, [()], "", positive=True),
+    }
+    begin = jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), design)
+    if not jax.tree.leaves(begin):
+        raise ValueError("design must have at least one number")
+    bounds = tuple(
+        _bounds(bound, begin, sign) for bound, sign in ((lower, -1), (upper, 1))
+    )
+    found, compile_s, run_s = timed(
+        _solved,
+        problem,
+        {"design": begin, "knots": knots},
+        {name: jnp.asarray(n, kind) for name, n in numbers.items()},
+        bounds,
+        body=body,
+        iterations=check_count("iterations", iterations, 1),
+    )
+    least, controls, states, data = found
+    tried = int(least.iterations)
+    converged = bool(least.converged)
+    return Solution(
+        problem=replace(problem, data=data),
+        solver="codesign",
+        controls=controls,
+        states=states,
+        cost=float(jnp.sum(least.residuals**2)),
+        history={"cost": np.asarray(least.costs)[: tried + 1]},
+        converged=converged,
+        reason="a step changes the cost, or the unknowns, by less than asked"
+        if converged
+        else f"{tried} iterations were made",
+        iterations=tried,
+        compile_s=compile_s,
+        run_s=run_s,
+        knots=least.solution["knots"],
+        design=least.solution["design"],
+    )
+
+
+def _bounds(bound: Any, design: Any, sign: int) -> Any:
+    """Bounds of the design as it is."""
+    if bound is None:
+        bound = sign * jnp.inf
+    kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, design)]
+    if kinds[0] != kinds[1]:
+        bound = jax.tree.map(lambda _: bound, design)
+    return jax.tree.map(
+        lambda b, leaf: jnp.broadcast_to(jnp.asarray(b, leaf.dtype), leaf.shape),
+        bound,
+        design,
+    )
+
+
+def _solved(
+    problem: Problem,
+    start: dict[str, Any],
+    numbers: dict[str, Array],
+    bounds: tuple[Any, Any],
+    *,
+    body: Body,
+    iterations: int,
+) -> tuple[LeastSquares, Array, Any, Any]:
+    """The solution, its controls, its motion, and the data of its body."""
+    shape = start["knots"].shape
+    low, high = (
+        {"design": bound, "knots": jnp.broadcast_to(limit, shape)}
+        for bound, limit in zip(bounds, (problem.lower, problem.upper), strict=True)
+    )
+
+    def of_body(design: Any) -> Problem:
+        return replace(problem, data=body(problem.data, design))
+
+    # The design costs nothing by itself.
+    free = jax.tree.map(jnp.zeros_like, start["design"])
+    weight = jnp.full(shape, 1 / start["knots"].size, numbers["ridge"].dtype)
+    found = least_squares(
+        lambda z: residuals(
+            of_body(z["design"]), over_time(z["knots"], problem.n_intervals)
+        ),
+        start,
+        lower=low,
+        upper=high,
+        ridge={"design": free, "knots": numbers["ridge"] * weight},
+        centre=0.0,
+        damping=numbers["damping"],
+        iterations=iterations,
+    )
+    best = of_body(found.solution["design"])
+    controls = over_time(found.solution["knots"], problem.n_intervals)
+    return found, controls, trajectory(best, controls), best.data

@@ -1,0 +1,299 @@
+"""Trajectories with feedback: iterative linear-quadratic regulation.
+
+Dynamics are linearised along the trajectory, residuals too (Gauss-Newton); the problem
+that this makes is solved backwards in time within the bounds of the controls
+(`riccati.py`); and the controls that it gives, feedback included, are tried on the real
+dynamics with several shares of the step at once. The derivatives of all intervals in
+all directions are one batch of rods.
+
+Source: W. Li, E. Todorov, Iterative linear quadratic regulator design for nonlinear
+biological movement systems, ICINCO 2004; control limits as in Tassa, Mansard, Todorov,
+ICRA 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from jaxrod.control.knots import (
+    check_problem,
+    first_knots,
+    half_widths,
+    within_bounds,
+)
+from jaxrod.control.problem import Problem, numbers, over_time
+from jaxrod.control.programs import timed
+from jaxrod.control.riccati import Linear, backward
+from jaxrod.control.solution import Solution
+from jaxrod.structure import pytree
+from jaxrod.validation import check_array, check_count
+
+SHARES = 10
+"""Steps that are tried at once: the whole, a half, a quarter, ..."""
+FASTER, SLOWER = 4.0, 8.0
+"""Divisor of the damping after a whole step, and factor where no step is better."""
+LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
+
+
+def ilqr(
+    problem: Problem,
+    *,
+    iterations: int = 50,
+    damping: float = 1e-3,
+    tolerance: float = 1e-4,
+    initial_controls: Any = None,
+    spread: float = 0.1,
+    seed: int = 0,
+) -> Solution:
+    """Controls of every interval that make the sum of squares least, with feedback.
+
+    For long motions in which a rod must be kept from falling: the solution's `policy`
+    answers disturbances.
+
+    Args:
+        problem: The problem.
+        iterations: Steps tried, at most.
+        damping: Of the first step: cost of changing every control by half of what lies
+            between its bounds, a share of the first cost [1].
+        tolerance: Relative gain below which it is done.
+        initial_controls: Where to begin `(n_intervals, n_controls)`; random ones by
+            default, which a motion like the one that is wanted often beats by far.
+        spread: Of the random ones, a share of half of what lies between the bounds [1].
+        seed: Of the random ones.
+
+    Returns:
+        The best that was found, with its motion and the gains about it.
+
+    Raises:
+        ValueError: an argument is out of range or does not fit.
+        TypeError: `problem` is something else.
+    """
+    check_problem(problem)
+    iterations = check_count("iterations", iterations, 1)
+    shape = (problem.n_intervals, problem.n_controls)
+    if initial_controls is not None:
+        start = within_bounds(problem, "initial_controls", initial_controls, shape)
+    else:
+        width = float(check_array("spread", spread, [()], "", non_negative=True))
+        knots = first_knots(problem, min(11, problem.n_intervals), None, seed, width)
+        start = over_time(knots, problem.n_intervals)
+    settings = {
+        name: jnp.asarray(
+            check_array(name, number, [()], "", positive=True), start.dtype
+        )
+        for name, number in (("damping", damping), ("tolerance", tolerance))
+    }
+    found, compile_s, run_s = timed(
+        _solved, problem, start, settings, iterations=iterations
+    )
+    tried = int(found.tried) - 1
+    converged = bool(found.converged)
+    cost = float(found.cost)
+    if not np.isfinite(cost):
+        reason = "the motion under the first controls is not finite"
+    elif converged:
+        reason = "a step gains less than asked"
+    elif tried >= iterations:
+        reason = f"{iterations} iterations were made"
+    else:
+        reason = "no step makes the cost smaller"
+    _, unravel = ravel_pytree(problem.start)
+    return Solution(
+        problem=problem,
+        solver="ilqr",
+        controls=found.controls,
+        states=jax.vmap(unravel)(found.states),
+        cost=cost,
+        history={"cost": np.asarray(found.costs)[: tried + 1]},
+        converged=converged and bool(np.isfinite(cost)),
+        reason=reason,
+        iterations=tried,
+        compile_s=compile_s,
+        run_s=run_s,
+        gains=found.gains,
+    )
+
+
+@pytree
+class _Search:
+    controls: Array
+    states: Array
+    cost: Array
+    gains: Array
+    damping: Array
+    tried: Array
+    converged: Array
+    ended: Array
+    costs: Array
+
+
+def _solved(
+    problem: Problem, start: Array, settings: dict[str, Array], *, iterations: int
+) -> _Search:
+    first, unravel = ravel_pytree(problem.start)
+    n, (count, m) = first.size, start.shape
+    shares = 0.5 ** jnp.arange(SHARES, dtype=start.dtype)
+
+    def tried_with(
+        search: _Search, changes: Array, gains: Array, share: Array
+    ) -> tuple[Array, Array, Array]:
+        """Controls, states and cost of a share of the step."""
+
+        def one(state: Array, given: tuple[Array, ...]) -> Any:
+            k, control, change, gain, planned = given
+            wanted = control + share * change + gain @ (state - planned)
+            used = jnp.clip(wanted, problem.lower, problem.upper)
+            after, made = _moved(problem, unravel, state, used, k)
+            return after, (used, after, jnp.sum(made**2))
+
+        last, (controls, states, costs) = lax.scan(
+            one,
+            first,
+            (numbers(problem), search.controls, changes, gains, search.states[:-1]),
+        )
+        total = jnp.sum(costs) + jnp.sum(_at_end(problem, unravel, last) ** 2)
+        return controls, jnp.concatenate([first[None], states]), total
+
+    def again(search: _Search) -> _Search:
+        # In the last round only the gains are wanted, those about what was found.
+        last = search.converged | (search.tried >= iterations)
+        last = last | (search.damping > MOST_DAMPING)
+        share = jnp.where(last, LEAST_DAMPING, search.damping)
+        linear = _linearised(problem, unravel, search.states, search.controls)
+        scale = search.costs[0] / (count * half_widths(problem) ** 2)
+        changes, gains = backward(
+            linear, search.controls, problem.lower, problem.upper, share * scale
+        )
+        controls, states, costs = jax.vmap(
+            lambda share: tried_with(search, changes, gains, share)
+        )(shares)
+        costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
+        best = jnp.argmin(costs)
+        least = jnp.min(costs)
+        better = (least < search.cost) & ~last
+        taken = (jnp.arange(SHARES) == best) & better
+
+        def chosen(ways: Array, old: Array) -> Array:
+            mask = taken.reshape(SHARES, *(1,) * old.ndim)
+            one = jnp.sum(jnp.where(mask, ways, 0), axis=0)
+            return jnp.where(better, one, old)
+
+        # A short step, if any, says that the model does not reach that far.
+        change = jnp.where(best == 0, 1 / FASTER, jnp.where(best < 3, 1.0, FASTER))
+        mu = search.damping * jnp.where(better, change, SLOWER)
+        small = (search.cost - least) <= settings["tolerance"] * search.cost
+        small = small & (best == 0)
+        gained = jnp.where(better, least, search.cost)
+        return _Search(
+            controls=chosen(controls, search.controls),
+            states=chosen(states, search.states),
+            cost=gained,
+            gains=gains,
+            damping=jnp.maximum(mu, LEAST_DAMPING).astype(start.dtype),
+            tried=search.tried + 1,
+            converged=search.converged | (better & small),
+            ended=last,
+            costs=search.costs.at[search.tried + 1].set(gained, mode="drop"),
+        )
+
+    none = _Search(
+        controls=start,
+        states=jnp.broadcast_to(first, (count + 1, n)),
+        cost=jnp.asarray(jnp.inf, start.dtype),
+        gains=jnp.zeros((count, m, n), start.dtype),
+        damping=settings["damping"],
+        tried=jnp.zeros((), jnp.int32),
+        converged=jnp.zeros((), bool),
+        ended=jnp.zeros((), bool),
+        costs=jnp.full((iterations + 1,), jnp.nan, start.dtype),
+    )
+    # As many as in the search, so that lanes have one program for both.
+    controls, states, costs = jax.vmap(
+        lambda share: tried_with(none, jnp.zeros_like(start), none.gains, share)
+    )(shares)
+    begun = replace(
+        none,
+        controls=controls[0],
+        states=states[0],
+        cost=costs[0],
+        costs=none.costs.at[0].set(costs[0]),
+    )
+    return lax.while_loop(lambda search: ~search.ended, again, begun)
+
+
+Unravel = Callable[[Array], Any]
+
+
+def _moved(
+    problem: Problem, unravel: Unravel, state: Array, control: Array, k: Array
+) -> tuple[Array, Array]:
+    """The state after an interval, and the residuals of it."""
+    after = problem.move(problem.data, unravel(state), control, k)
+    flat = ravel_pytree(after)[0]
+    return flat, _on_the_way(problem, unravel, flat, control, k)
+
+
+def _on_the_way(
+    problem: Problem, unravel: Unravel, after: Array, control: Array, k: Array
+) -> Array:
+    if problem.running is None:
+        return jnp.zeros((0,), after.dtype)
+    made = problem.running(problem.data, unravel(after), control, k)
+    return ravel_pytree(made)[0].astype(after.dtype)
+
+
+def _at_end(problem: Problem, unravel: Unravel, last: Array) -> Array:
+    if problem.final is None:
+        return jnp.zeros((0,), last.dtype)
+    return ravel_pytree(problem.final(problem.data, unravel(last)))[0]
+
+
+def _linearised(
+    problem: Problem,
+    unravel: Unravel,
+    states: Float[Array, "intervals+1 n"],
+    controls: Float[Array, "intervals m"],
+) -> Linear:
+    """Derivatives of all intervals, in all directions at once."""
+    n, m = states.shape[1], controls.shape[1]
+    ways = jnp.eye(n + m, dtype=states.dtype)
+
+    def moves(x: Array, u: Array, k: Array) -> tuple[Array, Array]:
+        def after(x: Array, u: Array) -> Array:
+            return ravel_pytree(problem.move(problem.data, unravel(x), u, k))[0]
+
+        def column(way: Array) -> Array:
+            return jax.jvp(after, (x, u), (way[:n], way[n:]))[1]
+
+        both = jax.vmap(column, out_axes=1)(ways)
+        return both[:, :n], both[:, n:]
+
+    def costs(x: Array, u: Array, k: Array) -> tuple[Array, Array, Array]:
+        def made(x: Array, u: Array) -> Array:
+            return _on_the_way(problem, unravel, x, u, k)
+
+        by_state, by_control = jax.jacfwd(made, (0, 1))(x, u)
+        return made(x, u), by_state, by_control
+
+    k = numbers(problem)
+    a, b = jax.vmap(moves)(states[:-1], controls, k)
+    r, by_states, by_controls = jax.vmap(costs)(states[1:], controls, k)
+    end = lambda x: _at_end(problem, unravel, x)
+    return Linear(
+        states=a,
+        controls=b,
+        residuals=r,
+        by_states=by_states,
+        by_controls=by_controls,
+        final=end(states[-1]),
+        final_by_state=jax.jacfwd(end)(states[-1]),
+    )

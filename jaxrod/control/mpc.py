@@ -1,0 +1,139 @@
+r"""Model-predictive control: a policy that plans ahead with the model, ever again.
+
+A plan is a line of actions through `knots`, over the next `horizon` control steps. It
+is made better by one of three methods, its beginning is acted, and `replan` control
+steps later it is moved on and made better again (receding horizon, warm start). What is
+made small is
+
+$$\frac1K \sum_k |r(x_k)|^2 + \frac{e}{K} \sum_k |u_k|^2
+  + \frac{s}{K} \sum_k |u_k - u_{k-1}|^2,$$
+
+with the environment's residuals $r$ after every knot's interval, effort $e$ and
+smoothness $s$. Methods:
+
+- `"gauss-newton"`: a step of Gauss and Newton within the bounds, from the few rows that
+  the residuals' derivatives are, all of which go back through the rods in one batch;
+  of it as much as lowers the cost (real-time iteration; Diehl et al., 2005).
+- `"gradient"`: Adam on the environment's smooth cost, with bounds by clipping.
+- `"mppi"`: the mean of noisy plans, weighted by exponentials of their costs (Williams
+  et al., 2017); no derivatives.
+
+Nothing of an environment is known here but its protocol, and what is random is not
+foreseen: `predict` takes no key.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.control.planning_policy import METHODS, Model, PlanningPolicy
+from jaxrod.validation import check_count, check_seed
+
+
+def mpc(
+    env: Model,
+    params: Any = None,
+    *,
+    horizon: int = 96,
+    knots: int = 6,
+    iterations: int | None = None,
+    method: str = "gauss-newton",
+    hold: int = 4,
+    replan: int | None = None,
+    first: int | None = None,
+    effort: float = 1e-3,
+    smoothness: float = 1e-2,
+    rate: float | None = None,
+    samples: int = 32,
+    starts: int = 0,
+    seed: int = 0,
+) -> PlanningPolicy:
+    """A policy that plans with a model of the environment; see the module.
+
+    It has memory (`jaxrod.envs.MemoryPolicy`): `jaxrod.training.evaluate` takes it.
+
+    Args:
+        env: The model: an environment with `predict` and `cost`, and `residuals` for
+            `"gauss-newton"` (`jaxrod.envs.Plannable`).
+        params: Its parameters, by default its own.
+        horizon: Control steps ahead, a multiple of `knots * hold`.
+        knots: Values planned for each action.
+        iterations: Steps of the method in each plan; by default 1, or 4 of Adam.
+        method: `"gauss-newton"`, `"gradient"` or `"mppi"`.
+        hold: Control steps for which an action is held.
+        replan: Control steps from plan to plan, a multiple of `hold`, at most the
+            horizon; by default the distance of two knots.
+        first: Iterations of the first plan of an episode; by default 8 times as many.
+        effort: Cost of the mean squared action.
+        smoothness: Cost of the mean squared change from knot to knot.
+        rate: Step of Adam, by default 0.15, or deviation of the samples, by default
+            0.3.
+        samples: Noisy plans in each iteration of `"mppi"`.
+        starts: An episode's first plan begins from so many noisy ones, widely spread,
+            for tasks in which nearby plans are all bad; 0 begins at rest.
+        seed: Of the samples.
+
+    Raises:
+        ValueError: An argument is out of range, or the environment cannot be planned
+            with.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}; got {method!r}")
+    needed = ("predict", "cost") + (("residuals",) if method == METHODS[0] else ())
+    missing = [name for name in needed if not hasattr(env, name)]
+    if missing:
+        raise ValueError(
+            f"{type(env).__name__} cannot be planned with by {method!r}: it has no "
+            f"{' and no '.join(missing)} (jaxrod.envs.Plannable)"
+        )
+    horizon = check_count("horizon", horizon, 1)
+    knots = check_count("knots", knots, 1)
+    hold = check_count("hold", hold, 1)
+    if horizon % (knots * hold):
+        raise ValueError(
+            f"horizon must be a multiple of knots times hold, {knots * hold} control "
+            f"steps; got {horizon}"
+        )
+    replan = horizon // knots if replan is None else check_count("replan", replan, 1)
+    if replan % hold or replan > horizon:
+        raise ValueError(
+            f"replan must be a multiple of hold, {hold} control steps, and at most the "
+            f"horizon, {horizon}; got {replan}"
+        )
+    usual = 4 if method == "gradient" else 1
+    iterations = check_count(
+        "iterations", usual if iterations is None else iterations, 1
+    )
+    first = 8 * iterations if first is None else check_count("first", first, 1)
+    samples = check_count("samples", samples, 2)
+    starts = check_count("starts", starts, 0)
+    if rate is None:
+        rate = 0.3 if method == "mppi" else 0.15
+    for name, value in (("effort", effort), ("smoothness", smoothness)):
+        if not 0 <= value < np.inf:
+            raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+    if effort == 0 and method == METHODS[0]:
+        raise ValueError("effort must be positive for gauss-newton, got 0")
+    if not 0 < rate < np.inf:
+        raise ValueError(f"rate must be positive and finite, got {rate!r}")
+    return PlanningPolicy(
+        params=env.default_params() if params is None else params,
+        effort=jnp.asarray(effort),
+        smoothness=jnp.asarray(smoothness),
+        rate=jnp.asarray(rate),
+        key=jax.random.key(check_seed(seed)),
+        env=env,
+        horizon=horizon,
+        knots=knots,
+        action_repeat=hold,
+        replan=replan,
+        iterations=iterations,
+        first=first,
+        samples=samples,
+        starts=starts,
+        method=method,
+    )

@@ -1,0 +1,242 @@
+"""Plans of one episode made better: by Gauss-Newton, by gradients, by sampling."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod.control.plan_weights import piece_weights
+from jaxrod.structure import pytree, static
+
+SHARES = (1.0, 0.5, 0.2)
+"""Of a Gauss-Newton step, those that are tried."""
+DAMPING = 1e-3
+"""Cost of the mean squared change of the knots by a Gauss-Newton step."""
+BOUND_ITERATIONS = 12
+"""Alternations between the quadratic model and its bounds."""
+TEMPERATURE = 0.1
+"""Of the weights of samples, in deviations of their costs."""
+
+
+@pytree
+class PlanCost:
+    """What a plan costs; see `jaxrod.control.mpc`."""
+
+    params: Any
+    """Parameters of the model."""
+    effort: Float[Array, ""]
+    """Cost of the squared action."""
+    smoothness: Float[Array, ""]
+    """Cost of the squared change from knot to knot."""
+    env: Any = static()
+    """The model."""
+    knots: int = static()
+    """Their number."""
+    spacing: int = static()
+    """Control steps from knot to knot."""
+    hold: int = static()
+    """Control steps for which an action is held."""
+
+    def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
+        """What is acted in the pieces of every knot's interval."""
+        table = jnp.asarray(
+            piece_weights(self.knots, self.spacing, self.hold), knots.dtype
+        )
+        acted = table @ jnp.concatenate([now[None], knots])
+        return jnp.reshape(acted, (self.knots, -1, acted.shape[-1]))
+
+    def along(self, now: Array, knots: Array, state: Any, of: Any) -> Array:
+        """`of(state, action)` after every knot's interval."""
+
+        def piece(state: Any, action: Array) -> tuple[Any, None]:
+            return self.env.predict(state, action, self.params, self.hold), None
+
+        def interval(state: Any, actions: Array) -> tuple[Any, Array]:
+            state, _ = lax.scan(piece, state, actions)
+            return state, of(state, actions[-1])
+
+        return lax.scan(interval, state, self.actions(now, knots))[1]
+
+    def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
+        """The environment's after every interval, over the root of their number."""
+        found = self.along(
+            now,
+            knots,
+            state,
+            lambda state, action: self.env.residuals(state, action, self.params),
+        )
+        return jnp.ravel(found) / jnp.sqrt(self.knots).astype(found.dtype)
+
+    def regular(self, now: Array, knots: Array) -> Float[Array, ""]:
+        """Effort and smoothness."""
+        changes = jnp.diff(jnp.concatenate([now[None], knots]), axis=0)
+        return (
+            self.effort * jnp.sum(knots**2) + self.smoothness * jnp.sum(changes**2)
+        ) / self.knots
+
+    def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
+        """All of it; infinite where it is not a number."""
+        found = self.along(
+            now,
+            knots,
+            state,
+            lambda state, action: self.env.cost(state, action, self.params),
+        )
+        return jnp.mean(found) + self.regular(now, knots)
+
+    def least_squares(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
+        """The same of the residuals; infinite where it is not a number."""
+        found = jnp.sum(self.residuals(now, knots, state) ** 2)
+        return _or_infinite(found + self.regular(now, knots))
+
+
+def by_gauss_newton(
+    cost: PlanCost, now: Array, knots: Array, state: Any, iterations: Int[Array, ""]
+) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
+    """Knots after so many Gauss-Newton steps, and their cost."""
+    shares = jnp.asarray(SHARES, knots.dtype)
+
+    def again(_: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
+        knots, _ = given
+        values, back = jax.vjp(lambda z: cost.residuals(now, z, state), knots)
+        rows = jax.vmap(lambda way: back(way)[0])(
+            jnp.eye(values.size, dtype=values.dtype)
+        )
+        before = _or_infinite(jnp.sum(values**2) + cost.regular(now, knots))
+        aim = quadratic_step(cost, values, rows, now, knots)
+        tried = knots[None] + shares[:, None, None] * (aim - knots)[None]
+        costs = jax.vmap(lambda z: cost.least_squares(now, z, state))(tried)
+        best = jnp.argmin(costs)
+        better = costs[best] < before
+        return jnp.where(better, tried[best], knots), jnp.where(
+            better, costs[best], before
+        )
+
+    nothing = jnp.asarray(jnp.inf, knots.dtype)
+    return lax.fori_loop(0, iterations, again, (knots, nothing))
+
+
+def quadratic_step(
+    cost: PlanCost, values: Array, rows: Array, now: Array, knots: Array
+) -> Float[Array, "knots action"]:
+    """Knots within the bounds that make the linearised problem's cost small.
+
+    The Hessian is the rows' squares and a small matrix for each action, so its inverse
+    takes a matrix of the residuals' size (Woodbury). Bounds by alternating directions.
+    """
+    count, dtype = cost.knots, knots.dtype
+    changes = jnp.eye(count, dtype=dtype) - jnp.eye(count, k=-1, dtype=dtype)
+    first = jnp.zeros((count, 1), dtype).at[0, 0].set(1)
+    smooth, effort = cost.smoothness / count, cost.effort / count
+    damping = DAMPING / count
+    plain = (effort + damping) * jnp.eye(count, dtype=dtype) + smooth * (
+        changes.T @ changes
+    )
+    aimed = values - jnp.sum(rows * knots[None], axis=(1, 2))
+    pulled = smooth * first * now[None] + damping * knots
+    pulled -= jnp.sum(rows * aimed[:, None, None], axis=0)
+    # The weight of the bounds: a share of the mean diagonal of the rows' squares.
+    weight = jnp.sum(rows**2) / rows[0].size * 0.3 + effort
+    inverse = jnp.linalg.inv(plain + weight * jnp.eye(count, dtype=dtype))
+    flat = jnp.reshape(rows, (rows.shape[0], -1))
+    spread = jnp.reshape(
+        jnp.sum(inverse[None, :, :, None] * rows[:, None], axis=2), flat.shape
+    )
+    inner = jnp.linalg.inv(flat @ spread.T + jnp.eye(flat.shape[0], dtype=dtype))
+
+    def solved(side: Array) -> Array:
+        plainly = inverse @ side
+        known = inner @ (flat @ jnp.ravel(plainly))
+        return plainly - jnp.reshape(known @ spread, side.shape)
+
+    def alternate(_: int, given: tuple[Array, Array]) -> tuple[Array, Array]:
+        bounded, price = given
+        free = solved(pulled + weight * (bounded - price))
+        bounded = jnp.clip(free + price, -1, 1)
+        return bounded, price + free - bounded
+
+    begin = knots, jnp.zeros_like(knots)
+    return lax.fori_loop(0, BOUND_ITERATIONS, alternate, begin)[0]
+
+
+def by_gradient(
+    cost: PlanCost,
+    now: Array,
+    knots: Array,
+    state: Any,
+    iterations: Int[Array, ""],
+    rate: Array,
+) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
+    """The best knots of so many steps of Adam, and their cost."""
+    slow, slower = 0.8, 0.95
+
+    def again(index: Array, given: Any) -> Any:
+        knots, mean, square, best, least = given
+        value, slope = jax.value_and_grad(lambda z: cost.total(now, z, state))(knots)
+        value = _or_infinite(value)
+        slope = jnp.where(jnp.isfinite(slope), slope, 0)
+        best = jnp.where(value < least, knots, best)
+        least = jnp.minimum(value, least)
+        mean = slow * mean + (1 - slow) * slope
+        square = slower * square + (1 - slower) * slope**2
+        number = index + 1
+        step = (mean / (1 - slow**number)) / (
+            jnp.sqrt(square / (1 - slower**number)) + 1e-8
+        )
+        return jnp.clip(knots - rate * step, -1, 1), mean, square, best, least
+
+    nothing = jnp.zeros_like(knots)
+    infinite = jnp.asarray(jnp.inf, knots.dtype)
+    knots, _, _, best, least = lax.fori_loop(
+        0, iterations, again, (knots, nothing, nothing, knots, infinite)
+    )
+    last = _or_infinite(cost.total(now, knots, state))
+    return jnp.where(last < least, knots, best), jnp.minimum(last, least)
+
+
+def by_sampling(
+    cost: PlanCost,
+    now: Array,
+    knots: Array,
+    state: Any,
+    iterations: Int[Array, ""],
+    deviation: Array,
+    key: Key[Array, ""],
+    samples: int,
+) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
+    """Knots after so many weighted means of noisy plans, and the least cost seen."""
+
+    def again(index: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
+        knots, _ = given
+        noise = jax.random.normal(
+            jax.random.fold_in(key, index), (samples, *knots.shape), knots.dtype
+        )
+        # The first is the plan itself: nothing is forgotten for bad luck.
+        noise = jnp.concatenate([jnp.zeros_like(noise[:1]), noise[1:]])
+        tried = jnp.clip(knots[None] + deviation * noise, -1, 1)
+        costs = jax.vmap(lambda z: _or_infinite(cost.total(now, z, state)))(tried)
+        finite = jnp.isfinite(costs)
+        least = jnp.min(costs)
+        mean = jnp.sum(jnp.where(finite, costs, 0)) / jnp.maximum(jnp.sum(finite), 1)
+        spread = jnp.sqrt(
+            jnp.sum(jnp.where(finite, (costs - mean) ** 2, 0))
+            / jnp.maximum(jnp.sum(finite), 1)
+        )
+        sharp = TEMPERATURE * spread + jnp.finfo(costs.dtype).tiny
+        weights = jnp.where(finite, jnp.exp(-(costs - least) / sharp), 0)
+        total = jnp.sum(weights)
+        mixed = jnp.sum(weights[:, None, None] * tried, axis=0) / jnp.where(
+            total > 0, total, 1
+        )
+        return jnp.where(total > 0, mixed, knots), least
+
+    nothing = jnp.asarray(jnp.inf, knots.dtype)
+    return lax.fori_loop(0, iterations, again, (knots, nothing))
+
+
+def _or_infinite(cost: Array) -> Array:
+    return jnp.where(jnp.isfinite(cost), cost, jnp.inf)

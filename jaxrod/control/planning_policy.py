@@ -1,0 +1,190 @@
+"""A policy that plans: what it remembers, when it plans, how plans move on."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrod.control.plan_weights import piece_weights, shift_weights
+from jaxrod.control.planning import (
+    PlanCost,
+    by_gauss_newton,
+    by_gradient,
+    by_sampling,
+)
+from jaxrod.structure import pytree, static
+
+START_DEVIATION, START_ITERATIONS = 0.6, 8
+"""Spread of the plans that an episode's first begins from, and how often they are
+drawn."""
+METHODS = ("gauss-newton", "gradient", "mppi")
+
+
+class Model(Protocol):
+    """What planning asks of an environment; all tasks of the arm have it."""
+
+    @property
+    def action_size(self) -> int:
+        """Length of the action vector."""
+
+    def default_params(self) -> Any:
+        """Parameters of the task."""
+
+    def predict(
+        self, state: Any, action: Array, params: Any, control_steps: int = 1
+    ) -> Any:
+        """The state later, without the randomness to come."""
+
+    def cost(self, state: Any, action: Array, params: Any) -> Float[Array, ""]:
+        """Smooth cost of a state and the action that led there."""
+
+
+@pytree
+class Plan:
+    """What a planner remembers of a batch of episodes."""
+
+    values: Float[Array, "batch knots_and_now action"]
+    """The action at the time of the plan, and at its knots."""
+    calls: Int[Array, ""]
+    """Actions so far; the same for all."""
+    key: Key[Array, ""]
+    """For sampling."""
+    cost: Float[Array, " batch"]
+    """Of the plan, by the method's own measure."""
+
+
+@pytree
+class PlanningPolicy:
+    """A policy with memory that plans; see the module. Make one with `mpc`."""
+
+    params: Any
+    """Parameters of the model."""
+    effort: Float[Array, ""]
+    """Cost of the squared action."""
+    smoothness: Float[Array, ""]
+    """Cost of the squared change from knot to knot."""
+    rate: Float[Array, ""]
+    """Step of Adam, or deviation of the samples."""
+    key: Key[Array, ""]
+    """Where sampling begins."""
+    env: Any = static()
+    """The model."""
+    horizon: int = static()
+    """Control steps ahead."""
+    knots: int = static()
+    """Values planned."""
+    action_repeat: int = static()
+    """Control steps for which an action is held."""
+    replan: int = static()
+    """Control steps from plan to plan."""
+    iterations: int = static()
+    """Of each plan."""
+    first: int = static()
+    """Iterations of an episode's first plan."""
+    samples: int = static()
+    """Noisy plans of `"mppi"`."""
+    starts: int = static()
+    """Noisy plans from which an episode's first begins."""
+    method: str = static()
+    """One of `METHODS`."""
+
+    def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
+        """Memory at the start of a batch of episodes."""
+        del state
+        batch, dtype = observation.shape[0], observation.dtype
+        shape = (batch, self.knots + 1, self.env.action_size)
+        return Plan(
+            values=jnp.zeros(shape, dtype),
+            calls=jnp.zeros((), jnp.int32),
+            key=self.key,
+            cost=jnp.full(batch, jnp.inf, dtype),
+        )
+
+    def act(
+        self, memory: Plan, observation: Float[Array, "batch observation"], state: Any
+    ) -> tuple[Float[Array, "batch action"], Plan]:
+        """Actions of a batch, and what is remembered; plans where it is due.
+
+        All episodes of the batch plan at the same time, so that in a jitted program
+        nothing is computed in between.
+        """
+        del observation
+        spacing = self.horizon // self.knots
+        calls = self.replan // self.action_repeat
+        place = memory.calls % calls
+        memory = lax.cond(
+            place == 0,
+            lambda plan: self.planned(plan, state),
+            lambda plan: plan,
+            memory,
+        )
+        table = piece_weights(self.knots, spacing, self.action_repeat)[:calls]
+        row = lax.dynamic_index_in_dim(
+            jnp.asarray(table, memory.values.dtype), place, keepdims=False
+        )
+        action = jnp.sum(row[None, :, None] * memory.values, axis=1)
+        return action, Plan(memory.values, memory.calls + 1, memory.key, memory.cost)
+
+    def planned(self, memory: Plan, state: Any) -> Plan:
+        """The plans of a batch moved on to now, and made better."""
+        spacing = self.horizon // self.knots
+        begun = memory.calls > 0
+        shift = jnp.asarray(
+            shift_weights(self.knots, spacing, self.replan), memory.values.dtype
+        )
+        moved = jnp.sum(shift[None, :, :, None] * memory.values[:, None], axis=2)
+        values = jnp.where(begun, moved, memory.values)
+        iterations = jnp.where(begun, self.iterations, self.first)
+        cost = PlanCost(
+            params=self.params,
+            effort=self.effort.astype(values.dtype),
+            smoothness=self.smoothness.astype(values.dtype),
+            env=self.env,
+            knots=self.knots,
+            spacing=spacing,
+            hold=self.action_repeat,
+        )
+        rate = self.rate.astype(values.dtype)
+        key, own = jax.random.split(memory.key)
+        keys = jax.random.split(own, values.shape[0])
+
+        def begin(values: Array, state: Any, key: Array) -> Array:
+            wide = jnp.asarray(START_DEVIATION, values.dtype)
+            knots, _ = by_sampling(
+                cost,
+                values[0],
+                values[1:],
+                state,
+                jnp.asarray(START_ITERATIONS),
+                wide,
+                key,
+                self.starts,
+            )
+            return jnp.concatenate([values[:1], knots])
+
+        if self.starts > 0:
+            values = lax.cond(
+                begun,
+                lambda values: values,
+                lambda values: jax.vmap(begin)(values, state, keys),
+                values,
+            )
+
+        def one(values: Array, state: Any, key: Array) -> tuple[Array, Array]:
+            now, knots = values[0], values[1:]
+            if self.method == "gauss-newton":
+                knots, reached = by_gauss_newton(cost, now, knots, state, iterations)
+            elif self.method == "gradient":
+                knots, reached = by_gradient(cost, now, knots, state, iterations, rate)
+            else:
+                knots, reached = by_sampling(
+                    cost, now, knots, state, iterations, rate, key, self.samples
+                )
+            return jnp.concatenate([now[None], knots]), reached
+
+        values, reached = jax.vmap(one)(values, state, keys)
+        return Plan(values, memory.calls, key, reached)

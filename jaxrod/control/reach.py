@@ -1,0 +1,287 @@
+r"""The problem of reaching: the tip of an arm at a point at the end, and at rest.
+
+With $d$ the distance of the tip from the target, $v$ its speed, $u$ the control values
+and $T$ the end,
+
+$$L = d(T)^2 + w_v\, v(T)^2 + w_r\, \overline{d^2} + w_u\, \overline{u^2}.$$
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any, Protocol
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.analysis.stability import stable_dt
+from jaxrod.control.problem import Problem, make_problem
+from jaxrod.geometry import vectors
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Scene
+from jaxrod.stepping.checks import check_step
+from jaxrod.stepping.memory import with_memory
+from jaxrod.stepping.runs import advance
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, check_array
+
+
+class UnreachableTargetWarning(UserWarning):
+    """The target lies further from the arm's base than the arm is long."""
+
+
+class Arm(Protocol):
+    """A pytree that makes a scene of controls, such as `ActuatedArm`."""
+
+    scene: Scene
+    """The rod without controls."""
+    state: RodState
+    """Initial state."""
+
+    def with_controls(self, controls: Any) -> Scene:
+        """The scene under controls."""
+
+
+@pytree
+class Reach:
+    """The data of a problem of reaching."""
+
+    arm: Any
+    """The arm."""
+    target: Float[Array, "3"]
+    """Where the tip should be at the end [m]."""
+    dt: Float[Array, ""]
+    """Step of the simulation [s]."""
+    speed_root: Float[Array, ""]
+    """Root of the weight of the squared speed of the tip at the end [s]."""
+    running_root: Float[Array, ""]
+    """Root of the weight of the mean squared distance over time [1]."""
+    effort_root: Float[Array, ""]
+    """Root of the weight of the mean squared control value [m]."""
+    steps_per_interval: int = static()
+    """Steps of the simulation in an interval."""
+    n_intervals: int = static()
+    """Intervals, over which means are taken."""
+    control_shape: tuple[int, ...] = static()
+    """Shape of the controls that the arm takes."""
+
+    @property
+    def scene(self) -> Scene:
+        """The arm's, without controls."""
+        return self.arm.scene
+
+    def readouts(self, state: RodState) -> dict[str, Array]:
+        """Distance of the tip from the target, and its speed."""
+        return {
+            "distance [m]": vectors.safe_norm(vectors.split(state.tip - self.target)),
+            "tip speed [m/s]": vectors.safe_norm(
+                vectors.split(state.velocities[:, -1])
+            ),
+        }
+
+
+def reach(
+    arm: Arm,
+    target: Numbers,
+    duration: float = 1.0,
+    *,
+    speed_weight: float = 1e-3,
+    running_weight: float = 0.0,
+    effort_weight: float = 0.0,
+    control_interval: float = 0.01,
+    dt: float | None = None,
+    control_shape: tuple[int, ...] | None = None,
+    lower: Any = -1.0,
+    upper: Any = 1.0,
+) -> Problem:
+    """The problem of bringing the tip of an arm to a point, and to rest there.
+
+    Without weights of what happens on the way there are six residuals, and a solver
+    that uses their derivatives needs six rows: leave `effort_weight` zero and give
+    `levenberg_marquardt` a ridge instead.
+
+    Args:
+        arm: A pytree with `scene`, `state` and `with_controls(controls)`: an
+            `ActuatedArm`, or one of your own.
+        target: Where the tip should be at the end `(3,)` [m].
+        duration: Time from start to end [s].
+        speed_weight: Cost of the squared speed of the tip at the end [s^2].
+        running_weight: Cost of the mean squared distance over time [1].
+        effort_weight: Cost of the mean squared control value [m^2].
+        control_interval: For how long controls are held, at most [s].
+        dt: Largest step of the simulation [s]; 0.8 of the stable one if None. Both are
+            shortened so that whole numbers of them fit.
+        control_shape: Shape of the controls that `arm.with_controls` takes; by default
+            `arm.control_shape`, the two directions of bending of an `ActuatedArm`.
+        lower: Smallest control values, a number or one each.
+        upper: Largest ones.
+
+    Raises:
+        ValueError: an argument is out of range or does not fit.
+
+    Warns:
+        UnreachableTargetWarning: the target is further from the base of the arm than
+            the arm is long.
+        jaxrod.UnstableStepWarning: `dt` is above the stability bound.
+    """
+    return reach_problem(
+        arm,
+        target,
+        duration,
+        weights=(speed_weight, running_weight, effort_weight),
+        control_interval=control_interval,
+        dt=dt,
+        control_shape=control_shape,
+        bounds=(lower, upper),
+        depth=1,
+    )
+
+
+def reach_problem(
+    arm: Any,
+    target: Numbers,
+    duration: float,
+    *,
+    weights: tuple[float, float, float],
+    control_interval: float,
+    dt: float | None,
+    control_shape: tuple[int, ...] | None,
+    bounds: tuple[Any, Any],
+    depth: int,
+) -> Problem:
+    """`reach`, with warnings that point so many functions further up."""
+    place = _checked(arm, target, depth)
+    shape = control_shape
+    if shape is None:
+        shape = getattr(arm, "control_shape", None)
+    if shape is None:
+        raise ValueError(
+            f"control_shape must say what {type(arm).__name__}.with_controls takes"
+        )
+    length = _positive("duration", duration, "s")
+    largest = None if dt is None else _positive("dt", dt, "s")
+    held = _positive("control_interval", control_interval, "s")
+    units = {"speed_weight": "s^2", "running_weight": "", "effort_weight": "m^2"}
+    speed_weight, running_weight, effort_weight = (
+        float(check_array(name, weight, [()], unit, non_negative=True))
+        for (name, unit), weight in zip(units.items(), weights, strict=True)
+    )
+    n_intervals, steps, step = time_steps(arm, length, held, largest)
+    kind = arm.state.positions.dtype
+    check_step(arm.scene, jnp.asarray(step, kind))
+    speed, running, effort = (
+        jnp.asarray(math.sqrt(weight), kind)
+        for weight in (speed_weight, running_weight, effort_weight)
+    )
+    arm = getattr(arm, "prepared", arm)
+    along = running_weight > 0 or effort_weight > 0
+    return make_problem(
+        with_memory(arm.scene, arm.state),
+        moved,
+        n_intervals=n_intervals,
+        interval=length / n_intervals,
+        n_controls=math.prod(shape),
+        running=on_the_way if along else None,
+        final=at_the_end,
+        data=Reach(
+            arm=arm,
+            target=jnp.asarray(place, kind),
+            dt=jnp.asarray(step, kind),
+            speed_root=speed,
+            running_root=running,
+            effort_root=effort,
+            steps_per_interval=steps,
+            n_intervals=n_intervals,
+            control_shape=tuple(shape),
+        ),
+        lower=bounds[0],
+        upper=bounds[1],
+    )
+
+
+def moved(data: Reach, state: RodState, control: Array, interval: Array) -> RodState:
+    """The arm after an interval under a control."""
+    scene = data.arm.with_controls(control.reshape(data.control_shape))
+    first = interval * data.steps_per_interval
+    return advance(scene, state, data.dt, data.steps_per_interval, first=first)
+
+
+def on_the_way(
+    data: Reach, state: RodState, control: Array, interval: Array
+) -> tuple[Array, Array]:
+    """Residuals of every interval: the distance, and the effort."""
+    del interval
+    count = data.n_intervals
+    return (
+        data.running_root / math.sqrt(count) * (state.tip - data.target),
+        data.effort_root / math.sqrt(count * control.size) * control,
+    )
+
+
+def at_the_end(data: Reach, state: RodState) -> tuple[Array, Array]:
+    """The six residuals of the last state: distance, and velocity."""
+    return state.tip - data.target, data.speed_root * state.velocities[:, -1]
+
+
+_MOST_STEPS = 2**30
+"""Steps are counted in 32 bits; twice as many may come of rounding up."""
+
+
+def time_steps(
+    arm: Any, duration: float, control_interval: float, dt: float | None
+) -> tuple[int, int, float]:
+    """Cuts a duration into whole control intervals of whole steps.
+
+    Args:
+        arm: The arm, for its largest stable step.
+        duration: Time from start to end [s].
+        control_interval: For how long control values are held, at most [s].
+        dt: Largest step of the simulation [s]; 0.8 of the stable one if None.
+
+    Returns:
+        Control intervals, steps in each, and the step [s].
+
+    Raises:
+        ValueError: there are more steps than can be counted.
+    """
+    largest = float(stable_dt(arm.scene).dt) if dt is None else dt
+    in_all = duration / min(control_interval, largest)
+    if not in_all < _MOST_STEPS:
+        raise ValueError(
+            f"duration must be less than {_MOST_STEPS:,} steps of the simulation, got "
+            f"{duration:g} s, {in_all:.3g} steps"
+        )
+    # Forgive the last digit: 1 s in intervals of 0.01 s are 100, not 101.
+    n_intervals = max(1, math.ceil(duration / control_interval * (1 - 1e-6)))
+    steps = max(1, math.ceil(duration / n_intervals / largest * (1 - 1e-6)))
+    return n_intervals, steps, duration / (n_intervals * steps)
+
+
+def _checked(arm: Any, target: Numbers, depth: int) -> np.ndarray:
+    """The target as numbers, of an arm that is one; warns of one beyond it."""
+    lacking = [
+        name for name in ("scene", "state", "with_controls") if not hasattr(arm, name)
+    ]
+    if lacking:
+        raise ValueError(
+            "arm must have scene, state and with_controls, as a "
+            f"jaxrod.control.ActuatedArm has, got {type(arm).__name__} without "
+            f"{lacking[0]}"
+        )
+    place = check_array("target", target, [(3,)], "m")
+    base = np.asarray(arm.state.positions[:, 0], float)
+    away, length = float(np.linalg.norm(place - base)), float(arm.scene.rod.length)
+    if away > length * (1 + 1e-6):
+        warnings.warn(
+            f"target is {away:.3g} m from the arm's base and the arm is {length:.3g} m "
+            "long: it will only be approached",
+            UnreachableTargetWarning,
+            stacklevel=3 + depth,
+        )
+    return np.asarray(place)
+
+
+def _positive(name: str, value: float, unit: str) -> float:
+    return float(check_array(name, value, [()], unit, positive=True))

@@ -1,0 +1,218 @@
+r"""Trajectories by sampling: nothing is differentiated.
+
+Knots are drawn about a middle, all their motions are one batch, and the middle moves to
+those that cost less. In MPPI (Williams and others, 2017) samples $z_i$ of cost $L_i$
+weigh
+
+$$w_i \propto \exp\!\big(-(L_i - \min L) / \lambda\big),$$
+
+with the temperature $\lambda$ a share of the spread of the costs; in the cross-entropy
+method (Rubinstein, 1999) the best few weigh alike and the spread becomes theirs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from jaxrod.control.knots import check_problem, first_knots, half_widths
+from jaxrod.control.problem import Problem, cost, over_time, trajectory
+from jaxrod.control.programs import timed
+from jaxrod.control.solution import Solution
+from jaxrod.validation import check_array, check_count, check_seed
+
+
+def mppi(
+    problem: Problem,
+    *,
+    n_knots: int = 11,
+    samples: int = 64,
+    iterations: int = 20,
+    spread: float = 0.3,
+    temperature: float = 0.1,
+    initial_knots: Any = None,
+    seed: int = 0,
+) -> Solution:
+    """Knots in time by model predictive path integrals: a weighted mean of samples.
+
+    Args:
+        problem: The problem.
+        n_knots: Knots in time, equally spaced.
+        samples: Drawn in each iteration, at least 2; they are one batch.
+        iterations: How often samples are drawn.
+        spread: Standard deviation, a share of half of what lies between the bounds;
+            it falls to a tenth at the end [1].
+        temperature: Share of the standard deviation of the costs [1].
+        initial_knots: Where to begin `(n_knots, n_controls)`.
+        seed: Of what is random.
+
+    Returns:
+        The best sample of all, with its motion.
+
+    Raises:
+        ValueError: an argument is out of range or does not fit.
+        TypeError: `problem` is something else.
+    """
+    heat = float(check_array("temperature", temperature, [()], "", positive=True))
+    return _sampled(
+        "mppi", problem, n_knots, samples, iterations, spread, initial_knots, seed, heat
+    )
+
+
+def cross_entropy(
+    problem: Problem,
+    *,
+    n_knots: int = 11,
+    samples: int = 64,
+    elites: int = 8,
+    iterations: int = 20,
+    spread: float = 0.5,
+    initial_knots: Any = None,
+    seed: int = 0,
+) -> Solution:
+    """Knots in time by the cross-entropy method: mean and spread of the best samples.
+
+    Args:
+        problem: The problem.
+        n_knots: Knots in time, equally spaced.
+        samples: Drawn in each iteration; they are one batch.
+        elites: How many of them are the best, at least 2.
+        iterations: How often samples are drawn.
+        spread: First standard deviation, a share of half of what lies between the
+            bounds [1].
+        initial_knots: Where to begin `(n_knots, n_controls)`.
+        seed: Of what is random.
+
+    Returns:
+        The best sample of all, with its motion.
+
+    Raises:
+        ValueError: an argument is out of range or does not fit.
+        TypeError: `problem` is something else.
+    """
+    samples = check_count("samples", samples, 2)
+    best = check_count("elites", elites, 2, samples)
+    return _sampled(
+        "cross_entropy",
+        problem,
+        n_knots,
+        samples,
+        iterations,
+        spread,
+        initial_knots,
+        seed,
+        best,
+    )
+
+
+def _sampled(
+    solver: str,
+    problem: Problem,
+    n_knots: int,
+    samples: int,
+    iterations: int,
+    spread: float,
+    given: Any,
+    seed: int,
+    how: float | int,
+) -> Solution:
+    check_problem(problem)
+    start = first_knots(problem, n_knots, given, seed, 0.0)
+    first = float(check_array("spread", spread, [()], "", positive=True))
+    found, compile_s, run_s = timed(
+        _solved,
+        problem,
+        start,
+        jnp.asarray(first, start.dtype),
+        jax.random.key(check_seed(seed)),
+        jnp.asarray(how, start.dtype) if solver == "mppi" else None,
+        elites=how if solver == "cross_entropy" else None,
+        samples=check_count("samples", samples, 2),
+        iterations=check_count("iterations", iterations, 1),
+    )
+    knots, controls, states, least, costs = found
+    finite = bool(np.isfinite(least))
+    words = f"{iterations} times {samples} samples were drawn"
+    return Solution(
+        problem=problem,
+        solver=solver,
+        controls=controls,
+        states=states,
+        cost=float(least),
+        history={"cost": np.asarray(costs)},
+        converged=False,
+        reason=words if finite else words + ", none of finite cost",
+        iterations=iterations,
+        compile_s=compile_s,
+        run_s=run_s,
+        knots=knots,
+    )
+
+
+def _solved(
+    problem: Problem,
+    start: Array,
+    spread: Array,
+    key: Array,
+    temperature: Array | None,
+    *,
+    elites: int | None,
+    samples: int,
+    iterations: int,
+) -> tuple[Array, Array, Any, Array, Array]:
+    """Best knots, their controls, motion and cost, and the best cost over time."""
+    half = half_widths(problem)[None]
+    low, high = problem.lower[None], problem.upper[None]
+
+    def valued(knots: Array) -> Array:
+        value = cost(problem, over_time(knots, problem.n_intervals))
+        return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+    def again(carry: tuple[Array, ...], given: tuple[Array, Array]) -> Any:
+        middle, deviation, best, least = carry
+        share, key = given
+        noise = jax.random.normal(key, (samples, *start.shape), start.dtype)
+        # The best so far is one of the samples: what was found is not lost.
+        drawn = jnp.clip(middle[None] + deviation[None] * noise, low[None], high[None])
+        drawn = jnp.concatenate([best[None], drawn[1:]])
+        costs = jax.vmap(valued)(drawn)
+        lowest = jnp.min(costs)
+        first = jnp.argmin(costs)
+        fits = (jnp.arange(samples) == first)[:, None, None]
+        better = lowest < least
+        best = jnp.where(better, jnp.sum(jnp.where(fits, drawn, 0), axis=0), best)
+        if elites is None:
+            assert temperature is not None
+            sound = jnp.isfinite(costs)
+            usual = jnp.where(sound, costs, lowest)
+            heat = temperature * jnp.std(usual) + jnp.finfo(costs.dtype).tiny
+            weights = jnp.where(sound, jnp.exp(-(usual - lowest) / heat), 0)
+            deviation = 0.1**share * spread * jnp.broadcast_to(half, start.shape)
+        else:
+            limit = jnp.sort(costs)[elites - 1]
+            weights = jnp.where(costs <= limit, 1, 0).astype(costs.dtype)
+        weights = (weights / jnp.sum(weights))[:, None, None]
+        made = jnp.sum(weights * drawn, axis=0)
+        if elites is not None:
+            square = jnp.sum(weights * (drawn - made[None]) ** 2, axis=0)
+            deviation = jnp.sqrt(square) + 1e-3 * half
+        return (made, deviation, best, jnp.minimum(lowest, least)), lowest
+
+    shares = jnp.arange(1, iterations + 1, dtype=start.dtype) / iterations
+    begin = (
+        start,
+        spread * jnp.broadcast_to(half, start.shape),
+        start,
+        jnp.asarray(jnp.inf, start.dtype),
+    )
+    (_, _, best, least), costs = lax.scan(
+        again, begin, (shares, jax.random.split(key, iterations))
+    )
+    controls = over_time(best, problem.n_intervals)
+    running = lax.associative_scan(jnp.minimum, costs)
+    return best, controls, trajectory(problem, controls), least, running

@@ -1,0 +1,3 @@
+"""Makes the fixture `record` known."""
+
+from physics.validation import record as record

@@ -1,0 +1,67 @@
+"""Sampling finds known minima within bounds, and is repeatable."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod import control
+
+STEP, COUNT = 0.1, 12
+SOLVERS = {"mppi": control.mppi, "cross_entropy": control.cross_entropy}
+
+
+def moved(data, state, force, k):
+    x, v = state
+    return jnp.stack([x + STEP * v, v + STEP * force[0]])
+
+
+def final(data, state):
+    return state - data
+
+
+def problem(bound=5.0, goal=0.6):
+    return control.make_problem(
+        jnp.zeros(2),
+        moved,
+        n_intervals=COUNT,
+        interval=STEP,
+        n_controls=1,
+        final=final,
+        data=jnp.asarray([goal, 0.0]),
+        lower=-bound,
+        upper=bound,
+    )
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_mass_is_brought_to_rest_elsewhere(name):
+    found = SOLVERS[name](problem(), n_knots=3, iterations=30)
+    assert found.cost < 1e-4 < 0.36  # the last is what doing nothing costs
+    assert np.all(np.diff(found.history["cost"]) <= 0)
+    np.testing.assert_allclose(found.states[-1], [0.6, 0.0], atol=0.02)
+    again = SOLVERS[name](problem(), n_knots=3, iterations=30)
+    assert again.cost == found.cost and again.compile_s == 0
+    other = SOLVERS[name](problem(), n_knots=3, iterations=30, seed=1)
+    assert other.cost != found.cost
+    assert name in repr(found) and "30 times 64 samples" in found.reason
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_bounds_hold(name):
+    found = SOLVERS[name](problem(bound=0.2), n_knots=3, iterations=30)
+    assert np.max(np.abs(found.controls)) <= 0.2 + 1e-12
+    assert found.cost > 0.05
+
+
+def test_bad_arguments_are_named():
+    for solver, settings, message in (
+        (control.mppi, {"samples": 1}, "samples must be at least 2"),
+        (control.mppi, {"temperature": 0.0}, "temperature must be positive"),
+        (control.mppi, {"spread": 0.0}, "spread must be positive"),
+        (control.cross_entropy, {"elites": 65}, "elites must be at most 64"),
+        (control.cross_entropy, {"iterations": 0}, "iterations must be at least 1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            solver(problem(), **settings)
+    with pytest.raises(TypeError, match="problem must be"):
+        control.mppi(3)
