@@ -121,7 +121,7 @@ def _fit(
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)
     safe = jnp.where(unit > 0, unit, 1)
     # Not finite where no start was: SVD would not end.
-    sound = jnp.all(jnp.isfinite(found.jacobian))
+    sound = jnp.all(jnp.isfinite(found.jacobian)) & jnp.isfinite(squares)
     jacobian = jnp.where(sound, found.jacobian, 0) / safe
     s, ways = _decomposed(jacobian)
     least = jnp.finfo(s.dtype).tiny ** 0.25

@@ -154,6 +154,13 @@ def test_what_is_observed_may_be_known_while_a_program_is_traced():
 
 
 @pytest.mark.slow
+def test_a_start_that_blows_up_is_said():
+    fit = identify(lambda p: ring(p) / (p["rate"] < 1), ring(TRUTH), START, sd=SD)
+    assert not bool(fit.converged)
+    assert "NOTHING FOUND" in str(fit)
+
+
+@pytest.mark.slow
 def test_a_search_that_was_cut_short_says_so():
     fit = identify(ring, ring(TRUTH), START, sd=SD, iterations=2)
     assert not bool(fit.converged)
