@@ -97,8 +97,8 @@ def least_squares(
         centre: What the ridge pulls to, a number or as `start`; `start` by default.
         damping: Of the first step, a share of the diagonal [1].
         iterations: Points tried after the first, at most.
-        tolerance: Relative change of the cost, or of the largest unknown, below which
-            it is done; by default eps to the power of 3/4 of the precision.
+        tolerance: Relative change of the cost, or of every unknown, below which it is
+            done; by default eps to the power of 3/4 of the precision.
         mode: `"forward"` or `"reverse"`, how Jacobians are made; by default whichever
             needs fewer passes.
 
@@ -139,9 +139,10 @@ def least_squares(
         sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(slopes))
         better = sound & (cost < search.cost)
         begun = search.tried > 0
-        moved = jnp.max(jnp.abs(search.candidate - search.point))
-        scale = jnp.max(jnp.abs(search.point)) + jnp.max(jnp.abs(search.candidate))
-        still = (moved <= small * scale) & sound
+        # Each by itself: unknowns have units of their own.
+        moved = jnp.abs(search.candidate - search.point)
+        scale = jnp.abs(search.point) + jnp.abs(search.candidate)
+        still = jnp.all(moved <= small * scale) & sound
         gained = (search.cost - cost) <= small * search.cost
         done = begun & (still | (better & gained))
         point = jnp.where(better, search.candidate, search.point)

@@ -91,3 +91,15 @@ def test_bad_arguments_are_refused():
         least_squares(rosenbrock, START, mode="central")
     with pytest.raises(ValueError, match="at least one number"):
         least_squares(lambda z: z, jnp.zeros(0))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e12])
+def test_units_of_one_unknown_do_not_end_the_search_of_another(unit):
+    """A double root is come near to by a half a step: slowly, but to the end."""
+
+    def made(point):
+        return jnp.stack([point["a"] / unit - 1, point["b"] ** 2])
+
+    start = {"a": jnp.asarray(0.5 * unit), "b": jnp.asarray(1.0)}
+    found = least_squares(made, start, iterations=100)
+    assert abs(float(found.solution["b"])) < 1e-3
