@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 
 import jaxrod
+from benchmarks.page_tables import measured_table
 from jaxrod import control
-from jaxrod.files import write_atomically
-from jaxrod.installation.machine import processor_and_versions
 from jaxrod.training import actuated_arm
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -108,17 +107,6 @@ def _example(name: str) -> Any:
 ROWS = {"reach": reach_rows, "swing": swing_rows}
 
 
-def written(table: str, lines: list[str]) -> None:
-    """Puts a table in its place in the page."""
-    text = PAGE.read_text()
-    begin, end = f"<!-- {table} -->\n", f"<!-- end {table} -->"
-    before, rest = text.split(begin)
-    _, after = rest.split(end)
-    machine = f"Measured on: {processor_and_versions()}."
-    body = "\n".join([HEADS[table], *lines, "", machine, ""])
-    write_atomically(PAGE, (before + begin + body + end + after).encode())
-
-
 def main(arguments: list[str]) -> int:
     """Measures, prints and writes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -127,15 +115,7 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     jaxrod.configure_cpu(1)
     for table in options.tables or list(HEADS):
-        lines = []
-        print(HEADS[table], flush=True)
-        begun = time.perf_counter()
-        for line in ROWS[table]():
-            print(line, flush=True)
-            lines.append(line)
-        print(f"{time.perf_counter() - begun:.0f} s", flush=True)
-        if not options.dry:
-            written(table, lines)
+        measured_table(PAGE, table, HEADS[table], ROWS[table], dry=options.dry)
     return 0
 
 

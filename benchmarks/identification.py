@@ -27,11 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from benchmarks.page_tables import measured_table
 from jaxrod.control import Fit, identify, match_shape
-from jaxrod.files import write_atomically
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
-from jaxrod.installation.machine import processor_and_versions
 from jaxrod.rods.motion import motion_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -367,17 +366,6 @@ def _row(
     )
 
 
-def written(table: str, lines: list[str]) -> None:
-    """Puts a table in its place in the page."""
-    text = PAGE.read_text()
-    begin, end = f"<!-- {table} -->\n", f"<!-- end {table} -->"
-    before, rest = text.split(begin)
-    _, after = rest.split(end)
-    machine = f"Measured on: {processor_and_versions()}."
-    body = "\n".join([HEADS[table], *lines, "", machine, ""])
-    write_atomically(PAGE, (before + begin + body + end + after).encode())
-
-
 def main(arguments: list[str]) -> int:
     """Measures, prints and writes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -386,13 +374,7 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     jaxrod.configure_cpu(1)
     for table in options.tables or list(HEADS):
-        lines = []
-        print(HEADS[table], flush=True)
-        for line in TABLES[table]():
-            print(line, flush=True)
-            lines.append(line)
-        if not options.dry:
-            written(table, lines)
+        measured_table(PAGE, table, HEADS[table], TABLES[table], dry=options.dry)
     return 0
 
 

@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from benchmarks.page_tables import measured_table
 from jaxrod.envs import make
-from jaxrod.files import write_atomically
-from jaxrod.installation.machine import processor_and_versions
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "performance.md"
@@ -221,17 +221,6 @@ def rows(table: str, window: float) -> Iterable[str]:
             yield forward_row(f"{rods}", arm(20), rods, window)
 
 
-def written(table: str, lines: list[str]) -> None:
-    """Puts a table in its place in the page."""
-    text = PAGE.read_text()
-    begin, end = f"<!-- {table} -->\n", f"<!-- end {table} -->"
-    before, rest = text.split(begin)
-    _, after = rest.split(end)
-    machine = f"Measured on: {processor_and_versions()}."
-    body = "\n".join([HEADS[table], *lines, "", machine, ""])
-    write_atomically(PAGE, (before + begin + body + end + after).encode())
-
-
 def main(arguments: list[str]) -> int:
     """Measures, prints and writes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -242,13 +231,13 @@ def main(arguments: list[str]) -> int:
     jax.config.update("jax_enable_x64", True)
     jaxrod.configure_cpu(1)
     for table in options.tables or list(HEADS):
-        lines = []
-        print(HEADS[table], flush=True)
-        for line in rows(table, options.seconds):
-            print(line, flush=True)
-            lines.append(line)
-        if not options.dry:
-            written(table, lines)
+        measured_table(
+            PAGE,
+            table,
+            HEADS[table],
+            partial(rows, table, options.seconds),
+            dry=options.dry,
+        )
     return 0
 
 

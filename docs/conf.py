@@ -12,15 +12,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.ext.napoleon import Config, GoogleDocstring
+
+import jaxrod
+
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "docs"))
-
-from docutils import nodes  # noqa: E402
-from docutils.utils.math.latex2mathml import tex2mathml  # noqa: E402
-from reference_pages import write_reference  # noqa: E402
-from sphinx.ext.napoleon import Config, GoogleDocstring  # noqa: E402
-
-import jaxrod  # noqa: E402
 
 project = "jaxrod"
 author = "jaxrod authors"
@@ -109,6 +107,9 @@ def display_math(translator: Any, node: nodes.Element) -> None:
 
 def setup(app: Any) -> None:
     """Writes the pages of the reference before anything is read."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    from reference_pages import write_reference
+
     write_reference(ROOT / "docs" / "reference")
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
     app.connect("autodoc-process-docstring", google_docstring)

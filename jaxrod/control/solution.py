@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -91,7 +91,9 @@ class Solution:
         made = jax.vmap(readouts)(self.states)
         return {name: np.asarray(numbers) for name, numbers in made.items()}
 
-    def replay(self, title: str = "Optimal trajectory", up: str = "y") -> Any:
+    def replay(
+        self, title: str = "Optimal trajectory", up: Literal["x", "y", "z"] = "y"
+    ) -> Any:
         """The motion as a `jaxrod.viz.Replay`, with the target if there is one.
 
         Args:
@@ -120,7 +122,7 @@ class Solution:
             spheres=spheres,
             readouts=self.readouts,
             title=title,
-            up=up,  # type: ignore[arg-type]
+            up=up,
         )
 
     def __repr__(self) -> str:
