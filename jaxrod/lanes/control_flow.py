@@ -96,6 +96,24 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
     return results
 
 
+@rule("platform_index")
+def by_platform(unroller: Unroller, equation: Any) -> Any:
+    """Which of the variants of a program is meant, where that is clear without asking.
+
+    Kernels are for CPUs and GPUs: variants for those are told apart by XLA alone.
+    """
+    rest = None
+    for i, names in enumerate(equation.params["platforms"]):
+        if names is None:
+            rest = i
+        elif {"cpu", "cuda", "rocm"} & set(names):
+            raise NotUnrolled("lanes have no program that differs by platform")
+    if rest is None:
+        raise NotUnrolled("the program is for other platforms")
+    kind = kind_of(equation.outvars[0].aval)
+    return np.full((), unroller.graph.constant(rest, kind), np.int64)
+
+
 @rule("custom_linear_solve")
 def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """The solution of linear equations, by the solver that comes with them."""
