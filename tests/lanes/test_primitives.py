@@ -208,8 +208,8 @@ def test_every_primitive_is_that_of_xla(dtype):
     taken = jax.jit(jax.vmap(run))(*many)
     assert lane_choices()[-1].taken, lane_choices()[-1].why
     use_lanes("never")
-    # One by one: with the fusion of `configure_cpu` XLA's compiler aborts on all of them
-    # in one program.
+    # One by one: with the fusion of `configure_cpu` XLA's compiler aborts on all of
+    # them in one program.
     expected = jax.vmap(cases)(*many)
     tolerance = {"float32": 2e-6, "float64": 1e-14}[dtype]
     wrong = {}
