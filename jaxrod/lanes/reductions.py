@@ -87,8 +87,6 @@ def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
             odd = graph.each("ne", "b1", row, row)
             fine = graph.each("eq", "b1", best, best)
             beats = graph.each("or", "b1", beats, graph.each("and", "b1", odd, fine))
-            still = graph.each("eq", "b1", best, best)
-            beats = graph.each("and", "b1", beats, still)
         number = np.full(best.shape, graph.constant(i, index_kind), np.int64)
         place = graph.each("select", index_kind, beats, number, place)
         best = graph.each("select", kind, beats, row, best)
