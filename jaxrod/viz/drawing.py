@@ -294,8 +294,12 @@ def _colourful(pixels: np.ndarray) -> np.ndarray:
 def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     from PIL import Image
 
+    # No colour is far from its own: of those that most pixels have, a small target's
+    # would be left out.
     first, *others = (
-        Image.fromarray(pixels).quantize(96, dither=Image.Dither.NONE)
+        Image.fromarray(pixels).quantize(
+            160, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+        )
         for pixels in pictures
     )
     file = io.BytesIO()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxrod.viz import Arrows, Mesh, Replay, surfaces
+from jaxrod.viz import Arrows, Mesh, Replay, Sphere, surfaces
 from jaxrod.viz.geometry import Shapes, refined
 from jaxrod.viz.light import view_of
 from jaxrod.viz.raster import nearest, shares_at
@@ -151,3 +151,33 @@ def test_a_film_as_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     replay = swinging_arm(num_frames=3, duration=0.1)
     with pytest.raises(FileNotFoundError, match="needs ffmpeg"):
         replay.film(tmp_path / "arm.mp4", **SMALL)
+
+
+def test_a_small_thing_keeps_its_colour_in_a_film(tmp_path):
+    """A GIF has few colours; those of most pixels alone leave out a small target."""
+    along = np.linspace(0, 1, 21)
+    nodes = np.stack([along * 0, along, along * 0], 1)
+    replay = Replay.from_nodes(
+        np.stack([nodes, nodes]),
+        0.05,
+        [0.0, 1.0],
+        spheres=[Sphere((-0.3, 0.8, 0.1), 0.03)],
+        up="y",
+    )
+    size = {"width": 480, "height": 360}
+    replay.film(tmp_path / "arm.gif", frames_per_second=2, captions=False, **size)
+    replay.picture(-1, tmp_path / "arm.png", captions=False, **size)
+    with (
+        Image.open(tmp_path / "arm.gif") as gif,
+        Image.open(tmp_path / "arm.png") as png,
+    ):
+        gif.seek(gif.n_frames - 1)
+        shown, drawn = (
+            np.asarray(picture.convert("RGB"), int) for picture in (gif, png)
+        )
+    warm, expected = (
+        np.count_nonzero(picture[..., 0] - picture[..., 2] > 40)
+        for picture in (shown, drawn)
+    )
+    assert expected > 100
+    assert warm == pytest.approx(expected, rel=0.3)
