@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod import control, envs
 from jaxrod.viz import Replay, Sphere
 
 SECONDS, EVERY = 3.6, 36  # [s]; control steps from frame to frame
@@ -19,8 +18,8 @@ PICTURE = Path(__file__).parents[1] / "docs" / "arm.gif"
 
 
 def chase(seconds):
-    """Frames of an episode: positions of nodes, of the target, radii, and the period."""
-    env = envs.make("tracking", variant="clean", n_elements=20)
+    """Frames of an episode: nodes, target, radii, and the period."""
+    env = jaxrod.envs.make("tracking", variant="clean", n_elements=20)
     params = env.default_params()
     steps = round(seconds / (EVERY * env.control_period)) * EVERY
     key = jax.random.key(4)
@@ -28,8 +27,8 @@ def chase(seconds):
     @jax.jit
     def episode(start):
         look = lambda state: (state.arm.positions, state.target.position)
-        policy = control.mpc(env, params)
-        return envs.rollout(
+        policy = jaxrod.control.mpc(env, params)
+        return jaxrod.envs.rollout(
             env, start, policy, params, steps, key=key, collect=look
         ).collected
 
