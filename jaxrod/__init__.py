@@ -149,6 +149,7 @@ _NAMES = {
     "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
     "systems.crossing_contact": ("CrossingContact", "crossing_contact"),
+    "systems.element_contact": ("ElementContact", "element_contact"),
     "systems.glue": ("Glue", "glue"),
     "systems.hinges": ("hinge_joint", "rigid_joint"),
     "systems.neighbour_lists": ("NeighbourLists", "NeighbourRecord", "neighbour_lists"),

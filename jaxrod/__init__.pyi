@@ -179,6 +179,8 @@ from jaxrod.systems.body_contact import body_contact as body_contact
 from jaxrod.systems.coupling import Coupling as Coupling
 from jaxrod.systems.crossing_contact import CrossingContact as CrossingContact
 from jaxrod.systems.crossing_contact import crossing_contact as crossing_contact
+from jaxrod.systems.element_contact import ElementContact as ElementContact
+from jaxrod.systems.element_contact import element_contact as element_contact
 from jaxrod.systems.glue import Glue as Glue
 from jaxrod.systems.glue import glue as glue
 from jaxrod.systems.hinges import hinge_joint as hinge_joint
