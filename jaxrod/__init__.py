@@ -83,6 +83,7 @@ _NAMES = {
         "short_wave_damping",
     ),
     "damping.internal_damping": ("InternalDamping", "internal_damping"),
+    "damping.linear_damper": ("LinearDamper", "linear_damper"),
     "effects.actuation": ("ElementCouples", "limit_rate", "spline_couples"),
     "effects.base": ("Effect", "Reaction", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),

@@ -35,27 +35,6 @@ def time_step(n: int) -> float:
 
 
 @pytree
-class LegacyDamping(jaxrod.Effect):
-    """The damper of PyElastica's example: spins decay at rates of their own axis."""
-
-    rate: jax.Array
-
-    def dissipate(self, scene: Any, motion: Any, dt: Any) -> Any:
-        """Rates after a step; spins to the power of the stretch."""
-        rod = scene.rod
-        stretch = motion.lengths / rod.rest_lengths
-        slow = jnp.exp(-self.rate * dt)
-        spins = tuple(
-            spin * jnp.exp(-self.rate * dt * rod.element_masses / inertia * stretch)
-            for spin, inertia in zip(
-                motion.spin, tuple(rod.principal_inertias), strict=True
-            )
-        )
-        velocity = tuple(slow * component for component in motion.velocity)
-        return replace(motion, velocity=velocity, spin=spins)
-
-
-@pytree
 class TurnedEnd(jaxrod.Effect):
     """The last element turned about its axis, its node sliding along y until then."""
 
@@ -140,7 +119,7 @@ def ours(n: int, count: float = 1.0) -> tuple[Any, Any]:
         jaxrod.fixed_end(state),
         TurnedEnd(state.orientations[:, -1], jaxrod.time()),
         Push(jaxrod.time()),
-        LegacyDamping(jnp.asarray(DAMPING)),
+        jaxrod.linear_damper(DAMPING),
         method=jaxrod.pyelastica(),
     )
     per_length = n / LENGTH
