@@ -27,7 +27,7 @@ def arm(start, seed):
 
 @pytest.mark.slow
 def test_a_stack_of_rods_is_each_of_them_as_a_member(record):
-    """To one rounding of orientations, as XLA contracts products and sums of a stack."""
+    """To one rounding of orientations: XLA contracts sums of a stack in its own way."""
     starts = jnp.array([[0.0, 0.0, 0.0], [0.1, 0.3, 0.02], [0.0, 0.6, -0.01]])
     made = [arm(start, seed) for seed, start in enumerate(starts)]
     stack = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)

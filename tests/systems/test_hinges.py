@@ -119,7 +119,7 @@ def test_a_tilt_swings_and_decays(record):
     expected = rate / swing * np.exp(-decay * times) * np.sin(swing * times)
     assert np.exp(-decay * times[-1]) < 0.5
     record(
-        "tilt of a hinge beside the body's centre that swings and decays, over its size",
+        "tilt of a hinge beside the centre, swinging and decaying, over its size",
         "a damped oscillator of J + m p^2",
         np.max(np.abs(found - expected)) / (rate / swing),
         at_most=1e-3,

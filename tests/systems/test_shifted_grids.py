@@ -56,7 +56,7 @@ def test_force_and_moment_of_parallel_rods_on_shifted_grids(record):
         at_most=1e-12,
     )
     record(
-        "parallel rods on shifted grids: moment about the middle, over force and length",
+        "parallel rods on shifted grids: moment over force times length",
         "0",
         np.max(np.abs(found[:, 1])) / (force * LENGTH),
         at_most=1e-12,
