@@ -95,13 +95,13 @@ def _with_last(row: Any, value: Any) -> Any:
     return jnp.where(last, value, row)
 
 
-def ours(n: int, count: float = 1.0) -> tuple[Any, Any]:
+def ours(n: int, count: float | None = 1.0) -> tuple[Any, Any]:
     """The system and its state, in PyElastica's law, with jaxrod's own contact.
 
     Args:
         n: Number of elements.
         count: Pairs of elements by which PyElastica counts rods that lie side by side,
-            per element; see `pairs_counted`.
+            per element; see `pairs_counted`. `None`: with PyElastica's law of contact.
     """
     rod, state = jaxrod.straight_rod(
         n,
@@ -122,6 +122,9 @@ def ours(n: int, count: float = 1.0) -> tuple[Any, Any]:
         jaxrod.linear_damper(DAMPING),
         method=jaxrod.pyelastica(),
     )
+    if count is None:
+        theirs = jaxrod.element_contact("rod", stiffness=CONTACT, damping=DASHPOT)
+        return jaxrod.make_system({"rod": scene}, theirs), {"rod": state}
     per_length = n / LENGTH
     touch = jaxrod.rod_contact(
         "rod",
