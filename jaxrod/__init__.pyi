@@ -70,6 +70,8 @@ from jaxrod.damping.filters import laplacian_filter as laplacian_filter
 from jaxrod.damping.filters import short_wave_damping as short_wave_damping
 from jaxrod.damping.internal_damping import InternalDamping as InternalDamping
 from jaxrod.damping.internal_damping import internal_damping as internal_damping
+from jaxrod.damping.linear_damper import LinearDamper as LinearDamper
+from jaxrod.damping.linear_damper import linear_damper as linear_damper
 from jaxrod.effects.actuation import ElementCouples as ElementCouples
 from jaxrod.effects.actuation import limit_rate as limit_rate
 from jaxrod.effects.actuation import spline_couples as spline_couples
@@ -179,6 +181,8 @@ from jaxrod.systems.body_contact import body_contact as body_contact
 from jaxrod.systems.coupling import Coupling as Coupling
 from jaxrod.systems.crossing_contact import CrossingContact as CrossingContact
 from jaxrod.systems.crossing_contact import crossing_contact as crossing_contact
+from jaxrod.systems.element_contact import ElementContact as ElementContact
+from jaxrod.systems.element_contact import element_contact as element_contact
 from jaxrod.systems.glue import Glue as Glue
 from jaxrod.systems.glue import glue as glue
 from jaxrod.systems.hinges import hinge_joint as hinge_joint

@@ -35,27 +35,6 @@ def time_step(n: int) -> float:
 
 
 @pytree
-class LegacyDamping(jaxrod.Effect):
-    """The damper of PyElastica's example: spins decay at rates of their own axis."""
-
-    rate: jax.Array
-
-    def dissipate(self, scene: Any, motion: Any, dt: Any) -> Any:
-        """Rates after a step; spins to the power of the stretch."""
-        rod = scene.rod
-        stretch = motion.lengths / rod.rest_lengths
-        slow = jnp.exp(-self.rate * dt)
-        spins = tuple(
-            spin * jnp.exp(-self.rate * dt * rod.element_masses / inertia * stretch)
-            for spin, inertia in zip(
-                motion.spin, tuple(rod.principal_inertias), strict=True
-            )
-        )
-        velocity = tuple(slow * component for component in motion.velocity)
-        return replace(motion, velocity=velocity, spin=spins)
-
-
-@pytree
 class TurnedEnd(jaxrod.Effect):
     """The last element turned about its axis, its node sliding along y until then."""
 
@@ -116,13 +95,13 @@ def _with_last(row: Any, value: Any) -> Any:
     return jnp.where(last, value, row)
 
 
-def ours(n: int, count: float = 1.0) -> tuple[Any, Any]:
+def ours(n: int, count: float | None = 1.0) -> tuple[Any, Any]:
     """The system and its state, in PyElastica's law, with jaxrod's own contact.
 
     Args:
         n: Number of elements.
         count: Pairs of elements by which PyElastica counts rods that lie side by side,
-            per element; see `pairs_counted`.
+            per element; see `pairs_counted`. `None`: with PyElastica's law of contact.
     """
     rod, state = jaxrod.straight_rod(
         n,
@@ -140,9 +119,12 @@ def ours(n: int, count: float = 1.0) -> tuple[Any, Any]:
         jaxrod.fixed_end(state),
         TurnedEnd(state.orientations[:, -1], jaxrod.time()),
         Push(jaxrod.time()),
-        LegacyDamping(jnp.asarray(DAMPING)),
+        jaxrod.linear_damper(DAMPING),
         method=jaxrod.pyelastica(),
     )
+    if count is None:
+        theirs = jaxrod.element_contact("rod", stiffness=CONTACT, damping=DASHPOT)
+        return jaxrod.make_system({"rod": scene}, theirs), {"rod": state}
     per_length = n / LENGTH
     touch = jaxrod.rod_contact(
         "rod",

@@ -9,12 +9,23 @@ $$E = a F_0 \Lambda_0\, F(\Lambda/\Lambda_0), \qquad
 of its length $\Lambda$ there (`FibrePath.segments`), at rest $\Lambda_0$, with the
 integral $F$ of its force-length curve. So it pulls with $a F_0 f(\Lambda/\Lambda_0)$;
 muscles across the rod make it thinner in two directions, hence longer.
+
+With a largest speed of shortening $v$, in rest lengths per time, it pulls with a share
+of that force that depends on how fast it shortens (Hill, Proc. R. Soc. B 126 (1938)
+136). With $u$ that speed over $v$, Hill's hyperbola, and beyond rest one that meets it
+with its slope,
+
+$$g(u) = \frac{1 - u}{1 + u/h} \ (0 < u < 1), \qquad
+  g(u) = 1 + (b - 1)\,\frac{-u}{c - u} \ (u < 0), \quad c = (b - 1)\,\frac{h}{1 + h},$$
+
+none at all beyond $u = 1$, and at most $b$ as it is drawn out. At rest nothing changes.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -32,9 +43,17 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.time import Schedule, Timed, as_timed
 from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_kind
+
+HYPERBOLA = 0.25
+"""`h` of Hill's hyperbola: the smaller, the more it is curved [1]."""
+DRAWN_OUT = 1.5
+"""`b`: largest force of a muscle that is drawn out, over that at rest [1]."""
 
 
 @pytree
@@ -49,10 +68,38 @@ class Muscle(SectionLoad):
     """Share of it [1]: one number; one per fibre `(k,)`; per element, too `(k, n)`."""
     curve: ForceLength
     """Share of the full force at a stretch."""
+    fastest: Float[Array, ""] | None = None
+    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: any."""
+    slowed: Float[Array, "k n"] | None = None
+    """Share of the force at the speed of a moment, at nodes; `loads` has it [1]."""
     walls: Walls = ()
     """Walls into which they go on."""
     across: bool = static(default=False)
     """Whether they pull across the rod."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """As they pull, at the speed at which they shorten."""
+        if self.fastest is None:
+            return super().loads(rod, motion)
+        share = force_at_speed(self._shortening(rod, motion) / self.fastest)
+        return replace(self, fastest=None, slowed=share).loads(rod, motion)
+
+    def _shortening(self, rod: Rod, motion: Motion) -> Array:
+        """Speed around each node, in rest lengths per time `(k, n + 1)` [1/s]."""
+        rest = vectors.safe_norm(self.path.rest_segments(rod))
+
+        def stretch(position: Vec3, orientation: Quaternion) -> Array:
+            there = replace(motion, position=position, orientation=orientation)
+            strains, _ = self._strains(there)
+            along = vectors.safe_norm(self.path.segments(strains)) / rest
+            return along**-0.5 if self.across else along
+
+        x, y, z = motion.angular_velocities(rod)
+        turning = multiply_quaternions(
+            (0 * x, 0.5 * x, 0.5 * y, 0.5 * z), motion.orientation
+        )
+        here = motion.position, motion.orientation
+        return -jax.jvp(stretch, here, (motion.velocity, turning))[1]
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
         """Energy of the fibres [J]."""
@@ -71,7 +118,17 @@ class Muscle(SectionLoad):
         pull = jnp.abs(self._pull(rod))
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         slope = steepest * pull / rest
-        return self.path.bound(rod, largest * pull, slope, pulls=not self.across)
+        most = 1.0 if self.fastest is None else DRAWN_OUT
+        bound = self.path.bound(
+            rod, most * largest * pull, most * slope, pulls=not self.across
+        )
+        if self.fastest is None:
+            return bound
+        # Steepest at rest; across the rod a fibre has half of the rod's speed.
+        steep = (1 + 1 / HYPERBOLA) * largest * pull / self.fastest
+        steep = 0.5 * steep if self.across else steep
+        drag = self.path.bound(rod, 0 * pull, steep / rest, pulls=not self.across)
+        return replace(bound, node_drag=drag.nodes, element_drag=drag.elements)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Muscle:
         """The same muscles on a rod with another number of elements."""
@@ -97,7 +154,21 @@ class Muscle(SectionLoad):
         x = jnp.pad(0.5 * pull, ((0, 0), (0, 1))) + jnp.pad(
             0.5 * pull, ((0, 0), (1, 0))
         )
-        return x / lengths_at_nodes(rod)[None, :]
+        at_nodes = x / lengths_at_nodes(rod)[None, :]
+        return at_nodes if self.slowed is None else self.slowed * at_nodes
+
+
+def force_at_speed(speed: Array) -> Array:
+    """Share of the force that a muscle has as it shortens, by Hill's hyperbola [1].
+
+    Args:
+        speed: Of shortening, over the largest; below zero as it is drawn out [1].
+    """
+    shorter = jnp.minimum(jnp.where(speed > 0, speed, 0), 1)
+    longer = jnp.where(speed > 0, 0, -speed)
+    slow = (DRAWN_OUT - 1) * HYPERBOLA / (1 + HYPERBOLA)
+    drawn_out = 1 + (DRAWN_OUT - 1) * longer / (slow + longer)
+    return jnp.where(speed > 0, (1 - shorter) / (1 + shorter / HYPERBOLA), drawn_out)
 
 
 def muscle(
@@ -108,6 +179,7 @@ def muscle(
     offsets: Numbers | None = None,
     curve: ForceLength | None = None,
     across: bool = False,
+    fastest: Numbers | None = None,
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> Muscle:
     """Muscle fibres in a rod: longitudinal, helical, or across it.
@@ -124,6 +196,9 @@ def muscle(
         curve: Share of the full force at a stretch: `cubic_force()` by default, or
             `gaussian_force()`, `constant_force()`.
         across: Whether they pull across the rod, and make it thinner and longer.
+        fastest: Largest speed of shortening, in rest lengths per time: they pull less
+            the faster they shorten, not at all at this speed, and up to half as much
+            again as they are drawn out [1/s]. By default speed does not matter.
         into: The `clamp` of an end, or a tuple of two, into which they go on.
 
     Raises:
@@ -149,6 +224,11 @@ def muscle(
         force=full,
         activation=as_timed("activation", activation, "", *shapes),
         curve=curve,
+        fastest=(
+            None
+            if fastest is None
+            else as_array("fastest", fastest, "1/s", positive=True, dtype=kind)
+        ),
         walls=walls_of(into),
         across=bool(across),
     )

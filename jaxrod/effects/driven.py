@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.clamps import Clamp
-from jaxrod.effects.ends import End, check_end
+from jaxrod.effects.ends import End, at_end, check_end, replace_end
 from jaxrod.effects.held import Axes, Held, held_end
 from jaxrod.effects.nodes import (
     at_node,
@@ -26,6 +26,15 @@ from jaxrod.effects.time import Schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.matrices import Matrix
+from jaxrod.geometry.rotations import (
+    conjugate,
+    directors,
+    multiply_quaternions,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState, check_one
 from jaxrod.structure import pytree, static
@@ -36,7 +45,8 @@ from jaxrod.validation import Numbers, check_kind
 class Driven(Effect):
     """An end moved along a path, its element turned with a wall or free to turn.
 
-    The wall acts through an elastic joint of half an element, as that of a `Clamp`.
+    The wall acts through an elastic joint of half an element, as that of a `Clamp`, or
+    holds the element itself, as a `FixedEnd` does.
     """
 
     place: Placed | Schedule
@@ -47,6 +57,8 @@ class Driven(Effect):
     """Which end."""
     axes: Axes = static(default=(True, True, True))
     """World axes along which the node is driven; along others it is free."""
+    holds_element: bool = static(default=False)
+    """Whether the wall holds the end element itself."""
 
     @property
     def _placed(self) -> Placed:
@@ -56,10 +68,14 @@ class Driven(Effect):
     @property
     def _joint(self) -> Clamp | None:
         """The wall's joint."""
-        if self.turn is None:
+        if self.turn is None or self.holds_element:
             return None
+        return Clamp(self._turned.orientation, self.end)
+
+    @property
+    def _turned(self) -> Turned:
         assert isinstance(self.turn, Turned)
-        return Clamp(self.turn.orientation, self.end)
+        return self.turn
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """The wall joint's couple on the end element."""
@@ -87,7 +103,15 @@ class Driven(Effect):
         return None if self.turn is None else "a wall that is driven"
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Puts the end node where it is driven."""
+        """Puts the end node where it is driven, and the element that a wall holds."""
+        if self.holds_element:
+            w, x, y, z = (
+                replace_end(a, b, self.end)
+                for a, b in zip(
+                    motion.orientation, self._turned.orientation, strict=True
+                )
+            )
+            motion = replace(motion, orientation=(w, x, y, z))
         node = end_node(rod, self.end)
         there = at_node(motion.position, self._placed.position, node, self.axes)
         moved = replace(motion, position=there)
@@ -99,15 +123,48 @@ class Driven(Effect):
         )
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Gives the end node the velocity of the path."""
+        """Gives the end node the velocity of the path, a held element the wall's."""
+        if self.holds_element:
+            velocity, momentum = self._turning_element(rod)
+            spin = velocity if motion.spin_is_velocity else momentum
+            x, y, z = (
+                replace_end(a, b, self.end)
+                for a, b in zip(motion.spin, spin, strict=True)
+            )
+            motion = replace(motion, spin=(x, y, z))
         node = end_node(rod, self.end)
         velocity = at_node(motion.velocity, self._placed.velocity, node, self.axes)
         return replace(motion, velocity=velocity)
 
+    def _turning_element(self, rod: Rod) -> tuple[Vec3, Vec3]:
+        """Rates of an element that the wall holds.
+
+        Returns:
+            Angular velocity, material frame [rad/s], and angular momentum, world frame
+            [kg m^2/s].
+        """
+        frame = directors(split_quaternion(self._turned.orientation))
+        local = to_material(frame, vectors.split(self._turned.angular_velocity))
+        return local, to_world(frame, vectors.multiply(self._inertia(rod), local))
+
+    def _inertia(self, rod: Rod) -> Vec3:
+        """Of the end element, about its axes [kg m^2]."""
+        index = 0 if self.end == "start" else -1
+        return vectors.split(rod.principal_inertias[:, index])
+
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Distance of the end node from the path along the axes, over the radius."""
+        """Distance of the end node from the path along the axes, over the radius.
+
+        Or the wall joint's angle as a `Clamp` has it; of an element that is held by how
+        much it is turned besides.
+        """
         node = end_node(rod, self.end)
         apart = distance_from(self._placed.position, node, self.axes, rod, state)
+        if self.holds_element:
+            actual = at_end(split_quaternion(state.orientations), self.end)
+            held = split_quaternion(self._turned.orientation)
+            _, x, y, z = multiply_quaternions(conjugate(held), actual)
+            return apart + 2 * vectors.safe_norm((x, y, z))
         joint = self._joint
         return (
             apart if joint is None else jnp.maximum(apart, joint.violation(rod, state))
@@ -124,7 +181,7 @@ class Driven(Effect):
         return self
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """The force along the path's axes, the joint's couple, and their power."""
+        """The force along the path's axes, the wall's couple, and their power."""
         node = end_node(rod, self.end)
         mass = rod.node_masses[node]
         push = vectors.split(mass * self._placed.acceleration)
@@ -137,10 +194,24 @@ class Driven(Effect):
         power = vectors.dot(force, vectors.split(self._placed.velocity))
         if self.turn is None:
             return Reaction.of(force, power=power)
-        assert isinstance(self.turn, Turned)
-        couple = own_couple(self, rod, motion, self.end)
-        turning = vectors.dot(couple, vectors.split(self.turn.angular_velocity))
-        return Reaction.of(force, couple, power + turning)
+        turning = vectors.split(self._turned.angular_velocity)
+        if self.holds_element:
+            couple = self._couple_on_held(rod, motion, needed)
+        else:
+            couple = own_couple(self, rod, motion, self.end)
+        return Reaction.of(force, couple, power + vectors.dot(couple, turning))
+
+    def _couple_on_held(self, rod: Rod, motion: Motion, needed: Loads) -> Vec3:
+        """What balances all couples on the held element and turns it, world frame."""
+        assert needed.couples is not None
+        index = 0 if self.end == "start" else -1
+        a, b, c = (component[index] for component in needed.couples)
+        frame = directors(at_end(motion.orientation, self.end))
+        faster = to_material(frame, vectors.split(self._turned.angular_acceleration))
+        local = vectors.add((a, b, c), vectors.multiply(self._inertia(rod), faster))
+        _, momentum = self._turning_element(rod)
+        turning = vectors.split(self._turned.angular_velocity)
+        return vectors.add(to_world(frame, local), vectors.cross(turning, momentum))
 
 
 def driven(
@@ -152,6 +223,7 @@ def driven(
     axis: Numbers | None = None,
     angle: Schedule | Numbers = 0.0,
     free_to_turn: bool = False,
+    holds_element: bool = False,
 ) -> Driven:
     """Moves an end along a path, and turns the wall that holds its element.
 
@@ -165,6 +237,9 @@ def driven(
         axis: What the wall turns about, world frame, of any length `(3,)`.
         angle: By how much: a schedule [rad].
         free_to_turn: Whether the end element turns freely, as on a ball joint.
+        holds_element: Whether the wall holds the end element itself, as `fixed_end`,
+            and not by an elastic joint of half an element, as `clamp`. First order in
+            the number of elements; for comparisons.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -179,6 +254,8 @@ def driven(
     turn = schedule_of("angle", angle, "rad", ())
     if free_to_turn and (axis is not None):
         raise ValueError("an end that is free to turn is not turned about an axis")
+    if free_to_turn and holds_element:
+        raise ValueError("an end element that is free to turn is not held")
     if axis is None and (isinstance(angle, Schedule) or np.any(np.asarray(angle) != 0)):
         raise ValueError("axis must say what the wall turns about by that angle")
     wall = None
@@ -186,4 +263,4 @@ def driven(
         about = unit_vector("axis", (0, 0, 1) if axis is None else axis)
         along = jnp.asarray(about, state.positions.dtype)
         wall = Turning(state.orientations[:, index], along, turn)
-    return Driven(path, wall, end, axes_named(axes))
+    return Driven(path, wall, end, axes_named(axes), bool(holds_element))

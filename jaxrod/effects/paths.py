@@ -71,6 +71,8 @@ class Turned:
     """Unit quaternion (w, x, y, z), material to world."""
     angular_velocity: Float[Array, "3"]
     """World frame [rad/s]."""
+    angular_acceleration: Float[Array, "3"]
+    """World frame [rad/s^2]."""
 
 
 @pytree
@@ -85,16 +87,22 @@ class Turning(Schedule):
     """Schedule of the angle [rad]."""
 
     def __call__(self, clock: Clock) -> Turned:
-        """Orientation and angular velocity at a time."""
+        """Orientation, angular velocity and acceleration at a time."""
+
+        def rate_at(clock: Clock) -> Array:
+            return _rate(self.angle, clock)[1]
+
         angle, rate = _rate(self.angle, clock)
-        return Turned(self._turned(angle), rate * self.axis)
+        faster = _rate(rate_at, clock)[1]
+        return Turned(self._turned(angle), rate * self.axis, faster * self.axis)
 
     @property
     def largest(self) -> Turned:
         """Turned by an odd angle if it turns at all: whole turns would not show."""
         largest = self.angle.largest
         angle = jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
-        return Turned(self._turned(angle), jnp.zeros_like(self.axis))
+        still = jnp.zeros_like(self.axis)
+        return Turned(self._turned(angle), still, still)
 
     def _turned(self, angle: Array) -> Array:
         # Not `rotation_exp`, which is for one whole turn at most: walls wind rods up.

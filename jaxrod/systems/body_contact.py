@@ -15,6 +15,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxrod.contacts.bodies import Sphere
 from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
@@ -52,6 +53,8 @@ class BodyContact(Coupling):
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
     """Largest friction per length and speed of slip [kg/(m s)]."""
+    touching: Float[Array, ""] | None = None
+    """Length of rod that touches a body at a time, for the stability bound [m]."""
     strand: Strands | None = None
     """Points of the rods, once prepared."""
     rod: str = static(default="")
@@ -185,43 +188,49 @@ class BodyContact(Coupling):
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if all of every rod touched every body.
 
-        The square of what a spring sees of node and body is at most twice the sum of
-        the squares of both, and of a body's as much again of moving and turning.
+        Or as much of it as `touching` says. A spring sees the sum of what node and body
+        move; by Cauchy and Schwarz its energy is at most that of all masses together at
+        the square rate `k` times the sum of what each gives way per force: for a node
+        its length over its mass, for a body the length that touches it over its mass,
+        and as much again times the square of the lever over its inertia.
         """
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
         assert rods.rest_lengths is not None
-        lengths = bodies.count * rods.node_masses / jnp.min(rods.linear_density)
-        touching = jnp.broadcast_to(jnp.sum(lengths), (bodies.count,)) / bodies.count
-        square = _size(bodies) ** 2
-        drag, sides, turning = self.damping, 2, None
+        lengths = rods.node_masses / jnp.min(rods.linear_density)
+        touching = jnp.sum(lengths)
+        if self.touching is not None:
+            touching = jnp.minimum(touching, self.touching)
+            lengths = jnp.minimum(lengths, self.touching)
+        nodes = bodies.count * jnp.max(lengths / rods.node_masses)
+        least = jnp.min(bodies.inertias, axis=0)
+        moving = touching / bodies.node_masses
+
+        def turning(lever: Array) -> Array:
+            return touching * lever**2 / least
+
+        lever = _lever(bodies)
+        rate = self.stiffness * (nodes + jnp.max(moving + turning(lever)))
+        drag, sections = self.damping, jnp.zeros_like(rate)
         if self.friction_drag is not None:
-            # The section's turning besides.
+            # The section's turning besides, and the ball's about its centre.
             drag = (
                 self.friction_drag
                 if drag is None
                 else jnp.maximum(drag, self.friction_drag)
             )
-            sides = 3
-            turning = 3 * bodies.count * drag * rods.rest_lengths * rods.radii**2
-        node_drag = body_drag = turn_drag = None
+            lever = _size(bodies)
+            own = jnp.min(rods.inertias, axis=0)
+            # A last element has half a point more than the others.
+            assert self.points_per_element is not None
+            most = bodies.count * (1 + 0.5 / self.points_per_element)
+            sections = most * jnp.max(rods.rest_lengths * rods.radii**2 / own)
+        slow: Array | None = None
         if drag is not None:
-            node_drag = sides * drag * lengths
-            body_drag = 2 * sides * drag * touching
-            turn_drag = body_drag * square
-        push = 4 * self.stiffness * touching
+            slow = drag * (nodes + sections + jnp.max(moving + turning(lever)))
         return {
-            self.rod: StabilityBound(
-                nodes=2 * self.stiffness * lengths,
-                node_drag=node_drag,
-                element_drag=turning,
-            ),
-            self.body: StabilityBound(
-                nodes=push,
-                elements=push * square,
-                node_drag=body_drag,
-                element_drag=turn_drag,
-            ),
+            self.rod: _bound(rods, rate, slow, self.friction_drag is not None, False),
+            self.body: _bound(bodies, rate, slow, True, True),
         }
 
     def _strand(self) -> Strands:
@@ -236,6 +245,27 @@ class BodyContact(Coupling):
 
 def _sum(field: Array) -> Array:
     return jnp.sum(field)
+
+
+def _bound(
+    parts: Parts, rate: Array, slow: Array | None, drags: bool, turns: bool
+) -> StabilityBound:
+    """Of all masses at a square rate [1/s^2] and a rate of drag [1/s]."""
+    inertia = jnp.min(parts.inertias, axis=0)
+    return StabilityBound(
+        nodes=rate * parts.node_masses,
+        elements=rate * inertia if turns else None,
+        node_drag=None if slow is None else slow * parts.node_masses,
+        element_drag=None if slow is None or not drags else slow * inertia,
+    )
+
+
+def _lever(bodies: Parts) -> Array:
+    """Largest lever of a force along the normal about the centre of mass [m]."""
+    if isinstance(bodies.shape, Sphere):
+        # All normals go through the centre of the ball.
+        return jnp.sqrt(jnp.sum(bodies.shape.centre**2))
+    return _size(bodies)
 
 
 def _size(bodies: Parts) -> Array:
@@ -254,6 +284,7 @@ def body_contact(
     friction_drag: Numbers | None = None,
     onset: Numbers = 0.01,
     points_per_element: int | None = None,
+    touching: Numbers | None = None,
 ) -> BodyContact:
     """Contact of the rods of one member with the rigid bodies of another.
 
@@ -270,6 +301,8 @@ def body_contact(
         onset: Width of the smooth onset of contact over the rod's radius [1].
         points_per_element: Contact points per element; by default so many that they
             are a radius apart.
+        touching: Length of rod that touches a body at a time, for `stable_dt`; all of
+            it by default [m].
 
     Returns:
         A coupling for `make_system`.
@@ -297,6 +330,7 @@ def body_contact(
         friction_drag=(
             None if friction is None else number("friction_drag", drag, "kg/(m s)")
         ),
+        touching=number("touching", touching, "m"),
         rod=rod,
         body=body,
         points_per_element=points_per_element,

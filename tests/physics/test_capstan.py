@@ -43,8 +43,21 @@ class Winch(jaxrod.Effect):
         )
 
 
-def over_a_cylinder(friction):
-    """Half around, both ends hanging, on the move, but not yet under tension."""
+def rope_law(friction):
+    """Numbers of contact that hardly gives way."""
+    return {
+        "stiffness": TENSION / CENTRELINE / (0.02 * ROD),
+        # With little damping the rod flutters and friction carries less.
+        "damping": 12_000 * LINE,
+        "friction": friction,
+        # Far above the friction per speed: what slides feels all of it.
+        "friction_drag": 40_000 * LINE,
+        "points_per_element": 2,
+    }
+
+
+def half_around(friction, *effects):
+    """Both ends hanging, on the move, but not yet under tension."""
     arc = np.pi * CENTRELINE
     s = np.linspace(0, arc + 2 * LEG, 49)
     angle = np.clip((s - LEG) / CENTRELINE, 0, np.pi)
@@ -60,18 +73,9 @@ def over_a_cylinder(friction):
     winch = SPEED + TENSION * np.exp(friction * np.pi) / IMPEDANCE
     scene = jaxrod.make_scene(
         rod,
-        jaxrod.contact(
-            jaxrod.cylinder((0, 0, -1), (0, 0, 1), CYLINDER),
-            stiffness=TENSION / CENTRELINE / (0.02 * ROD),
-            # With little damping the rod flutters and friction carries less.
-            damping=12_000 * LINE,
-            friction=friction,
-            # Far above the friction per speed: what slides feels all of it.
-            friction_drag=40_000 * LINE,
-            points_per_element=2,
-        ),
-        jaxrod.end_load((0, -TENSION, 0), end="start"),
         Winch(jnp.asarray(winch), jnp.asarray(IMPEDANCE)),
+        jaxrod.end_load((0, -TENSION, 0), end="start"),
+        *effects,
         jaxrod.exponential_damping(0.0, 20.0),
     )
     return scene, jaxrod.RodState(
@@ -82,6 +86,19 @@ def over_a_cylinder(friction):
     )
 
 
+def over_a_cylinder(friction):
+    """Around one that stands still."""
+    cylinder = jaxrod.cylinder((0, 0, -1), (0, 0, 1), CYLINDER)
+    return half_around(friction, jaxrod.contact(cylinder, **rope_law(friction)))
+
+
+def ratio_of_tensions(tension, speed):
+    """What turns the rod's momentum does not press it to what it is drawn over."""
+    assert speed > 0.3 * SPEED
+    turning = LINE * speed**2
+    return float((tension - turning) / (TENSION - turning))
+
+
 @jax.jit
 def drawn(scene, state, dt):
     """Mean tension at the winch, and speed there, from 30 to 50 ms later."""
@@ -90,25 +107,21 @@ def drawn(scene, state, dt):
     late = jaxrod.advance(scene, early, dt, steps[1] - steps[0])
     way = (late.positions - early.positions)[1, -1]
     velocity = way / ((steps[1] - steps[0]) * dt)
-    return scene.effects[2].pull(velocity), -velocity
+    return scene.effects[0].pull(velocity), -velocity
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.2, 0.4])
+@pytest.mark.parametrize("friction", [0.1, 0.3, 0.6])
 def test_tension_grows_by_the_exponential_of_friction_times_angle(friction, record):
-    """Friction acts at the cylinder's surface, within the centreline: hence R/(R+r).
-
-    What turns the rod's momentum does not press it to the cylinder.
-    """
+    """Friction acts at the cylinder's surface, within the centreline: hence R/(R+r)."""
     scene, state = over_a_cylinder(friction)
     tension, speed = drawn(scene, state, jaxrod.stable_dt(scene).dt)
-    assert speed > 0.3 * SPEED
-    turning = LINE * speed**2
-    ratio = (tension - turning) / (TENSION - turning)
+    ratio = ratio_of_tensions(tension, speed)
     expected = np.exp(friction * np.pi * CYLINDER / CENTRELINE)
     record(
         f"Ratio of tensions of a rod drawn over a cylinder, friction {friction:g}",
         "capstan equation, exp(friction angle)",
-        abs(float(ratio) / expected - 1),
-        at_most=0.01,
+        abs(ratio / expected - 1),
+        # At friction 0.6 the tension is 6.4 times as large within the wrap.
+        at_most=0.01 if friction < 0.5 else 0.02,
     )

@@ -145,8 +145,11 @@ def test_a_hinge_lets_a_rod_go_round_and_round():
     )
 
 
-def pendulum(method, turn=True):
-    """A soft pendulum whose upper end is shaken, and turned by a wall."""
+def pendulum(method, turn="joint"):
+    """A soft pendulum whose upper end is shaken, and turned by a wall.
+
+    By a joint to it, or with the element held fast, or not turned at all.
+    """
     rod, state = jaxrod.straight_rod(
         3, length=0.5, radius=0.02, density=1000.0, youngs_modulus=2e5
     )
@@ -155,6 +158,7 @@ def pendulum(method, turn=True):
     if turn:
         angle = jaxrod.sine(0.3, 0.2, phase=0.25, mean=-0.3)
         wall = {"axis": (0.0, 1.0, 0.0), "angle": angle}
+        wall["holds_element"] = turn == "element"
     planar = isinstance(method, jaxrod.Planar)
     driven = jaxrod.driven(
         state, displacement=shake, axes="xz" if planar else "xyz", **wall
@@ -166,12 +170,21 @@ def pendulum(method, turn=True):
 @pytest.mark.parametrize(
     ("method", "turn"),
     [
-        pytest.param(jaxrod.consistent(), True, marks=pytest.mark.slow),
-        pytest.param(jaxrod.planar("zx"), True, marks=pytest.mark.slow),
-        pytest.param(jaxrod.implicit(1.0), True, marks=pytest.mark.slow),
-        pytest.param(jaxrod.consistent(), False, marks=pytest.mark.slow),
+        pytest.param(jaxrod.consistent(), "joint", marks=pytest.mark.slow),
+        pytest.param(jaxrod.planar("zx"), "joint", marks=pytest.mark.slow),
+        pytest.param(jaxrod.implicit(1.0), "joint", marks=pytest.mark.slow),
+        pytest.param(jaxrod.consistent(), None, marks=pytest.mark.slow),
+        pytest.param(jaxrod.consistent(), "element", marks=pytest.mark.slow),
+        pytest.param(jaxrod.planar("zx"), "element", marks=pytest.mark.slow),
     ],
-    ids=["consistent", "planar", "implicit", "free to turn"],
+    ids=[
+        "consistent",
+        "planar",
+        "implicit",
+        "free to turn",
+        "held element",
+        "held element, planar",
+    ],
 )
 def test_the_work_of_a_driven_end_is_what_the_energy_grows_by(method, turn):
     scene, state = pendulum(method, turn)
@@ -196,10 +209,16 @@ def test_the_work_of_a_driven_end_is_what_the_energy_grows_by(method, turn):
 
 
 def test_a_driven_end_is_where_it_is_driven():
-    scene, state = pendulum(jaxrod.consistent())
+    scene, state = pendulum(jaxrod.consistent(), "element")
     after = jaxrod.advance(scene, state, 5e-4, 101)
-    there = scene.at(101 * 5e-4).effects[0].place.position
+    driven = scene.at(101 * 5e-4).effects[0]
+    there, turned = driven.place.position, driven.turn
     np.testing.assert_allclose(after.positions[:, 0], there, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(after.orientations[:, 0], turned.orientation, atol=1e-15)
+    turning = jaxrod.angular_velocities(scene.rod, after)[:, 0]
+    local = np.asarray(after.directors[..., 0]) @ np.asarray(turned.angular_velocity)
+    assert np.max(np.abs(local)) > 0.1
+    np.testing.assert_allclose(turning, local, atol=1e-12)
     assert not jaxrod.health(scene.at(101 * 5e-4), after, 5e-4).flagged
     assert jaxrod.health(scene.at(0.0), after, 5e-4).largest_violation > 0.1
 
@@ -249,6 +268,10 @@ def test_bad_supports_are_refused_in_words():
         (
             lambda: jaxrod.driven(state, displacement=jaxrod.ramp(0.0, 1.0, 1.0)),
             "displacement must have values of shape",
+        ),
+        (
+            lambda: jaxrod.driven(state, free_to_turn=True, holds_element=True),
+            "free to turn is not held",
         ),
         (
             lambda: jaxrod.driven(state, angle=jaxrod.ramp(0.0, 1.0, 1.0)),

@@ -31,11 +31,33 @@ class Simulator(
     elastica.Constraints,
     elastica.Connections,
     elastica.Forcing,
+    elastica.Damping,
 ):
     """What joints need of PyElastica."""
 
 
-def theirs(joint, *, held="start", pull=PULL, steps=STEPS, dt=DT, **numbers):
+class EndTwist(elastica.NoForces):
+    """A couple about the last element's own axis."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def apply_torques(self, system, time=0.0):
+        """Adds it."""
+        system.external_torques[2, -1] += self.size
+
+
+def theirs(
+    joint,
+    *,
+    held="start",
+    pull=PULL,
+    steps=STEPS,
+    dt=DT,
+    twist=0.0,
+    damping=0.0,
+    **numbers,
+):
     """Node positions of both of PyElastica's rods at the end [m]."""
     simulator, rods = Simulator(), []
     for number in range(2):
@@ -61,6 +83,14 @@ def theirs(joint, *, held="start", pull=PULL, steps=STEPS, dt=DT, **numbers):
     simulator.add_forcing_to(rods[1]).using(
         elastica.EndpointForces, np.zeros(3), np.array(pull), ramp_up_time=1e-300
     )
+    simulator.add_forcing_to(rods[1]).using(EndTwist, twist)
+    if damping:
+        for rod in rods:
+            simulator.dampen(rod).using(
+                elastica.AnalyticalLinearDamper,
+                uniform_damping_constant=damping,
+                time_step=dt,
+            )
     simulator.connect(
         first_rod=rods[0],
         second_rod=rods[1],
@@ -74,7 +104,7 @@ def theirs(joint, *, held="start", pull=PULL, steps=STEPS, dt=DT, **numbers):
     return np.stack([rod.position_collection for rod in rods])
 
 
-def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT):
+def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT, twist=0.0, damping=0.0):
     """The same of jaxrod's, joined by what `join(a, b, state)` makes."""
     rods, state = {}, {}
     for number, name in enumerate(("one", "two")):
@@ -90,13 +120,14 @@ def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT):
             normal=NORMAL,
             dtype=jnp.float64,
         )
-    method = jaxrod.pyelastica()
+    slow = jaxrod.exponential_damping(damping)
+    load = jaxrod.end_load(pull, (0.0, 0.0, twist), follower=True)
+    law = {"method": jaxrod.pyelastica()}
+    fixed = jaxrod.fixed_end(state["one"], end=held)
     system = jaxrod.make_system(
         {
-            "one": jaxrod.make_scene(
-                rods["one"], jaxrod.fixed_end(state["one"], end=held), method=method
-            ),
-            "two": jaxrod.make_scene(rods["two"], jaxrod.end_load(pull), method=method),
+            "one": jaxrod.make_scene(rods["one"], fixed, slow, **law),
+            "two": jaxrod.make_scene(rods["two"], load, slow, **law),
         },
         join(("one", "finish"), ("two", "start"), state),
         state=state,
@@ -224,3 +255,47 @@ def test_a_hinge_pulled_obliquely_twists_in_theirs(record):
         np.max(np.abs(mine - other)),
         at_most=1e-5,
     )
+
+
+TWIST, LONG, DAMPING = 0.02, 200_000, 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Spherical", "Fixed", "Hinge"])
+def test_joints_are_theirs_for_ten_seconds(name, record):
+    """Pulled, and twisted where the joint holds that, until they are nearly at rest."""
+    held, pull, twist = "start", PULL, 0.0
+    if name == "Spherical":
+        kind, numbers, join = elastica.FreeJoint, {}, ball
+    elif name == "Fixed":
+        twist = TWIST
+        kind, numbers = elastica.FixedJoint, {"kt": TURNING, "nut": 0.0}
+
+        def join(a, b, state):
+            return jaxrod.rigid_joint(
+                a, b, state, stiffness=STIFFNESS, turning_stiffness=TURNING
+            )
+    else:
+        held, pull = "finish", np.array([1.0, 0.0, 0.3])
+        kind = elastica.HingeJoint
+        numbers = {"kt": TURNING, "normal_direction": NORMAL}
+
+        def join(a, b, state):
+            return jaxrod.hinge_joint(
+                a,
+                b,
+                state,
+                axis=NORMAL,
+                stiffness=STIFFNESS,
+                axis_stiffness=TURNING,
+            )
+
+    how = {
+        "held": held,
+        "pull": pull,
+        "twist": twist,
+        "damping": DAMPING,
+        "steps": LONG,
+    }
+    other = theirs(kind, k=STIFFNESS, nu=0.0, **numbers, **how)
+    same(f"{name} joint, 10 s, damped", ours(join, **how), other, record, 1e-9)

@@ -25,11 +25,15 @@ def ends(step, times, dt):
     return found
 
 
-@pytest.mark.slow
-def test_a_rod_loops_as_theirs_until_it_touches_itself(record):
-    """At 1.5 turns it buckles and throws a loop."""
-    dt, times = scene.time_step(N), (5.0, 8.0)
-    system, state = scene.ours(N)
+def both(count, times):
+    """Shapes of both rods at some times [s].
+
+    Args:
+        count: As `scene.ours` has it.
+        times: When.
+    """
+    dt = scene.time_step(N)
+    system, state = scene.ours(N, count)
     advance = jax.jit(jaxrod.advance)
     now = {"state": state}
 
@@ -48,7 +52,14 @@ def test_a_rod_loops_as_theirs_until_it_touches_itself(record):
             clock["time"] = stepper.step(simulator, clock["time"], np.float64(dt))
         return rod.position_collection, rod.director_collection[0]
 
-    mine, other = ends(our_step, times, dt), ends(their_step, times, dt)
+    return ends(our_step, times, dt), ends(their_step, times, dt)
+
+
+@pytest.mark.slow
+def test_a_rod_loops_as_theirs_until_it_touches_itself(record):
+    """At 1.5 turns it buckles and throws a loop."""
+    times = (5.0, 8.0)
+    mine, other = both(1.0, times)
     assert other[8.0].writhe > 0.05
     for time in times:
         for name in ("twist", "writhe"):
@@ -58,4 +69,21 @@ def test_a_rod_loops_as_theirs_until_it_touches_itself(record):
                 f"PyElastica 1.0: {b:.6f}",
                 abs(a - b),
                 at_most=1e-9,
+            )
+
+
+@pytest.mark.slow
+def test_a_rod_winds_up_as_theirs_with_their_contact(record):
+    """By `element_contact`; what rounds differently grows where the rod slides."""
+    bars = {25.0: 1e-10, 50.0: 1e-7, 100.0: 1e-4}
+    mine, other = both(None, tuple(bars))
+    for time, bar in bars.items():
+        a, b = mine[time], other[time]
+        for name in ("twist", "writhe"):
+            one, two = getattr(a, name), getattr(b, name)
+            record(
+                f"{name.capitalize()} of a rod wound up for {time:g} s",
+                f"PyElastica 1.0: {two:.4f}",
+                abs(one / two - 1),
+                at_most=bar,
             )

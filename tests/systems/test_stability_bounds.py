@@ -120,6 +120,8 @@ def sprung(a, b, state):
 
 LINE, CROSSING = jaxrod.rod_contact, jaxrod.crossing_contact
 SLAB, BALL = jaxrod.box((0, 0, -0.2), (0.2,) * 3), jaxrod.sphere((0, 0, -0.3), 0.3)
+POINT = 0.3 / N / 5
+"""Length that one point of a rod stands for [m]."""
 FRICTION = {"stiffness": 1e8, "damping": 1e6, "friction": 0.5}
 # Scene, and how far above the bound the limit may be. Bounds of contact count all of a
 # rod as touching as many as there may be: they are sharp where it does.
@@ -144,17 +146,27 @@ CASES = {
         SAFE,
     ),
     "body_contact of a rod all along a heavy box": (lambda: on_body(SLAB, 1e5), SAFE),
+    "body_contact of a rod all along a light box": (lambda: on_body(SLAB, 10.0), SAFE),
     "body_contact of the same with dashpots and friction": (
         lambda: on_body(SLAB, 1e5, **FRICTION),
-        3.0,
+        SAFE,
     ),
+    # As if all of the rod touched, as it does where it is wound around.
     "body_contact of one point of a rod on a heavy ball": (
         lambda: on_body(BALL, 1e5),
-        4.0,
+        3.0,
     ),
     "body_contact of one point of a rod on a light ball": (
         lambda: on_body(BALL, 10.0),
         6.0,
+    ),
+    "body_contact of one point of a rod on a heavy ball, touching given": (
+        lambda: on_body(BALL, 1e5, touching=POINT),
+        SAFE,
+    ),
+    "body_contact of one point of a rod on a light ball, touching given": (
+        lambda: on_body(BALL, 10.0, touching=POINT),
+        SAFE,
     ),
     "ball_joint of two rods": (lambda: joined(ball), SHARP),
     "ball_joint of a rod and a light body": (lambda: joined(ball, 10.0), SHARP),

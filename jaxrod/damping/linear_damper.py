@@ -1,0 +1,103 @@
+r"""PyElastica's `AnalyticalLinearDamper`, for `method=pyelastica()`.
+
+After a kick velocities and angular velocities are multiplied by, with the stretch $e$,
+
+$$e^{-\gamma_t h/m}, \quad \left(e^{-\gamma_r h/J_i}\right)^e
+  \qquad\text{or}\qquad
+  e^{-g h}, \quad \left(e^{-g h M/J_i}\right)^e,$$
+
+the first by its constants of translation and rotation, the second by its single
+`damping_constant`, where $M$ is the mean of an element's node masses (plus half of the
+end node's at either end). What is held stays held: theirs slows down ends that are
+driven, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Effect
+from jaxrod.geometry import vectors
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.scene import Scene
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array
+
+
+@pytree
+class LinearDamper(Effect):
+    """PyElastica's linear damper by one constant or two; see the module."""
+
+    translational: Float[Array, ""]
+    """Of velocities: rate [1/s], or `gamma_t` of every node [kg/s]."""
+    rotational: Float[Array, ""] | None = None
+    """`gamma_r` of every element [N m s]; `None`: the one constant is a rate."""
+
+    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+        """The motion after rates have decayed for a step."""
+        if not motion.spin_is_velocity:
+            raise ValueError(
+                "linear_damper is PyElastica's, for method=pyelastica(): "
+                "exponential_damping(rate, rotational_rate) is for the other methods"
+            )
+        rod: Rod = scene.rod
+        if self.rotational is None:
+            slowing, turning = self.translational, self.translational * _masses(rod)
+        else:
+            slowing, turning = self.translational / rod.node_masses, self.rotational
+        over = turning * dt * motion.lengths / rod.rest_lengths
+        a, b, c = (
+            spin * jnp.exp(-over / inertia)
+            for spin, inertia in zip(motion.spin, rod.principal_inertias, strict=True)
+        )
+        velocity = vectors.scale(jnp.exp(-slowing * dt), motion.velocity)
+        return replace(motion, velocity=velocity, spin=(a, b, c))
+
+
+def _masses(rod: Rod) -> Array:
+    """Masses of elements from those of their nodes, as theirs has them [kg]."""
+    nodes = rod.node_masses
+    mean = 0.5 * (nodes[1:] + nodes[:-1])
+    return mean.at[0].add(0.5 * nodes[0]).at[-1].add(0.5 * nodes[-1])
+
+
+def linear_damper(
+    damping_constant: Numbers | None = None,
+    *,
+    translational: Numbers | None = None,
+    rotational: Numbers | None = None,
+) -> LinearDamper:
+    """PyElastica's `AnalyticalLinearDamper`, for `method=pyelastica()`.
+
+    By its `damping_constant`, or by its two physical constants; its
+    `uniform_damping_constant` is `exponential_damping`. Other methods refuse it when
+    they step.
+
+    Args:
+        damping_constant: Rate of velocities; that of spins is by so much larger as an
+            element's mass is larger than its inertia, in SI units [1/s].
+        translational: Drag of every node [kg/s].
+        rotational: Drag of every element's turning [N m s].
+
+    Raises:
+        ValueError: If a number is out of range, or neither the one nor both of the
+            others are given.
+    """
+    one, two = damping_constant is not None, translational is not None
+    if one == two or two != (rotational is not None):
+        raise ValueError(
+            "linear_damper takes damping_constant [1/s] alone, or translational [kg/s] "
+            "and rotational [N m s]"
+        )
+    if one:
+        rate = as_array("damping_constant", damping_constant, "1/s", non_negative=True)
+        return LinearDamper(rate)
+    assert translational is not None and rotational is not None
+    return LinearDamper(
+        as_array("translational", translational, "kg/s", non_negative=True),
+        as_array("rotational", rotational, "N m s", non_negative=True),
+    )
