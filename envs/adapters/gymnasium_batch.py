@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box
-from jaxtyping import Array, Float, Key, UInt8
+from jaxtyping import Array, Bool, Float, Key, UInt8
 
 from jaxrod.envs.adapters.packing import Layout, Packed, layout
 from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
@@ -82,30 +84,48 @@ class Batch:
         self._packed: Packed | None = None
         self._lengths: np.ndarray | None = None
 
-    def reset(self, seed: int) -> None:
-        """Starts all episodes anew."""
+    def reset(
+        self, seed: int, where: Bool[np.ndarray, " num_envs"] | None = None
+    ) -> None:
+        """Starts all episodes anew, or those of some environments.
+
+        Args:
+            seed: of the random numbers.
+            where: which environments; None for all.
+        """
         if self.params is None:
             self.params = self.env.default_params()
         batch = VectorEnvironment(self.env)
         state = _reset(batch, random_key(seed), self.num_envs, self.params)
+        if where is not None:
+            state = _chosen(where, state, self.started())
         self._layout, numbers = layout(state), layout(self.params)
         self._packed = self._layout.pack(state)
         self._numbers = numbers.pack(self.params)
         self._dtype = np.dtype(state.observation.dtype)
-        self._program = _program(batch, self._layout, numbers, self.num_envs == 1)
+        self._made_of = batch, self._layout, numbers, self.num_envs == 1
 
-    def step(self, actions: Any) -> VectorStep:
-        """One control step of all; the arrays of the result are NumPy's."""
+    def step(
+        self, actions: Any, waiting: Bool[np.ndarray, " num_envs"] | None = None
+    ) -> VectorStep:
+        """One control step of all; the arrays of the result are NumPy's.
+
+        Args:
+            actions: shape (num_envs, action_size).
+            waiting: environments that stay as they are: they earn nothing and do not
+                end.
+        """
         packed = self.packed()
         actions = np.asarray(actions)
         shape = (self.num_envs, self.env.action_size)
         if actions.shape != shape:
             raise ValueError(f"actions must have shape {shape}, got {actions.shape}")
         actions = actions.astype(self._dtype)
-        self._packed, (arrays, others) = self._program.step(
-            packed, actions, self._numbers
+        program = _program(*self._made_of, waiting is not None)
+        self._packed, (arrays, others) = program.step(
+            packed, actions, self._numbers, waiting
         )
-        return self._program.outcome.unpack(
+        return program.outcome.unpack(
             (tuple(map(np.asarray, arrays)), tuple(map(np.asarray, others)))
         )
 
@@ -185,11 +205,16 @@ class Program:
         """How the results are packed; known once the step was traced."""
 
         def step(
-            packed: Packed, action: Array, numbers: Packed
+            packed: Packed,
+            action: Array,
+            numbers: Packed,
+            waiting: Bool[Array, " num_envs"] | None,
         ) -> tuple[Packed, Packed]:
-            after, outcome = batch.step(
-                state.unpack(packed), action, params.unpack(numbers)
-            )
+            before = state.unpack(packed)
+            after, outcome = batch.step(before, action, params.unpack(numbers))
+            if waiting is not None:
+                after = _chosen(waiting, before, after)
+                outcome = _without(waiting, before, outcome)
             self.outcome = layout(outcome)
             return state.pack(after), self.outcome.pack(outcome)
 
@@ -199,10 +224,46 @@ class Program:
 
 @functools.lru_cache(maxsize=64)
 def _program(
-    batch: VectorEnvironment, state: Layout, params: Layout, in_order: bool
+    batch: VectorEnvironment,
+    state: Layout,
+    params: Layout,
+    in_order: bool,
+    waits: bool,
 ) -> Program:
-    """The compiled control step, one for all batches that are equal."""
+    """The compiled control step, one for all batches that are equal.
+
+    Another one where environments wait: the others do not pay for it.
+    """
+    del waits
     return Program(batch, state, params, in_order)
+
+
+def _without(
+    waiting: Bool[Array, " num_envs"], before: VectorState, outcome: VectorStep
+) -> VectorStep:
+    """What comes of a step in which some environments wait."""
+    nothing = jnp.zeros_like(outcome.reward)
+    shown, final = outcome.observation, outcome.final_observation
+    return dataclasses.replace(
+        outcome,
+        observation=_chosen(waiting, before.observation, shown),
+        final_observation=_chosen(waiting, before.observation, final),
+        reward=jnp.where(waiting, nothing, outcome.reward),
+        terminated=outcome.terminated & ~waiting,
+        truncated=outcome.truncated & ~waiting,
+    )
+
+
+@jax.jit
+def _chosen(where: Bool[Array, " num_envs"], these: Any, those: Any) -> Any:
+    """Of one batch where it holds, of the other elsewhere."""
+    return jax.tree.map(
+        lambda a, b: jnp.where(
+            jnp.reshape(where, where.shape + (1,) * (jnp.ndim(a) - 1)), a, b
+        ),
+        these,
+        those,
+    )
 
 
 @functools.cache

@@ -129,6 +129,91 @@ def observation_of_seed(seed):
     return functional_reset(batch, jax.random.key(seed), 1, params).observation[0, 0]
 
 
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
+def test_episodes_begin_when_the_mode_says(mode):
+    """Gymnasium's own batch of three environments ends and starts at the same steps."""
+    length = 4
+    ours = GymnasiumVectorEnv(
+        "trivial", 3, episode_length=length, autoreset_mode=mode.value
+    )
+    theirs = SyncVectorEnv(
+        [lambda: GymnasiumEnv("trivial", episode_length=length)] * 3,
+        autoreset_mode=mode,
+    )
+    for envs in (ours, theirs):
+        assert envs.metadata["autoreset_mode"] is mode
+    seen, _ = ours.reset(seed=0)
+    theirs.reset(seed=0)
+    still = np.zeros((3, 1), np.float32)
+    began = 0
+    for _ in range(3 * length):
+        after, reward, terminated, truncated, infos = ours.step(still)
+        found = theirs.step(still)
+        np.testing.assert_array_equal(terminated, found[2])
+        np.testing.assert_array_equal(truncated, found[3])
+        assert infos.keys() == found[4].keys()
+        # An action of zero moves nothing: places change where an episode begins.
+        begins = after[:, 0] != seen[:, 0]
+        np.testing.assert_array_equal(begins, reward == 0)
+        np.testing.assert_array_equal(reward == 0, found[1] == 0)
+        began += begins.sum()
+        seen = after
+        if mode is AutoresetMode.DISABLED and truncated.any():
+            with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[0, 1, 2\]"):
+                ours.step(still)
+            mask = {"reset_mask": np.array([True, True, True])}
+            seen, _ = ours.reset(options=dict(mask))
+            theirs.reset(options=dict(mask))
+            assert np.all(seen != after)
+    assert began == (6 if mode is AutoresetMode.NEXT_STEP else 0)
+
+
+def test_some_environments_begin_anew_and_others_go_on():
+    envs = GymnasiumVectorEnv("trivial", 3, autoreset_mode="Disabled")
+    before, _ = envs.reset(seed=0)
+    mask = np.array([True, False, True])
+    after, _ = envs.reset(options={"reset_mask": mask})
+    np.testing.assert_array_equal(before[:, 0] != after[:, 0], mask)
+    for wrong in (np.ones(2, bool), np.ones(3)):
+        with pytest.raises(ValueError, match=r"booleans of shape \(3,\), got"):
+            envs.reset(options={"reset_mask": wrong})
+    with pytest.raises(ValueError, match=r"no options but reset_mask, got .*'x'"):
+        envs.reset(options={"x": 1})
+    with pytest.raises(ValueError, match="NextStep, SameStep, Disabled; got 'x'"):
+        GymnasiumVectorEnv("trivial", 3, autoreset_mode="x")
+
+
+# Gymnasium compares the bounds of two types as it makes the new space.
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+@pytest.mark.parametrize(
+    ("mode", "names"),
+    [
+        ("SameStep", ("RecordEpisodeStatistics", "NormalizeReward")),
+        ("NextStep", ("RecordEpisodeStatistics", "NormalizeObservation", "Dtype")),
+        ("Disabled", ("NormalizeReward", "Dtype")),
+    ],
+)
+def test_wrappers_of_gymnasium_go_over_it(mode, names):
+    wrappers = gymnasium.wrappers.vector
+    envs = GymnasiumVectorEnv("trivial", 4, episode_length=5, autoreset_mode=mode)
+    for name in names:
+        if name == "Dtype":
+            envs = wrappers.DtypeObservation(envs, np.float64)
+        else:
+            envs = getattr(wrappers, name)(envs)
+    observation, _ = envs.reset(seed=0)
+    rows = []
+    for actions in actions_for(envs, 12):
+        observation, _, terminated, truncated, _ = envs.step(actions)
+        rows.append(observation)
+        if mode == "Disabled" and (terminated | truncated).any():
+            envs.reset(options={"reset_mask": terminated | truncated})
+    assert np.isfinite(rows).all()
+    assert observation.dtype == (np.float64 if "Dtype" in names else np.float32)
+    if "NormalizeObservation" in names:
+        assert 0.5 < np.std(rows) < 2
+
+
 def test_what_is_returned_belongs_to_the_caller():
     envs = GymnasiumVectorEnv("trivial", 2)
     before, _ = envs.reset(seed=0)
