@@ -15,10 +15,11 @@ from jaxrod.envs.protocol import Environment
 class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """An environment as Gymnasium knows it.
 
-    It is a batch of one of `jaxrod.envs.VectorEnvironment`, to the last bit: the seed
-    s starts it with `jax.random.key(s)`, and the episode that follows when one has
-    ended is the batch's. `reset` without a seed in mid-episode starts anew with a
-    seed drawn from `np_random`.
+    It is a batch of one of `jaxrod.envs.VectorEnvironment`, to rounding, and the
+    `GymnasiumVectorEnv` of one to the last bit: the seed s starts it with
+    `jax.random.key(s)`, and the episode that follows when one has ended is the batch's.
+    `reset` without a seed in mid-episode starts anew with a seed drawn from
+    `np_random`.
     """
 
     metadata = METADATA

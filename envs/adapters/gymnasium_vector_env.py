@@ -18,7 +18,7 @@ from jaxrod.envs.wrappers import VectorStep
 class GymnasiumVectorEnv(
     gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
 ):
-    """`jaxrod.envs.VectorEnvironment` as Gymnasium knows it, to the last bit.
+    """`jaxrod.envs.VectorEnvironment` as Gymnasium knows it, to rounding.
 
     The seed s starts the batch with `jax.random.key(s)`. When an episode ends the
     environment restarts, by `autoreset_mode`, as Gymnasium defines them:

@@ -1,4 +1,4 @@
-"""Gymnasium sees what the functional environments do, bit for bit."""
+"""Gymnasium sees what the functional environments do."""
 
 import dataclasses
 import functools
@@ -55,7 +55,7 @@ def actions_for(envs, steps):
     return np.clip(drawn, -1, 1).astype(np.float32)
 
 
-def check_same(env, envs, steps):
+def check_same(env, envs, steps, rounding=0.0):
     """A vector environment does what the functional interface does."""
     batch, params = VectorEnvironment(env), env.default_params()
     state = functional_reset(batch, jax.random.key(7), envs.num_envs, params)
@@ -69,19 +69,23 @@ def check_same(env, envs, steps):
         assert seen[0] in envs.observation_space
         names = ("observation", "reward", "terminated", "truncated")
         for got, name in zip(seen, names, strict=False):
-            np.testing.assert_array_equal(got, getattr(expected, name))
+            wanted = np.asarray(getattr(expected, name), got.dtype)
+            np.testing.assert_allclose(got, wanted, rtol=rounding, atol=rounding)
         ended = np.asarray(expected.terminated | expected.truncated)
         infos = seen[-1]
         assert ("final_obs" in infos) == ended.any()
         for i, over in enumerate(ended):
             scalars = infos["final_info"] if over else infos
             for name, value in expected.info.items():
-                assert scalars[name][i] == value[i]
+                assert scalars[name][i] == pytest.approx(
+                    value[i].item(), rel=rounding, abs=rounding
+                )
                 assert scalars[f"_{name}"][i]
             if over:
                 assert infos["_final_obs"][i] and infos["_final_info"][i]
                 final = infos["final_obs"][i]
-                np.testing.assert_array_equal(final, expected.final_observation[i])
+                wanted = expected.final_observation[i]
+                np.testing.assert_allclose(final, wanted, rtol=rounding, atol=rounding)
         terminated += np.asarray(expected.terminated).sum()
         truncated += np.asarray(expected.truncated).sum()
     return terminated, truncated
@@ -335,11 +339,13 @@ def test_the_checker_has_nothing_to_say_about_any_id(name):
 
 
 @EVERY_ID
-def test_every_id_is_the_functional_environment_to_the_last_bit(name):
+def test_every_id_is_the_functional_environment_to_rounding(name):
     env = gymnasium.make(name, **SHORT).unwrapped
     envs = gymnasium.make_vec(name, num_envs=1, **SHORT)
     assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
     check_one_is_a_batch_of_one(env, envs, 10)
     task, variant = envs.spec.kwargs["task"], envs.spec.kwargs["variant"]
-    _, truncated = check_same(make(task, variant=variant, **SHORT), envs, 6)
+    # Packed, a program is fused otherwise: in most tasks to the same numbers.
+    rounding = 5e-5
+    _, truncated = check_same(make(task, variant=variant, **SHORT), envs, 6, rounding)
     assert truncated > 0
