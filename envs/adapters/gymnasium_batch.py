@@ -18,6 +18,7 @@ from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
+from jaxrod.installation.backend import compile_for_rods
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
 """Metadata that Gymnasium reads from both classes before there is an environment."""
@@ -56,6 +57,7 @@ class Batch:
         Raises:
             ValueError: an argument does not fit.
         """
+        compile_for_rods()
         if not isinstance(task, str) and options:
             raise ValueError(f"an environment takes no options, got {sorted(options)}")
         self.env = make(task, **options) if isinstance(task, str) else task

@@ -3,6 +3,8 @@
 import dataclasses
 import functools
 import importlib
+import os
+import subprocess
 import sys
 
 import gymnasium
@@ -216,6 +218,45 @@ def test_wrappers_of_gymnasium_go_over_it(mode, names):
     assert observation.dtype == (np.float64 if "Dtype" in names else np.float32)
     if "NormalizeObservation" in names:
         assert 0.5 < np.std(rows) < 2
+
+
+@pytest.mark.parametrize(
+    ("before", "flags", "holds"),
+    [
+        ("", "", "xla_cpu_use_multi_output_fusion"),
+        ("", "--xla_cpu_enable_fast_math=false", "--xla_cpu_enable_fast_math=false"),
+        ("import jax; jax.devices()", "", ""),
+    ],
+    ids=["nothing said", "flags of one's own", "too late"],
+)
+def test_an_adapter_has_xla_compile_for_rods_where_nobody_said_how(
+    before, flags, holds
+):
+    program = (
+        f"{before}\nimport os, jaxrod.envs.gym as gym; gym.GymnasiumEnv('trivial')\n"
+        "print(os.environ.get('XLA_FLAGS', ''))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        env=os.environ | {"XLA_FLAGS": flags},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = done.stdout.strip()
+    assert found == holds if flags or before else holds in found
+
+
+def test_record_video_makes_a_film(tmp_path):
+    pytest.importorskip("moviepy")
+    env = GymnasiumEnv(Leaning(), render_mode="rgb_array")
+    filmed = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "films"), fps=10)
+    filmed.reset(seed=0)
+    while not any(filmed.step(np.ones(1, np.float32))[2:4]):
+        pass
+    filmed.close()
+    [film] = (tmp_path / "films").glob("*.mp4")
+    assert b"ftyp" in film.read_bytes()[:16]
 
 
 def test_what_is_returned_belongs_to_the_caller():
