@@ -26,6 +26,7 @@ except ModuleNotFoundError as missing:
 from jaxrod.envs.adapters.brax_patch import patched_jax
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
+from jaxrod.installation.backend import compile_for_rods
 from jaxrod.structure import pytree
 
 __all__ = ["BraxEnv", "patched_jax"]
@@ -76,6 +77,7 @@ class BraxEnv(Env):
         Raises:
             ValueError: an argument does not fit.
         """
+        compile_for_rods()
         if not isinstance(task, str) and options:
             raise ValueError(f"an environment takes no options, got {sorted(options)}")
         self.env = make(task, **options) if isinstance(task, str) else task

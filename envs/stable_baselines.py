@@ -28,7 +28,7 @@ Indices = None | int | Iterable[int]
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """`jaxrod.envs.VectorEnvironment` as Stable Baselines 3 knows it, to the last bit.
+    """`jaxrod.envs.VectorEnvironment` as Stable Baselines 3 knows it, to rounding.
 
     `seed(s)` before `reset` starts the batch with `jax.random.key(s)`, without it
     episodes are fresh. The environments of the batch are one pure function: `get_attr`

@@ -18,6 +18,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elasticity import stored_energy
 from jaxrod.rods.motion import Loads, Motion, accumulate
 from jaxrod.rods.rod import Rod, RodState, angular_velocities, check_state
+from jaxrod.rods.words import or_fields, scene_words
 from jaxrod.structure import pytree
 from jaxrod.validation import check_kind
 
@@ -95,6 +96,10 @@ class Scene:
     """Effects on the rod, in the order in which they are applied."""
     method: Method
     """Method that steps it."""
+
+    def __repr__(self) -> str:
+        """One line: the rod, the effects by their classes, the method."""
+        return or_fields(scene_words, self)
 
     @property
     def depends_on_time(self) -> bool:

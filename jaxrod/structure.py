@@ -50,7 +50,9 @@ def pytree(cls: type[T]) -> type[T]:
     validated or converted on construction, because JAX also constructs pytrees
     from placeholders while it traces; factories validate instead.
     """
-    frozen: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    # A class that says how it is printed is asked.
+    own = "__repr__" in vars(cls)
+    frozen: Any = dataclasses.dataclass(frozen=True, eq=False, repr=not own)(cls)
     names: tuple[list[str], list[str]] = [], []
     for field in dataclasses.fields(frozen):
         names[bool(field.metadata.get("static"))].append(field.name)

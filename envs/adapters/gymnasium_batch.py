@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -10,12 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box
-from jaxtyping import Array, Float, Key, UInt8
+from jaxtyping import Array, Bool, Float, Key, UInt8
 
+from jaxrod.envs.adapters.packing import Layout, Packed, layout
 from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
+from jaxrod.installation.backend import compile_for_rods
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
 """Metadata that Gymnasium reads from both classes before there is an environment."""
@@ -32,7 +35,6 @@ class Batch:
         metadata: render modes, and `render_fps`: control steps in a second.
         params: parameters of the environment; None for its own, until the first
             reset makes them.
-        state: state of the batch, or None before the first reset.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Batch:
         Raises:
             ValueError: an argument does not fit.
         """
+        compile_for_rods()
         if not isinstance(task, str) and options:
             raise ValueError(f"an environment takes no options, got {sorted(options)}")
         self.env = make(task, **options) if isinstance(task, str) else task
@@ -80,40 +83,75 @@ class Batch:
                 f"{', '.join(map(repr, modes))} for {self.env.name}; "
                 f"got {render_mode!r}"
             )
-        self.state: VectorState | None = None
+        self._packed: Packed | None = None
         self._lengths: np.ndarray | None = None
 
-    def reset(self, seed: int) -> None:
-        """Starts all episodes anew."""
+    def reset(
+        self, seed: int, where: Bool[np.ndarray, " num_envs"] | None = None
+    ) -> None:
+        """Starts all episodes anew, or those of some environments.
+
+        Args:
+            seed: of the random numbers.
+            where: which environments; None for all.
+        """
         if self.params is None:
             self.params = self.env.default_params()
         batch = VectorEnvironment(self.env)
-        self.state = _reset(batch, random_key(seed), self.num_envs, self.params)
+        state = _reset(batch, random_key(seed), self.num_envs, self.params)
+        if where is not None:
+            state = _chosen(where, state, self.started())
+        self._layout, numbers = layout(state), layout(self.params)
+        self._packed = self._layout.pack(state)
+        self._numbers = numbers.pack(self.params)
+        self._dtype = np.dtype(state.observation.dtype)
+        self._made_of = batch, self._layout, numbers, self.num_envs == 1
 
-    def step(self, actions: Any) -> VectorStep:
-        """One control step of all; the arrays of the result are NumPy's."""
-        state = self.started()
+    def step(
+        self, actions: Any, waiting: Bool[np.ndarray, " num_envs"] | None = None
+    ) -> VectorStep:
+        """One control step of all; the arrays of the result are NumPy's.
+
+        Args:
+            actions: shape (num_envs, action_size).
+            waiting: environments that stay as they are: they earn nothing and do not
+                end.
+        """
+        packed = self.packed()
         actions = np.asarray(actions)
         shape = (self.num_envs, self.env.action_size)
         if actions.shape != shape:
             raise ValueError(f"actions must have shape {shape}, got {actions.shape}")
-        self.state, step = _step(
-            VectorEnvironment(self.env),
-            state,
-            jnp.asarray(actions, state.observation.dtype),
-            self.params,
+        actions = actions.astype(self._dtype)
+        program = _program(*self._made_of, waiting is not None)
+        self._packed, (arrays, others) = program.step(
+            packed, actions, self._numbers, waiting
         )
-        return jax.device_get(step)
+        return program.outcome.unpack(
+            (tuple(map(np.asarray, arrays)), tuple(map(np.asarray, others)))
+        )
 
-    def started(self) -> VectorState:
-        """The state.
+    def packed(self) -> Packed:
+        """The state, packed.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        if self.state is None:
+        if self._packed is None:
             raise gymnasium.error.ResetNeeded("call reset before step and render")
-        return self.state
+        return self._packed
+
+    def unpacked(self, packed: Packed) -> VectorState:
+        """A state."""
+        return self._layout.unpack(packed)
+
+    def started(self) -> VectorState:
+        """The state of now.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        return self.unpacked(self.packed())
 
     def picture(self, state: VectorState, index: int) -> UInt8[np.ndarray, "h w 3"]:
         """A picture of environment number `index`.
@@ -151,8 +189,95 @@ def _reset(
     return batch.reset(key, num_envs, params)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _step(
-    batch: VectorEnvironment, state: VectorState, action: Array, params: Any
-) -> tuple[VectorState, VectorStep]:
-    return batch.step(state, action, params)
+class Program:
+    """The compiled control step of a batch."""
+
+    def __init__(
+        self, batch: VectorEnvironment, state: Layout, params: Layout, in_order: bool
+    ) -> None:
+        """Compiles nothing yet.
+
+        Args:
+            batch: the batch.
+            state: how its state is packed.
+            params: how its parameters are packed.
+            in_order: whether its kernels are to run one after the other.
+        """
+        self.outcome: Layout
+        """How the results are packed; known once the step was traced."""
+
+        def step(
+            packed: Packed,
+            action: Array,
+            numbers: Packed,
+            waiting: Bool[Array, " num_envs"] | None,
+        ) -> tuple[Packed, Packed]:
+            before = state.unpack(packed)
+            after, outcome = batch.step(before, action, params.unpack(numbers))
+            if waiting is not None:
+                after = _chosen(waiting, before, after)
+                outcome = _without(waiting, before, outcome)
+            self.outcome = layout(outcome)
+            return state.pack(after), self.outcome.pack(outcome)
+
+        options = _in_order_options() if in_order else None
+        self.step = jax.jit(step, compiler_options=options)
+
+
+@functools.lru_cache(maxsize=64)
+def _program(
+    batch: VectorEnvironment,
+    state: Layout,
+    params: Layout,
+    in_order: bool,
+    waits: bool,
+) -> Program:
+    """The compiled control step, one for all batches that are equal.
+
+    Another one where environments wait: the others do not pay for it.
+    """
+    del waits
+    return Program(batch, state, params, in_order)
+
+
+def _without(
+    waiting: Bool[Array, " num_envs"], before: VectorState, outcome: VectorStep
+) -> VectorStep:
+    """What comes of a step in which some environments wait."""
+    nothing = jnp.zeros_like(outcome.reward)
+    shown, final = outcome.observation, outcome.final_observation
+    return dataclasses.replace(
+        outcome,
+        observation=_chosen(waiting, before.observation, shown),
+        final_observation=_chosen(waiting, before.observation, final),
+        reward=jnp.where(waiting, nothing, outcome.reward),
+        terminated=outcome.terminated & ~waiting,
+        truncated=outcome.truncated & ~waiting,
+    )
+
+
+@jax.jit
+def _chosen(where: Bool[Array, " num_envs"], these: Any, those: Any) -> Any:
+    """Of one batch where it holds, of the other elsewhere."""
+    return jax.tree.map(
+        lambda a, b: jnp.where(
+            jnp.reshape(where, where.shape + (1,) * (jnp.ndim(a) - 1)), a, b
+        ),
+        these,
+        those,
+    )
+
+
+@functools.cache
+def _in_order_options() -> dict[str, Any] | None:
+    """Has XLA run the kernels of a program one after the other, on one thread.
+
+    On CPUs it hands kernels that do not wait for each other to several threads, which
+    takes one arm twice as long as its kernels. None where XLA has no such option.
+    """
+    options = {"xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED"}
+    try:
+        jax.jit(lambda x: x + 1, compiler_options=options)(0)
+    except jax.errors.JaxRuntimeError:
+        return None
+    return options

@@ -8,17 +8,18 @@ import gymnasium
 import numpy as np
 
 from jaxrod.envs.adapters.gymnasium_batch import METADATA, Batch, observed
+from jaxrod.envs.adapters.packing import Packed
 from jaxrod.envs.protocol import Environment
-from jaxrod.envs.wrappers import VectorState
 
 
 class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """An environment as Gymnasium knows it.
 
-    It is a batch of one of `jaxrod.envs.VectorEnvironment`, to the last bit: the seed
-    s starts it with `jax.random.key(s)`, and the episode that follows when one has
-    ended is the batch's. `reset` without a seed in mid-episode starts anew with a
-    seed drawn from `np_random`.
+    It is a batch of one of `jaxrod.envs.VectorEnvironment`, to rounding, and the
+    `GymnasiumVectorEnv` of one to the last bit: the seed s starts it with
+    `jax.random.key(s)`, and the episode that follows when one has ended is the batch's.
+    `reset` without a seed in mid-episode starts anew with a seed drawn from
+    `np_random`.
     """
 
     metadata = METADATA
@@ -48,7 +49,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self._ended = False
-        self._shown: VectorState | None = None
+        self._shown: Packed | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -72,8 +73,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             drawn = int(self.np_random.integers(2**32)) if seed is None else seed
             self._batch.reset(drawn)
         self._ended = False
-        self._shown = self._batch.started()
-        return observed(self._shown.observation[0]), {}
+        self._shown = self._batch.packed()
+        return observed(self._batch.started().observation[0]), {}
 
     def step(
         self, action: np.ndarray
@@ -92,13 +93,13 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         if self._ended:
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset")
-        before = self._batch.started()
+        before = self._batch.packed()
         step = self._batch.step(np.asarray(action)[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._ended = terminated or truncated
         # The batch has begun the next episode: what is drawn is the last moment but
         # one of the episode that ended.
-        self._shown = before if self._ended else self._batch.started()
+        self._shown = before if self._ended else self._batch.packed()
         return (
             observed(step.final_observation[0]),
             float(step.reward[0]),
@@ -118,4 +119,4 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return None
         if self._shown is None:
             raise gymnasium.error.ResetNeeded("call reset before render")
-        return self._batch.picture(self._shown, 0)
+        return self._batch.picture(self._batch.unpacked(self._shown), 0)

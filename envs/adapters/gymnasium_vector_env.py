@@ -12,17 +12,23 @@ from gymnasium.vector.utils import batch_space
 
 from jaxrod.envs.adapters.gymnasium_batch import METADATA, Batch, observed
 from jaxrod.envs.protocol import Environment
+from jaxrod.envs.wrappers import VectorStep
 
 
 class GymnasiumVectorEnv(
     gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
 ):
-    """`jaxrod.envs.VectorEnvironment` as Gymnasium knows it, to the last bit.
+    """`jaxrod.envs.VectorEnvironment` as Gymnasium knows it, to rounding.
 
-    An environment restarts in the step that ends its episode: the observation is the
-    first of the next episode, `infos["final_obs"]` and `infos["final_info"]` are the
-    last of the one that ended, where `infos["_final_obs"]` says so. The seed s starts
-    the batch with `jax.random.key(s)`.
+    The seed s starts the batch with `jax.random.key(s)`. When an episode ends the
+    environment restarts, by `autoreset_mode`, as Gymnasium defines them:
+
+    - `SAME_STEP`: at once. The observation is the first of the next episode,
+      `infos["final_obs"]` and `infos["final_info"]` are the last of the one that ended,
+      where `infos["_final_obs"]` says so.
+    - `NEXT_STEP`: in the step after, which takes no action and pays nothing. Wrappers
+      of Gymnasium that normalise observations want it.
+    - `DISABLED`: when told so, by `reset(options={"reset_mask": ended})`.
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -34,6 +40,7 @@ class GymnasiumVectorEnv(
         *,
         render_mode: str | None = None,
         params: Any = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **options: Any,
     ) -> None:
         """Makes the batch.
@@ -43,17 +50,19 @@ class GymnasiumVectorEnv(
             num_envs: number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
             params: parameters shared by the batch; None for the environment's own.
+            autoreset_mode: one of `gymnasium.vector.AutoresetMode`, or its value:
+                "SameStep", "NextStep" or "Disabled".
             **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: an argument does not fit.
         """
+        self._mode = _mode(autoreset_mode)
         self._batch = Batch(task, num_envs, render_mode, params, options)
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self.metadata = self._batch.metadata | {
-            "autoreset_mode": AutoresetMode.SAME_STEP
-        }
+        self._ended = np.zeros(num_envs, bool)
+        self.metadata = self._batch.metadata | {"autoreset_mode": self._mode}
         self.single_observation_space = self._batch.observation_space
         self.single_action_space = self._batch.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -66,20 +75,41 @@ class GymnasiumVectorEnv(
 
         Args:
             seed: the same seed, the same episodes; None for fresh ones.
-            options: none are known.
+            options: `reset_mask`, in the mode `DISABLED`: which environments start an
+                episode, booleans of shape (num_envs,); the others go on.
 
         Returns:
             First observations, shape (num_envs, observation_size), and an empty
             dictionary.
 
         Raises:
-            ValueError: `options` holds something.
+            ValueError: `options` holds something else.
         """
         super().reset(seed=seed)
-        if options:
-            raise ValueError(f"reset takes no options, got {sorted(options)}")
-        self._batch.reset(int(self.np_random.integers(2**32)) if seed is None else seed)
+        where = self._where(options or {})
+        drawn = int(self.np_random.integers(2**32)) if seed is None else seed
+        self._batch.reset(drawn, where)
+        self._ended = self._ended & (False if where is None else ~where)
         return observed(self._batch.started().observation), {}
+
+    def _where(self, options: dict[str, Any]) -> np.ndarray | None:
+        """Which environments are to start an episode; None for all."""
+        if not options:
+            return None
+        if self._mode is not AutoresetMode.DISABLED or set(options) != {"reset_mask"}:
+            known = (
+                "no options but reset_mask"
+                if self._mode is AutoresetMode.DISABLED
+                else "no options"
+            )
+            raise ValueError(f"reset takes {known}, got {sorted(options)}")
+        where = np.asarray(options["reset_mask"])
+        if where.dtype != bool or where.shape != (self.num_envs,):
+            raise ValueError(
+                f"reset_mask must be booleans of shape ({self.num_envs},), got "
+                f"{where.dtype} of shape {where.shape}"
+            )
+        return where
 
     def step(
         self, actions: np.ndarray
@@ -94,28 +124,30 @@ class GymnasiumVectorEnv(
             truncations (num_envs,); and what else is known.
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: before the first reset; in the mode
+                `DISABLED` after an episode has ended, too.
             ValueError: the actions have another shape.
         """
-        step = self._batch.step(actions)
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+            which = np.flatnonzero(self._ended).tolist()
+            raise gymnasium.error.ResetNeeded(
+                f"the episodes of environments {which} have ended: call "
+                'reset(options={"reset_mask": ...})'
+            )
+        waits = self._mode is AutoresetMode.NEXT_STEP
+        waiting = self._ended if waits else None
+        step = self._batch.step(actions, waiting)
         ended = np.asarray(step.terminated | step.truncated)
-        infos: dict[str, Any] = _masked(step.info, ~ended)
-        if ended.any():
-            last = np.full(self.num_envs, None, object)
-            for i, final in zip(
-                np.flatnonzero(ended),
-                observed(step.final_observation[ended]),
-                strict=True,
-            ):
-                last[i] = final
-            infos |= {
-                "final_obs": last,
-                "_final_obs": ended.copy(),
-                "final_info": _masked(step.info, ended),
-                "_final_info": ended.copy(),
-            }
+        self._ended = ended
+        if self._mode is AutoresetMode.SAME_STEP:
+            observation, infos = step.observation, _infos(step, ended)
+        else:
+            observation = step.final_observation
+            infos = _masked(
+                step.info, np.ones_like(ended) if waiting is None else ~waiting
+            )
         return (
-            observed(step.observation),
+            observed(observation),
             np.array(step.reward, float),
             np.array(step.terminated),
             np.array(step.truncated),
@@ -133,6 +165,34 @@ class GymnasiumVectorEnv(
             return None
         state = self._batch.started()
         return tuple(self._batch.picture(state, i) for i in range(self.num_envs))
+
+
+def _mode(given: AutoresetMode | str) -> AutoresetMode:
+    """The mode, by itself or by its value."""
+    try:
+        return AutoresetMode(given)
+    except ValueError:
+        known = ", ".join(mode.value for mode in AutoresetMode)
+        raise ValueError(
+            f"autoreset_mode must be one of {known}; got {given!r}"
+        ) from None
+
+
+def _infos(step: VectorStep, ended: np.ndarray) -> dict[str, Any]:
+    """Scalars of the episodes that go on, and the last of those that ended."""
+    infos: dict[str, Any] = _masked(step.info, ~ended)
+    if not ended.any():
+        return infos
+    last = np.full(len(ended), None, object)
+    finals = observed(step.final_observation[ended])
+    for i, final in zip(np.flatnonzero(ended), finals, strict=True):
+        last[i] = final
+    return infos | {
+        "final_obs": last,
+        "_final_obs": ended.copy(),
+        "final_info": _masked(step.info, ended),
+        "_final_info": ended.copy(),
+    }
 
 
 def _masked(scalars: Mapping[str, Any], where: np.ndarray) -> dict[str, np.ndarray]:

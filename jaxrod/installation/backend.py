@@ -54,6 +54,16 @@ def configure_cpu(devices: int | None = None) -> None:
     jax.config.update("jax_num_cpu_devices", devices)
 
 
+def compile_for_rods() -> None:
+    """Sets XLA's options as `configure_cpu` does, where nobody has set any.
+
+    For what only a short program calls, such as an adapter: nothing is changed once JAX
+    has computed or where `XLA_FLAGS` says something; the devices stay as they are.
+    """
+    if not _backend_is_running() and not os.environ.get("XLA_FLAGS", "").strip():
+        os.environ["XLA_FLAGS"] = with_backend_options("")
+
+
 def available_cores() -> int:
     """Number of cores this process may use."""
     if hasattr(os, "sched_getaffinity"):

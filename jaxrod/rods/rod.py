@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors_from_orientations
+from jaxrod.rods.words import or_fields, rod_words, state_words
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, check_kind, numeric
 
@@ -53,6 +54,10 @@ class Rod:
     """Curvature and twist of the unstressed shape, material frame [1/m]."""
     joint_mean: JointMean = static(default="arithmetic")
     """How joints get their stiffness from the elements they join."""
+
+    def __repr__(self) -> str:
+        """One line: elements, sizes, material; ranges where they vary."""
+        return or_fields(rod_words, self)
 
     @property
     def n_elements(self) -> int:
@@ -146,6 +151,10 @@ class RodState:
     memory: tuple[dict[str, Any], ...] | None = None
     """Memory of the effects of a scene, see `jaxrod.memory`; `None` without, or as long
     as it is what the scene begins with."""
+
+    def __repr__(self) -> str:
+        """One line: elements, tip, largest speed."""
+        return or_fields(state_words, self)
 
     @property
     def directors(self) -> Float[Array, "*batch 3 3 n"]:

@@ -15,6 +15,7 @@ from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Replay
 from jaxrod.viz.rods import Rods
 from jaxrod.viz.shapes import Cylinder, Sphere
+from jaxrod.viz.showing import show
 
 __all__ = [
     "Arrows",
@@ -33,6 +34,7 @@ __all__ = [
     "paper_result",
     "picture",
     "save_html",
+    "show",
     "speed",
     "stretch",
     "twist_rate",

@@ -15,6 +15,8 @@ from jaxrod.viz.matplotlib_needed import need_matplotlib
 from jaxrod.viz.paper import PaperResult, paper_result
 
 _COLUMNS = ("env_steps", "wall_s", "episode_return_mean")
+RETURN = "episode return"
+REWARD = "mean reward of an action (no episode has ended)"
 _RUN_COLOUR, _PAPER_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
 
 FilePath = str | os.PathLike[str]
@@ -26,6 +28,8 @@ class Curve(NamedTuple):
     steps: np.ndarray
     wall: np.ndarray
     returns: np.ndarray
+    quantity: str = RETURN
+    """The returns, or before any episode has ended the mean rewards."""
 
 
 def learning_curve(
@@ -40,12 +44,14 @@ def learning_curve(
 
     Return over control steps below, wall-clock time of the run above, and the
     paper's final score with its spread over seeds and its wall-clock hours beside
-    it. Several runs are drawn thin, with their mean on top. The file appears whole
+    it. Several runs are drawn thin, with their mean on top. Of runs in which no episode
+    has ended the mean reward of an action is drawn instead. The file appears whole
     or not at all.
 
     Args:
         progress: progress.csv of each run, with the columns env_steps, wall_s [s]
-            and episode_return_mean; rows without a return yet are skipped.
+            and episode_return_mean; rows without a return yet are skipped. Without
+            any, reward_mean is drawn.
         out: the PNG file to write; its folder must exist.
         paper: (algorithm, case) of the result to compare with, for example
             ("PPO", "Case1"), or the result itself.
@@ -53,8 +59,9 @@ def learning_curve(
         label: name of the runs in the legend.
 
     Raises:
-        ValueError: a file lacks the columns or has no finished episode, or the paper
-            has no such result.
+        ValueError: a file lacks the columns, has neither a finished episode nor
+            rewards, or not all runs have the same of the two; or the paper has no such
+            result.
     """
     paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
     if not paths:
@@ -63,31 +70,44 @@ def learning_curve(
     if paper is not None and not isinstance(paper, PaperResult):
         algorithm, case = paper
         paper = paper_result(case, algorithm)
+    if len({run.quantity for run in runs}) > 1:
+        raise ValueError("progress must be of runs with finished episodes, or without")
+    if runs[0].quantity == REWARD:
+        paper = None  # Its scores are returns.
     write_atomically(out, _draw(runs, paper, title, label))
 
 
 def read_curve(path: Path) -> Curve:
     """Reads a progress.csv; rows without a return yet are skipped.
 
+    Where no row has one it is the curve of the mean rewards.
+
     Raises:
         DamagedFileError: the file is no table, or lacks the columns.
-        ValueError: it has no finished episode.
+        ValueError: it has neither finished episodes nor rewards.
     """
     columns, rows = read_csv(path)
     with reading(path):
         missing = [name for name in _COLUMNS if name not in columns]
         if missing and (columns or rows):
             raise ValueError(f"it must have the columns {_COLUMNS}, lacks {missing}")
-        places = [columns.index(name) for name in _COLUMNS if not missing]
+        names = (*_COLUMNS, *(name for name in ("reward_mean",) if name in columns))
+        places = [columns.index(name) for name in names if not missing]
         table = [[_number(row[place]) for place in places] for row in rows]
-    values = np.array(table, dtype=float).reshape(-1, 3)
-    values = values[np.isfinite(values).all(axis=1)]
+    every = np.array(table, dtype=float).reshape(len(table), -1)
+    values, quantity = _finite(every[:, :3]), RETURN
+    if not len(values) and every.shape[1] > 3:
+        values, quantity = _finite(every[:, [0, 1, 3]]), REWARD
     if not len(values):
         raise ValueError(f"{path} must hold an episode_return_mean, got none")
     # A resumed run may repeat rows: the last word counts.
     steps, last = np.unique(values[::-1, 0], return_index=True)
     _, wall, returns = values[::-1][last].T
-    return Curve(steps, wall, returns)
+    return Curve(steps, wall, returns, quantity)
+
+
+def _finite(table: np.ndarray) -> np.ndarray:
+    return table[np.isfinite(table).all(axis=1)].reshape(-1, 3)
 
 
 def _number(text: str) -> float:
@@ -136,10 +156,10 @@ def _draw(
 
     axes.set_xlim(0, max(last_step, 1))
     axes.set_xlabel("control steps")
-    axes.set_ylabel("episode return")
+    axes.set_ylabel(runs[0].quantity)
     axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
     axes.yaxis.set_major_formatter(
-        FuncFormatter(lambda y, _: f"{y:,.0f}".replace("-", "−"))
+        FuncFormatter(lambda y, _: _shown(runs, y).replace("-", "−"))
     )
     axes.grid(color="#d5dbe4", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
@@ -193,7 +213,12 @@ def _run_label(label: str, runs: list[Curve]) -> str:
         took = f"{wall / 3600:.1f} h"
     what = f"{label}, mean of {len(runs)} runs" if len(runs) > 1 else label
     end = float(np.mean([run.returns[-1] for run in runs]))
-    return f"{what}: {end:,.0f} after {took}"
+    return f"{what}: {_shown(runs, end)} after {took}"
+
+
+def _shown(runs: list[Curve], value: float) -> str:
+    """A return in whole numbers, a reward in three digits."""
+    return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:.3g}"
 
 
 def _paper_label(paper: PaperResult) -> str:

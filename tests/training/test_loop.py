@@ -23,6 +23,7 @@ from jaxrod.envs.trivial import Trivial
 from jaxrod.training import (
     PPOConfig,
     RunFolder,
+    TRPOConfig,
     evaluate,
     find_algorithm,
     load_policy,
@@ -328,6 +329,37 @@ def test_a_run_may_have_more_steps_than_32_bits_count():
     assert found.summary["status"] == "interrupted"
     assert found.summary["env_steps"] == 128
     assert int(found.state.total_updates) == -(-steps // 128)
+
+
+class Endless(Trivial):
+    """Every action earns the same, for ever."""
+
+    def step(self, key, state, action, params):
+        seen, state, reward, *_, info = super().step(key, state, action, params)
+        never = jnp.zeros((), bool)
+        return seen, state, 0 * reward - 0.25, never, never, info
+
+
+@pytest.mark.parametrize(
+    "config",
+    [SMALL, TRPOConfig(num_envs=8, rollout_steps=16, hidden_sizes=(8,))],
+    ids=["ppo", "trpo"],
+)
+def test_progress_shows_rewards_until_an_episode_ends(config, capsys):
+    rows = []
+    name = type(config).__name__.removesuffix("Config").lower()
+    train(
+        Endless(episode_length=10_000),
+        name,
+        steps=256,
+        config=config,
+        evaluation_episodes=0,
+        log=rows.append,
+        devices=jax.devices()[:1],
+    )
+    assert rows[-1]["episode_return_mean"] is None
+    assert {row["reward_mean"] for row in rows} == {-0.25}
+    assert "reward -0.25 per action, no episode has ended" in capsys.readouterr().err
 
 
 def test_progress_line_tells_steps_speed_time_left_and_what_is_reached():

@@ -80,6 +80,21 @@ def test_a_resumed_run_counts_its_last_row_for_a_step(tmp_path):
     assert "run: 8 after 3 s" in text_of(tmp_path / "out.png")
 
 
+def test_before_any_episode_has_ended_the_rewards_are_drawn(tmp_path):
+    progress = tmp_path / "progress.csv"
+    rows = ["env_steps,wall_s,episode_return_mean,reward_mean", "10,1,,-1.04", "20,2,,"]
+    progress.write_text("\n".join([*rows, "30,3,,-0.512"]))
+    learning_curve(progress, tmp_path / "out.png", paper=("PPO", "Case1"))
+    assert "run: -0.512 after 3 s" in text_of(tmp_path / "out.png")
+    assert "paper" not in text_of(tmp_path / "out.png")
+    ended = tmp_path / "ended.csv"
+    ended.write_text("\n".join([*rows, "30,3,5,-0.512"]))
+    learning_curve(ended, tmp_path / "out.png")
+    assert "run: 5 after 3 s" in text_of(tmp_path / "out.png")
+    with pytest.raises(ValueError, match="finished episodes, or without"):
+        learning_curve([progress, ended], tmp_path / "out.png")
+
+
 def test_a_file_without_returns_is_refused_by_name(tmp_path):
     progress = tmp_path / "progress.csv"
     progress.write_text("env_steps,wall_s,episode_return_mean\n1,1,\n")

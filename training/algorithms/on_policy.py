@@ -109,6 +109,8 @@ class Experience:
     """Scaled return that the value network should predict."""
     value: Float[Array, "steps num_envs"]
     """Scaled return that the value network predicted."""
+    reward: Float[Array, "steps num_envs"]
+    """Reward, not scaled: for the record."""
 
 
 def policy_network(
@@ -251,6 +253,7 @@ def gather_experience(
         advantage=advantage,
         value_target=advantage + predicted,
         value=predicted,
+        reward=rollout.reward,
     )
     seen = rollout.observation.reshape(-1, rollout.observation.shape[-1])
     state = dataclasses.replace(

@@ -162,6 +162,7 @@ def update(
     scalars |= {
         "value_error": jnp.mean((experience.value_target - experience.value) ** 2),
         "return_mean": jnp.mean(experience.value_target),
+        "reward_mean": jnp.mean(experience.reward),
         "action_std": jnp.mean(jnp.exp(weights["policy"]["log_std"])),
         "learning_rate": learning_rate,
     }

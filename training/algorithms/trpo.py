@@ -147,6 +147,7 @@ def update(
         "value_loss": value_loss,
         "value_error": jnp.mean((experience.value_target - experience.value) ** 2),
         "return_mean": jnp.mean(experience.value_target),
+        "reward_mean": jnp.mean(experience.reward),
         "action_std": jnp.mean(jnp.exp(policy["log_std"])),
     }
     state = dataclasses.replace(state, updates=state.updates + 1)

@@ -10,7 +10,7 @@ import dataclasses
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -202,8 +202,7 @@ class Run:
             self.folder.episodes.append(new)
         if self.log:
             self.log(row)
-        earned = "-" if recent is None else f"{recent:,.1f}"
-        bar.update(self.env_steps, f"return {earned}")
+        bar.update(self.env_steps, _reached(row))
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
@@ -284,3 +283,12 @@ class Run:
             "jax_version": jax.__version__,
             "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
         }
+
+
+def _reached(row: Mapping[str, Any]) -> str:
+    """What a row of progress has reached: until an episode ends, the rewards."""
+    if row["episode_return_mean"] is not None:
+        return f"return {row['episode_return_mean']:,.1f}"
+    if "reward_mean" in row:
+        return f"reward {row['reward_mean']:.3g} per action, no episode has ended"
+    return "no episode has ended"
