@@ -17,6 +17,7 @@ try:
         mean_over_devices,
         steps_per_update,
     )
+    from jaxrod.training.algorithms.dagger import DAGGER, DAggerConfig
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
     from jaxrod.training.algorithms.on_policy import OnPolicyConfig
@@ -47,6 +48,7 @@ except ModuleNotFoundError as missing:
     ) from missing
 
 __all__ = [
+    "DAGGER",
     "DDPG",
     "DEVICE_AXIS",
     "PPO",
@@ -55,6 +57,7 @@ __all__ = [
     "TRPO",
     "ActuatedArm",
     "Algorithm",
+    "DAggerConfig",
     "DDPGConfig",
     "Evaluation",
     "LearnerConfig",

@@ -108,6 +108,7 @@ class Algorithm:
 
 
 _ALGORITHMS = {
+    "dagger": "jaxrod.training.algorithms.dagger:DAGGER",
     "ddpg": "jaxrod.training.algorithms.ddpg:DDPG",
     "ppo": "jaxrod.training.algorithms.ppo:PPO",
     "sac": "jaxrod.training.algorithms.sac:SAC",
