@@ -282,7 +282,7 @@ def _act(
             environments.states,
             own,
             config.lookahead,
-            config.effort,
+            jnp.asarray(config.effort),
             config.plan_iterations,
         )
         action = jnp.where((chance < share)[:, None], advised, own)
