@@ -27,7 +27,7 @@ PAGE = ROOT / "docs" / "algorithms.md"
 CASES = tuple(case for case in GRID if case != "trivial")
 LEARNERS = tuple(sorted(GRID["tracking"]))
 """Those of the published grid: the others have no reference."""
-OTHERS = ("dagger",)
+OTHERS = ("dagger", "shac")
 
 BEGINNING = """\
 # Algorithms and their settings
@@ -35,7 +35,7 @@ BEGINNING = """\
 Written by `python -m benchmarks.algorithms` from the settings in the code and
 `benchmarks/reference.csv`; do not edit.
 
-Five learners of the published benchmark, and below them one that differentiates the
+Five learners of the published benchmark, and below them two that differentiate the
 simulation; all compiled: acting, memory and gradient steps never leave the device.
 The reference is the implementation the published benchmark used (Stable Baselines
 2.10.1, one environment, default settings but for those named); its on-policy PPO is
@@ -94,6 +94,12 @@ measured beside PPO in [learning by gradients](first_order.md). The planner's ow
 control steps are in `progress.csv` as `model_steps`, beside those that are acted.
 Settings that are not listed are those that all learners have
 (`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are refused.
+
+`shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) climbs the
+gradient of what a short window earns, through the simulation, and of the value of where
+it ends; with `critic=false` it is the analytic policy gradient (APG). It earns minus
+the task's smooth cost, or with `objective=reward` the reward, whose bonuses have no
+slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.csv`.
 """
 
 

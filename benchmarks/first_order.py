@@ -2,7 +2,7 @@
 
     python -m benchmarks.first_order [TASK:ALGORITHM ...] [--seeds 0 1 2 3 4]
 
-Trains PPO and DAgger on the tasks `tracking` and `reaching` (variant "clean"), or
+Trains PPO, DAgger and SHAC on the tasks `tracking` and `reaching` (variant "clean"), or
 the cells named, a seed at a time, in float32 on one core. Now and then the clocks stop
 and the policy is evaluated without noise, on the same episodes for all. Writes a record
 of every run into benchmarks/first_order and docs/first_order.md with its picture from
@@ -35,13 +35,17 @@ EPISODES_SEED = 1
 POINTS = 16
 """Evaluations along a run."""
 STEPS: dict[str, dict[str, int]] = {
-    "tracking": {"ppo": 10_000_000, "dagger": 1_000_000},
-    "reaching": {"ppo": 10_000_000, "dagger": 1_000_000},
+    "tracking": {"ppo": 10_000_000, "dagger": 1_000_000, "shac": 2_000_000},
+    "reaching": {"ppo": 10_000_000, "dagger": 1_000_000, "shac": 2_000_000},
 }
 """Control steps of a run."""
 SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
-    "tracking": {"ppo": {}, "dagger": {}},
-    "reaching": {"ppo": {}, "dagger": {"short_steps": 1.0e9, "short_length": 480.0}},
+    "tracking": {"ppo": {}, "dagger": {}, "shac": {}},
+    "reaching": {
+        "ppo": {},
+        "dagger": {"short_steps": 1.0e9, "short_length": 480.0},
+        "shac": {},
+    },
 }
 """What differs from the learners' defaults."""
 

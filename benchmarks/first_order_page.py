@@ -14,7 +14,7 @@ from jaxrod.files import write_atomically
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "benchmarks" / "first_order"
 CASES = {"tracking": 1, "reaching": 2}
-COLOURS = {"ppo": "tab:orange", "dagger": "tab:blue"}
+COLOURS = {"ppo": "tab:orange", "dagger": "tab:blue", "shac": "tab:green"}
 BASELINE = "ppo"
 
 HEADER = """\

@@ -23,6 +23,7 @@ try:
     from jaxrod.training.algorithms.on_policy import OnPolicyConfig
     from jaxrod.training.algorithms.ppo import PPO, PPOConfig
     from jaxrod.training.algorithms.sac import SAC, SACConfig
+    from jaxrod.training.algorithms.shac import SHAC, SHACConfig
     from jaxrod.training.algorithms.td3 import TD3, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
@@ -53,6 +54,7 @@ __all__ = [
     "DEVICE_AXIS",
     "PPO",
     "SAC",
+    "SHAC",
     "TD3",
     "TRPO",
     "ActuatedArm",
@@ -71,6 +73,7 @@ __all__ = [
     "Result",
     "RunFolder",
     "SACConfig",
+    "SHACConfig",
     "TD3Config",
     "TRPOConfig",
     "TrajectoryHistory",

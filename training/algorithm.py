@@ -112,6 +112,7 @@ _ALGORITHMS = {
     "ddpg": "jaxrod.training.algorithms.ddpg:DDPG",
     "ppo": "jaxrod.training.algorithms.ppo:PPO",
     "sac": "jaxrod.training.algorithms.sac:SAC",
+    "shac": "jaxrod.training.algorithms.shac:SHAC",
     "td3": "jaxrod.training.algorithms.td3:TD3",
     "trpo": "jaxrod.training.algorithms.trpo:TRPO",
 }
