@@ -19,12 +19,15 @@ from typing import Any
 
 from benchmarks.paper.settings import CLEAN, GRID, Planned
 from jaxrod.files import write_atomically
-from jaxrod.training import algorithm_names, find_algorithm
+from jaxrod.training import LearnerConfig, find_algorithm
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = Path(__file__).with_name("reference.csv")
 PAGE = ROOT / "docs" / "algorithms.md"
 CASES = tuple(case for case in GRID if case != "trivial")
+LEARNERS = tuple(sorted(GRID["tracking"]))
+"""Those of the published grid: the others have no reference."""
+OTHERS = ("dagger", "shac")
 
 BEGINNING = """\
 # Algorithms and their settings
@@ -32,7 +35,8 @@ BEGINNING = """\
 Written by `python -m benchmarks.algorithms` from the settings in the code and
 `benchmarks/reference.csv`; do not edit.
 
-Five learners, all compiled: acting, memory and gradient steps never leave the device.
+Five learners of the published benchmark, and below them two that differentiate the
+simulation; all compiled: acting, memory and gradient steps never leave the device.
 The reference is the implementation the published benchmark used (Stable Baselines
 2.10.1, one environment, default settings but for those named); its on-policy PPO is
 `PPO1`. `jaxrod train TASK --algorithm NAME --set help` lists all settings, and the
@@ -77,6 +81,27 @@ control steps, actions that are held for 4 or 7 ms. With `--variant clean`,
 which were not tried there, keep those rows.
 """
 
+BY_GRADIENTS = """\
+## What learns by gradients of the simulation
+
+`dagger` fits a network to what a planner does
+([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts, and in every decision the
+planner, whose model is the simulation, makes the policy's action better by a
+Gauss-Newton step on the task's residuals `lookahead` control steps later, the action
+being held. All that was said so far is fitted by least squares. It needs a task with
+`predict` and `residuals` ([planning](planning.md)), learns from no reward, and is
+measured beside PPO in [learning by gradients](first_order.md). The planner's own
+control steps are in `progress.csv` as `model_steps`, beside those that are acted.
+Settings that are not listed are those that all learners have
+(`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are refused.
+
+`shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) climbs the
+gradient of what a short window earns, through the simulation, and of the value of where
+it ends; with `critic=false` it is the analytic policy gradient (APG). It earns minus
+the task's smooth cost, or with `objective=reward` the reward, whose bonuses have no
+slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.csv`.
+"""
+
 
 @dataclasses.dataclass(frozen=True)
 class Row:
@@ -97,7 +122,7 @@ class Row:
 
     def named(self) -> list[str]:
         """The learners it is about."""
-        return _listed(self.algorithms, algorithm_names())
+        return _listed(self.algorithms, LEARNERS)
 
     def value(self) -> Any:
         """Our value of the setting, the same for all that the row is about.
@@ -133,12 +158,14 @@ def page(rows: Iterable[Row]) -> str:
     cells = ((row.algorithms, f"`{row.setting}`", row.reference) for row in same)
     lines += [*_table(("Algorithm", "Setting", "Value"), cells), "", IN_OUR_PHYSICS]
     lines += _table(("Cases", "Algorithms", "Setting", "Value"), _grouped(CLEAN))
+    lines += ["", BY_GRADIENTS]
+    lines += _table(("Algorithm", "Setting", "Default"), _of_others())
     return "\n".join(lines) + "\n"
 
 
 def check(rows: list[Row]) -> None:
     """Raises ValueError unless every setting is told once, and as it is."""
-    for name in algorithm_names():
+    for name in LEARNERS:
         fields = dataclasses.fields(find_algorithm(name).config_type())
         _once(name, (field.name for field in fields), rows, name, "all")
         for case in CASES:
@@ -198,6 +225,17 @@ def _grouped(grid: Mapping[str, Mapping[str, Planned]]) -> Iterator[tuple[str, .
         for names in dict.fromkeys(", ".join(names) for names in by_case.values()):
             cases = [case for case, some in by_case.items() if ", ".join(some) == names]
             yield ", ".join(cases), names, f"`{setting}`", shown
+
+
+def _of_others() -> Iterator[tuple[str, ...]]:
+    """Rows (algorithm, setting, default) of what is not in the published grid."""
+    usual = LearnerConfig()
+    for name in OTHERS:
+        config = find_algorithm(name).config_type()
+        for field in dataclasses.fields(config):
+            value = getattr(config, field.name)
+            if value != getattr(usual, field.name, None):
+                yield name, f"`{field.name}`", _shown(value)
 
 
 def _listed(words: str, everything: Iterable[str]) -> list[str]:

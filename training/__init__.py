@@ -17,11 +17,13 @@ try:
         mean_over_devices,
         steps_per_update,
     )
+    from jaxrod.training.algorithms.dagger import DAGGER, DAggerConfig
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
     from jaxrod.training.algorithms.on_policy import OnPolicyConfig
     from jaxrod.training.algorithms.ppo import PPO, PPOConfig
     from jaxrod.training.algorithms.sac import SAC, SACConfig
+    from jaxrod.training.algorithms.shac import SHAC, SHACConfig
     from jaxrod.training.algorithms.td3 import TD3, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
@@ -47,14 +49,17 @@ except ModuleNotFoundError as missing:
     ) from missing
 
 __all__ = [
+    "DAGGER",
     "DDPG",
     "DEVICE_AXIS",
     "PPO",
     "SAC",
+    "SHAC",
     "TD3",
     "TRPO",
     "ActuatedArm",
     "Algorithm",
+    "DAggerConfig",
     "DDPGConfig",
     "Evaluation",
     "LearnerConfig",
@@ -68,6 +73,7 @@ __all__ = [
     "Result",
     "RunFolder",
     "SACConfig",
+    "SHACConfig",
     "TD3Config",
     "TRPOConfig",
     "TrajectoryHistory",

@@ -108,9 +108,11 @@ class Algorithm:
 
 
 _ALGORITHMS = {
+    "dagger": "jaxrod.training.algorithms.dagger:DAGGER",
     "ddpg": "jaxrod.training.algorithms.ddpg:DDPG",
     "ppo": "jaxrod.training.algorithms.ppo:PPO",
     "sac": "jaxrod.training.algorithms.sac:SAC",
+    "shac": "jaxrod.training.algorithms.shac:SHAC",
     "td3": "jaxrod.training.algorithms.td3:TD3",
     "trpo": "jaxrod.training.algorithms.trpo:TRPO",
 }

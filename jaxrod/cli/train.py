@@ -81,7 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--algorithm",
         metavar="NAME",
-        help="ppo, trpo, sac, td3, ddpg, or your own: module:NAME (default: ppo)",
+        help="ppo, trpo, sac, td3, ddpg, dagger, shac, or your own: "
+        "module:NAME (default: ppo)",
     )
     parser.add_argument(
         "--steps",

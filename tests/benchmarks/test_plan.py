@@ -21,7 +21,8 @@ def test_the_grid_has_every_case_and_algorithm_within_the_papers_budget():
 @pytest.mark.parametrize("case", GRID)
 def test_every_cell_names_settings_that_its_learner_takes(case):
     # `plan` validates them as a run does; two devices are what a laptop has.
-    assert set(GRID[case]) == set(algorithm_names())
+    # What needs a model is not of the paper.
+    assert set(GRID[case]) == set(algorithm_names()) - {"dagger", "shac"}
     for cell in plan([case], [], [0, 1]):
         assert cell.settings["num_envs"] % 2 == 0
 

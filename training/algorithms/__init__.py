@@ -1,1 +1,1 @@
-"""The five learners, and what they are made of."""
+"""The learners, and what they are made of."""

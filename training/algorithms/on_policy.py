@@ -224,7 +224,7 @@ def gather_experience(
         # The network sees normalised observations.
         return predicted_value(values, state.weights["value"], observation)
 
-    noise = _noise(state)
+    noise = action_noise(state)
     environments, rollout = collect(
         VectorEnvironment(state.env),
         state.environments,
@@ -309,7 +309,7 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     check_finite(config, "initial_log_std")
 
 
-def _noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
+def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
     """Noise of the actions of one update, drawn from each environment's own key."""
     shape = (state.config.rollout_steps, state.env.action_size)
     dtype = state.environments.observation.dtype

@@ -8,6 +8,8 @@ does not depend on how many devices share the environments.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
@@ -33,17 +35,17 @@ class Transition:
 
 @pytree
 class Replay:
-    """The last transitions of every environment."""
+    """The last transitions of every environment, or other records of time steps."""
 
-    transitions: Transition
-    """One array per field, of shape (slots, num_envs, ...)."""
+    transitions: Any
+    """A pytree of arrays of shape (slots, num_envs, ...): a `Transition` here."""
     written: Int[Array, ""]
     """Time steps written since the beginning."""
 
     @property
     def slots(self) -> int:
         """Capacity in time steps."""
-        return self.transitions.reward.shape[0]
+        return jax.tree.leaves(self.transitions)[0].shape[0]
 
     @property
     def size(self) -> Int[Array, ""]:
@@ -68,7 +70,7 @@ def empty_replay(
     )
 
 
-def append(replay: Replay, steps: Transition) -> Replay:
+def append(replay: Replay, steps: Any) -> Replay:
     """Writes a block of time steps over the oldest there are.
 
     Args:
@@ -79,7 +81,7 @@ def append(replay: Replay, steps: Transition) -> Replay:
     Raises:
         ValueError: the block does not divide the ring.
     """
-    block = steps.reward.shape[0]
+    block = jax.tree.leaves(steps)[0].shape[0]
     if replay.slots % block:
         raise ValueError(
             f"steps must be a block whose length divides the ring's {replay.slots} "
@@ -113,7 +115,7 @@ def sample_indices(
     return jnp.moveaxis(times, 0, 2)
 
 
-def sample(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Transition:
+def sample(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Any:
     """Reads one batch, of shape (per_env * num_envs, ...)."""
     envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
     return jax.tree.map(

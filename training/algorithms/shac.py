@@ -1,0 +1,390 @@
+r"""Short-horizon actor-critic: the policy climbs the gradient of the simulation itself.
+
+A batch acts for a short window; what it earns there and the value of where it ends,
+
+$$J = \sum_{k<h} \gamma^k r_k + \gamma^h V(s_h),$$
+
+is differentiated through the simulation by the policy's weights, from every start of a
+window or of an episode in it. The value is learned from lambda returns, and follows
+slowly. Without a critic, V = 0, it is the analytic policy gradient (APG). What is
+earned is minus the task's smooth cost, or the reward, whose steps have no slope.
+
+A gradient that is not finite moves nothing: the update is skipped and counted.
+
+Source: Xu et al., "Accelerated policy learning with parallel differentiable
+simulation", 2022.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.structure import pytree, static
+from jaxrod.training.algorithm import (
+    Algorithm,
+    Metrics,
+    mean_over_devices,
+    steps_per_update,
+)
+from jaxrod.training.algorithms.advantages import generalised_advantages
+from jaxrod.training.algorithms.on_policy import (
+    OnPolicyConfig,
+    OnPolicyState,
+    action_noise,
+    check_on_policy,
+    deterministic_policy,
+    partition,
+    policy_network,
+    predicted_value,
+    start,
+    value_network,
+)
+from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.with_cost import WithCost
+from jaxrod.training.normalisation import batch_moments, merge_moments, normalise
+from jaxrod.training.policy import Policy
+from jaxrod.training.settings import (
+    Scalar,
+    check_counts,
+    check_fractions,
+    check_positive,
+)
+from jaxrod.training.short_episodes import restart_phase
+
+OBJECTIVES = ("cost", "reward")
+
+
+@pytree
+class SHACConfig(OnPolicyConfig):
+    """Settings of SHAC, beside those of `OnPolicyConfig` and `LearnerConfig`."""
+
+    num_envs: int = static(default=64)
+    rollout_steps: int = static(default=16)
+    action_repeat: int = static(default=4)
+    objective: str = static(default="cost")
+    """What is made small or large: the task's smooth "cost", or its "reward"."""
+    critic: bool = static(default=True)
+    """Whether the value of where a window ends counts; without, it is APG."""
+    epochs: int = static(default=8)
+    """Passes of the critic over the experience of one update."""
+    minibatches: int = static(default=4)
+    """Gradient steps of one pass; divides `rollout_steps`."""
+    learning_rate: Scalar = 2e-3
+    """Step size of Adam for the policy at the start."""
+    final_learning_rate: Scalar = 2e-4
+    """Step size at the end, reached linearly."""
+    critic_learning_rate: Scalar = 1e-3
+    """Step size of Adam for the critic."""
+    target_rate: Scalar = 0.2
+    """Share of the way by which the target critic follows in an update."""
+    gradient_norm: Scalar = 1.0
+    """Largest norm of a gradient, which is scaled down to it."""
+    initial_log_std: Scalar = -1.0
+
+
+@pytree
+class Window:
+    """What happened in a window; shapes (rollout_steps, num_envs, ...)."""
+
+    observation: Float[Array, "steps num_envs observation"]
+    """Normalised observation that the action answers."""
+    final_observation: Float[Array, "steps num_envs observation"]
+    """Normalised observation after the decision, before any restart."""
+    raw: Float[Array, "steps num_envs observation"]
+    """Observation that the action answers, as it is."""
+    earned: Float[Array, "steps num_envs"]
+    """Of the objective, scaled."""
+    reward: Float[Array, "steps num_envs"]
+    """Of the task, not scaled."""
+    terminated: Bool[Array, "steps num_envs"]
+    """The task ended in this step."""
+    done: Bool[Array, "steps num_envs"]
+    """The episode ended in this step, for whatever reason."""
+    episodes: EpisodeRecord
+    """The complete episodes that ended."""
+
+
+def validate(config: SHACConfig, num_devices: int = 1) -> None:
+    """Checks a configuration on the host.
+
+    Raises:
+        ValueError: with the name and the value of what is wrong.
+    """
+    check_on_policy(config, num_devices)
+    check_counts(config, "epochs", "minibatches")
+    if config.rollout_steps % config.minibatches:
+        raise ValueError(
+            f"minibatches must divide rollout_steps, {config.rollout_steps}, "
+            f"got {config.minibatches}"
+        )
+    if config.objective not in OBJECTIVES:
+        raise ValueError(
+            f"objective must be one of {', '.join(OBJECTIVES)}; "
+            f"got {config.objective!r}"
+        )
+    if not isinstance(config.critic, bool):
+        raise ValueError(f"critic must be true or false, got {config.critic!r}")
+    check_positive(
+        config,
+        "learning_rate",
+        "final_learning_rate",
+        "critic_learning_rate",
+        "gradient_norm",
+    )
+    check_fractions(config, "target_rate")
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: SHACConfig,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OnPolicyState:
+    """The train state before the first update; pure, so `vmap` it over keys.
+
+    Args:
+        key: typed random key; all randomness of the run comes from it.
+        env: the environment, with a `cost` where that is the objective.
+        config: settings; `vmap` over their numbers works too.
+        env_params: parameters of the environment, None for its own.
+        total_steps: control steps over which the learning rate falls.
+
+    Raises:
+        ValueError: the environment has no cost, and that is the objective.
+    """
+    updates = -(-total_steps // steps_per_update(config))
+    adam = _optimiser(config)
+    if config.objective == "cost":
+        env = WithCost(env)
+    state = start(key, env, config, env_params, updates, adam)
+    return dataclasses.replace(
+        state,
+        weights=state.weights | {"target": state.weights["value"]},
+        optimiser={
+            name: adam.init(state.weights[name]) for name in ("policy", "value")
+        },
+    )
+
+
+def update(
+    state: OnPolicyState, axis_name: str | None = None
+) -> tuple[OnPolicyState, Metrics]:
+    """One update: a gradient step of the policy, then some of the critic.
+
+    Args:
+        state: the train state.
+        axis_name: mapped axis over which the environments are spread, if any.
+    """
+    config: SHACConfig = state.config
+    adam = _optimiser(config)
+    dtype = state.environments.observation.dtype
+    noise = action_noise(state)
+
+    def loss(policy: Any) -> tuple[Array, tuple[VectorState, Window, Array]]:
+        environments, window = _acted(state, policy, noise)
+        following = _value(state, window.final_observation)
+        objective = _objective(window, following, config.discount)
+        size = state.env.action_size
+        entropy = jnp.sum(policy["log_std"]) + 0.5 * size * math.log(
+            2 * math.pi * math.e
+        )
+        total = -objective - config.entropy_weight * entropy
+        return total, (environments, window, following)
+
+    (found, (environments, window, following)), gradient = jax.value_and_grad(
+        loss, has_aux=True
+    )(state.weights["policy"])
+    gradient = mean_over_devices(gradient, axis_name)
+    norm = optax.tree.norm(gradient)
+    sound = jnp.isfinite(norm)
+    rate = along_the_run(state, config.learning_rate, config.final_learning_rate, dtype)
+    # Not a number times nothing is not a number either: replaced before any use.
+    gradient = jax.tree.map(lambda leaf: jnp.where(sound, leaf, 0), gradient)
+    direction, memory = adam.update(gradient, state.optimiser["policy"])
+    moved = optax.tree.add_scale(state.weights["policy"], -rate, direction)
+    policy, memory = jax.tree.map(
+        lambda new, old: jnp.where(sound, new, old),
+        (moved, memory),
+        (state.weights["policy"], state.optimiser["policy"]),
+    )
+    shuffle_key, own = jax.random.split(state.shuffle_key)
+    critic, critic_memory, error = _fitted(state, window, following, own, axis_name)
+    target = jax.tree.map(
+        lambda old, new: old + config.target_rate * (new - old),
+        state.weights["target"],
+        critic,
+    )
+    seen = window.raw.reshape(-1, window.raw.shape[-1])
+    scalars = {
+        "objective": -found,
+        "reward_mean": jnp.mean(window.reward) / config.action_repeat,
+        "value_error": error,
+        "action_std": jnp.mean(jnp.exp(policy["log_std"])),
+    }
+    report = mean_over_devices(scalars, axis_name) | {
+        "gradient_norm": jnp.where(sound, norm, 0),
+        "skipped": (~sound).astype(dtype),
+        "learning_rate": rate,
+    }
+    state = dataclasses.replace(
+        state,
+        weights={"policy": policy, "value": critic, "target": target},
+        optimiser={"policy": memory, "value": critic_memory},
+        moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
+        environments=environments,
+        shuffle_key=shuffle_key,
+        updates=state.updates + 1,
+    )
+    return state, Metrics(report, window.episodes)
+
+
+def _acted(
+    state: OnPolicyState, weights: Any, noise: Float[Array, "steps num_envs action"]
+) -> tuple[VectorState, Window]:
+    """A window acted by a policy of these weights."""
+    config: SHACConfig = state.config
+    environment = VectorEnvironment(state.env)
+    network = policy_network(state.env, config, noise.dtype)
+    phase = restart_phase(state.env, config, state.updates)
+
+    def normalised(observation: Array) -> Array:
+        return normalise(state.moments, observation, config.observation_limit)
+
+    def decide(environments: VectorState, noise: Array) -> tuple[VectorState, Window]:
+        seen = normalised(environments.observation)
+        mean, log_std = network.apply({"params": weights}, seen)
+        action = jnp.tanh(mean + jnp.exp(log_std)[None] * noise)
+        following, outcome = environment.step(
+            environments, action, state.env_params, restart_phase=phase
+        )
+        earned = outcome.reward
+        if config.objective == "cost":
+            cost = outcome.info["cost"]
+            # A broken arm costs nothing that anybody could tell; it is truncated.
+            cost = jnp.where(jnp.isfinite(cost), cost, 0)
+            earned = -config.action_repeat * cost
+        return following, Window(
+            observation=seen,
+            final_observation=normalised(outcome.final_observation),
+            raw=environments.observation,
+            earned=config.reward_scale * earned,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            done=outcome.terminated | outcome.truncated,
+            episodes=outcome.episodes,
+        )
+
+    remembered = jax.checkpoint(decide, prevent_cse=False)
+    return jax.lax.scan(remembered, state.environments, noise)
+
+
+def _objective(
+    window: Window, following: Float[Array, "steps num_envs"], discount: Scalar
+) -> Float[Array, ""]:
+    """Discounted sum from all starts of the window and of episodes in it, a step's."""
+
+    def backwards(later: Array, step: Any) -> tuple[Array, Array]:
+        earned, terminated, done, value = step
+        after = jnp.where(done, jnp.where(terminated, 0, value), later)
+        total = earned + discount * after
+        return total, total
+
+    steps = (window.earned, window.terminated, window.done, following)
+    totals = jax.lax.scan(backwards, following[-1], steps, reverse=True)[1]
+    begins = jnp.concatenate([jnp.ones_like(window.done[:1]), window.done[:-1]])
+    return jnp.sum(jnp.where(begins, totals, 0)) / window.done.size
+
+
+def _value(
+    state: OnPolicyState, observation: Float[Array, "*batch observation"]
+) -> Float[Array, "*batch"]:
+    """Value of normalised observations by the target critic; 0 without one."""
+    if not state.config.critic:
+        return jnp.zeros_like(observation[..., 0])
+    network = value_network(state.config, observation.dtype)
+    return predicted_value(network, state.weights["target"], observation)
+
+
+def _fitted(
+    state: OnPolicyState,
+    window: Window,
+    following: Float[Array, "steps num_envs"],
+    key: Key[Array, ""],
+    axis_name: str | None,
+) -> tuple[Any, Any, Float[Array, ""]]:
+    """The critic after its gradient steps, its optimiser, and the mean error."""
+    config: SHACConfig = state.config
+    weights, memory = state.weights["value"], state.optimiser["value"]
+    if not config.critic:
+        return weights, memory, jnp.zeros((), following.dtype)
+    window, following = jax.lax.stop_gradient((window, following))
+    adam = _optimiser(config)
+    network = value_network(config, following.dtype)
+    value = _value(state, window.observation)
+    aim = value + generalised_advantages(
+        reward=window.earned,
+        value=value,
+        # Read only where the last step ended no episode: there it is what follows.
+        last_value=following[-1],
+        final_value=following,
+        terminated=window.terminated,
+        done=window.done,
+        discount=config.discount,
+        trace_decay=config.trace_decay,
+    )
+
+    def loss(weights: Any, rows: Int[Array, " rows"]) -> Array:
+        predicted = predicted_value(network, weights, window.observation[rows])
+        return jnp.mean((predicted - aim[rows]) ** 2)
+
+    def step(
+        carry: tuple[Any, Any], rows: Int[Array, " rows"]
+    ) -> tuple[tuple[Any, Any], Array]:
+        weights, memory = carry
+        error, gradient = jax.value_and_grad(loss)(weights, rows)
+        gradient = mean_over_devices(gradient, axis_name)
+        direction, memory = adam.update(gradient, memory)
+        rate = config.critic_learning_rate
+        return (optax.tree.add_scale(weights, -rate, direction), memory), error
+
+    keys = jax.random.split(key, config.epochs)
+    rows = jax.vmap(lambda key: jax.random.permutation(key, config.rollout_steps))(keys)
+    rows = rows.reshape(config.epochs * config.minibatches, -1)
+    (weights, memory), errors = jax.lax.scan(step, (weights, memory), rows)
+    return weights, memory, jnp.mean(errors)
+
+
+def _policy(state: OnPolicyState) -> Policy:
+    """The tanh of the mean."""
+    policy: Any = deterministic_policy(state)
+    return dataclasses.replace(policy, output="tanh")
+
+
+def _optimiser(config: SHACConfig) -> optax.GradientTransformation:
+    """Adam's direction of a bounded gradient, with a shorter memory than usual."""
+    return optax.chain(
+        optax.clip_by_global_norm(config.gradient_norm),
+        optax.scale_by_adam(b1=0.7, b2=0.95),
+    )
+
+
+SHAC = Algorithm(
+    name="shac",
+    config_type=SHACConfig,
+    validate=validate,
+    steps_per_update=steps_per_update,
+    init=init,
+    update=update,
+    partition=partition,
+    policy=_policy,
+)
+"""SHAC for the shared loop."""
