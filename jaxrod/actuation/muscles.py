@@ -45,7 +45,7 @@ from jaxrod.effects.time import Schedule, Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_kind
@@ -71,18 +71,18 @@ class Muscle(SectionLoad):
     fastest: Float[Array, ""] | None = None
     """Largest speed of shortening, in rest lengths per time [1/s]; `None`: any."""
     slowed: Float[Array, "k n"] | None = None
-    """Share of the force at the speed of a moment, at nodes; `loads` has it [1]."""
+    """Share of the force at the speed of a moment, at nodes; see `at_speed` [1]."""
     walls: Walls = ()
     """Walls into which they go on."""
     across: bool = static(default=False)
     """Whether they pull across the rod."""
 
-    def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """As they pull, at the speed at which they shorten."""
+    def at_speed(self, rod: Rod, motion: Motion) -> Muscle:
+        """With the share of their force at the speed at which they shorten."""
         if self.fastest is None:
-            return super().loads(rod, motion)
+            return self
         share = force_at_speed(self._shortening(rod, motion) / self.fastest)
-        return replace(self, fastest=None, slowed=share).loads(rod, motion)
+        return replace(self, slowed=share)
 
     def _shortening(self, rod: Rod, motion: Motion) -> Array:
         """Speed around each node, in rest lengths per time `(k, n + 1)` [1/s]."""

@@ -96,10 +96,14 @@ class SectionLoad(Effect):
         slope = jax.grad(lambda there: self.stored(rod, there))(strains)
         return SectionStress(slope.edges, slope.rotations)
 
+    def at_speed(self, rod: Rod, motion: Motion) -> SectionLoad:
+        """Itself with what depends on how fast the rod moves; at rest as it is."""
+        return self
+
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """The stress, as it acts on nodes and elements."""
         strains, couplings = self._strains(motion)
-        stress = self.stress(rod, strains)
+        stress = self.at_speed(rod, motion).stress(rod, strains)
         forces, couples = None, None
         if stress.force is not None:
             frame = directors(motion.orientation)

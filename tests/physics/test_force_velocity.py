@@ -148,8 +148,8 @@ def test_steps_know_how_steeply_force_falls_with_speed():
 
     # What swings up is held by the curve, which is flat at large speeds.
     with pytest.warns(jaxrod.UnstableStepWarning):
-        assert jump(4 * dt) > 0.1
-    assert jump(0.95 * dt) < 0.01
+        assert jump(4 * dt) > 0.01
+    assert jump(0.8 * dt) < 1e-4
 
 
 def test_the_largest_speed_is_positive():
