@@ -172,3 +172,31 @@ def test_loads_of_a_rod_that_touches_itself(record):
         apart / largest,
         at_most=1e-11,
     )
+
+
+@pytest.mark.parametrize(
+    ("members", "numbers", "words"),
+    [
+        ((), {}, "one rod or two"),
+        (("one", "one"), {}, "one rod or two"),
+        (("one", "two", "three"), {}, "one rod or two"),
+        (("one", "none"), {}, "no member is called 'none'"),
+        (("one", "ball"), {}, "'ball' is rigid"),
+        (("several",), {}, "'several' is several"),
+        (("one",), {"stiffness": 0.0}, "stiffness must be positive"),
+        (("one",), {"damping": -1.0}, "damping must be non-negative"),
+        (("one",), {"pairs": 0}, "pairs must be at least 1"),
+    ],
+)
+def test_bad_input(members, numbers, words):
+    rod, _ = our_rod(2, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    scene = jaxrod.make_scene(rod)
+    ball, _ = jaxrod.rigid_body(
+        jaxrod.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
+    )
+    several = jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), scene)
+    with pytest.raises(ValueError, match=words):
+        jaxrod.make_system(
+            {"one": scene, "two": scene, "ball": ball, "several": several},
+            jaxrod.element_contact(*members, **{"stiffness": 1.0} | numbers),
+        )

@@ -118,6 +118,13 @@ def sprung(a, b, state):
     return jaxrod.spring((a[0], "start"), b, state, **STIFF)
 
 
+def paired(count, **numbers):
+    """Two rods side by side by PyElastica's law, without an onset."""
+    scenes, state = rods(*((0.0, 0.0, k * (2 * RADIUS - DEEP)) for k in range(count)))
+    law = jaxrod.element_contact(*scenes, **{"stiffness": 1e9} | numbers)
+    return jaxrod.make_system(scenes, law), state
+
+
 LINE, CROSSING = jaxrod.rod_contact, jaxrod.crossing_contact
 SLAB, BALL = jaxrod.box((0, 0, -0.2), (0.2,) * 3), jaxrod.sphere((0, 0, -0.3), 0.3)
 POINT = 0.3 / N / 5
@@ -144,6 +151,12 @@ CASES = {
     "crossing_contact of three rods": (
         lambda: stacked(3, CROSSING, stiffness=1e9),
         SAFE,
+    ),
+    "element_contact of two rods, pairs=3": (lambda: paired(2, pairs=3), SAFE),
+    "element_contact of two rods, dashpots": (
+        # As far off as stiffness is, squared: rates of drag limit steps themselves.
+        lambda: paired(2, pairs=3, stiffness=1e7, damping=1e6),
+        SAFE**2,
     ),
     "body_contact of a rod all along a heavy box": (lambda: on_body(SLAB, 1e5), SAFE),
     "body_contact of a rod all along a light box": (lambda: on_body(SLAB, 10.0), SAFE),
