@@ -10,6 +10,7 @@ Compiling is not counted.
 
 from __future__ import annotations
 
+import importlib
 import os
 import statistics
 import sys
@@ -27,6 +28,8 @@ SECONDS = 30.0
 def measured(name: str) -> tuple[float, float]:
     """Best and median control steps per second."""
     import gymnasium
+
+    importlib.import_module("jaxrod.envs.gym")  # registers the ids
 
     env = gymnasium.make(name)
     env.action_space.seed(0)
