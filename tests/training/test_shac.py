@@ -24,13 +24,14 @@ CONFIG = SHACConfig(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     "changes",
     [
         {},
-        pytest.param({"critic": False}, marks=pytest.mark.slow),
-        pytest.param({"objective": "reward"}, marks=pytest.mark.slow),
+        {"critic": False},
+        {"objective": "reward"},
     ],
 )
 def test_trivial_task_is_learned_to_its_known_optimum(changes):
