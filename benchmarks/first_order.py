@@ -40,7 +40,7 @@ STEPS: dict[str, dict[str, int]] = {
 }
 """Control steps of a run."""
 SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
-    "tracking": {"ppo": {}, "dagger": {}, "shac": {}},
+    "tracking": {"ppo": {}, "dagger": {"plan_iterations": 2}, "shac": {}},
     "reaching": {
         "ppo": {},
         "dagger": {"short_steps": 1.0e9, "short_length": 480.0},

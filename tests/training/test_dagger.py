@@ -12,7 +12,6 @@ import pytest
 from jaxrod.envs import make
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import DAggerConfig, evaluate, train
-from jaxrod.training.algorithms import dagger
 from jaxrod.training.algorithms.held_plan import better_actions, model_of
 
 CONFIG = DAggerConfig(
@@ -40,10 +39,17 @@ def test_trivial_task_is_learned_to_its_known_optimum():
         config=CONFIG,
         progress=False,
         evaluation_episodes=0,
+        chunk_steps=128,
     )
     score = evaluate(env, result.policy, episodes=1000).mean
     assert env.optimal_return - 0.1 < score < env.optimal_return + 0.05
     assert result.summary["final_score"] > env.optimal_return - 1
+    # The planner acts at first, and leaves the policy alone after a thousand steps.
+    shares = [row["planner_share"] for row in result.progress]
+    assert shares[0] == 1 and shares[8:] == [0] * len(shares[8:])
+    assert shares[4] == pytest.approx(1 - 4 * 128 / 1000)
+    # Of the model: four passes of one control step for each of 128 decisions.
+    assert {row["model_steps"] for row in result.progress} == {4 * 128}
     # A fifth of what SAC and TD3 are given, and all that was said is remembered.
     assert int(result.state.advice.written) * 16 == result.summary["env_steps"]
 
@@ -121,19 +127,6 @@ def test_a_run_that_was_interrupted_ends_as_if_it_had_not(tmp_path):
         if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
             a, b = jax.random.key_data(a), jax.random.key_data(b)
         np.testing.assert_array_equal(a, b)
-
-
-def test_the_planner_acts_at_first_and_leaves_the_policy_alone_later():
-    config = dataclasses.replace(CONFIG, gradient_steps=1, planner_steps=256.0)
-    state = dagger.init(jax.random.key(0), Trivial(), config)
-    update = jax.jit(dagger.update)
-    shares = []
-    for _ in range(3):
-        state, metrics = update(state)
-        shares.append(float(metrics.scalars["planner_share"]))
-    assert shares == [1.0, 0.5, 0.0]
-    # Of the model: four passes of one control step for each of 128 decisions.
-    assert float(metrics.scalars["model_steps"]) == 4 * 128
 
 
 @pytest.mark.parametrize(

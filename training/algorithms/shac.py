@@ -24,9 +24,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs import Environment, VectorState
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
     Algorithm,
@@ -42,14 +42,19 @@ from jaxrod.training.algorithms.on_policy import (
     check_on_policy,
     deterministic_policy,
     partition,
-    policy_network,
     predicted_value,
     start,
     value_network,
 )
 from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.short_window import (
+    Window,
+    acted,
+    objective,
+    target_value,
+)
 from jaxrod.training.algorithms.with_cost import WithCost
-from jaxrod.training.normalisation import batch_moments, merge_moments, normalise
+from jaxrod.training.normalisation import batch_moments, merge_moments
 from jaxrod.training.policy import Policy
 from jaxrod.training.settings import (
     Scalar,
@@ -57,7 +62,6 @@ from jaxrod.training.settings import (
     check_fractions,
     check_positive,
 )
-from jaxrod.training.short_episodes import restart_phase
 
 OBJECTIVES = ("cost", "reward")
 
@@ -88,28 +92,6 @@ class SHACConfig(OnPolicyConfig):
     gradient_norm: Scalar = 1.0
     """Largest norm of a gradient, which is scaled down to it."""
     initial_log_std: Scalar = -1.0
-
-
-@pytree
-class Window:
-    """What happened in a window; shapes (rollout_steps, num_envs, ...)."""
-
-    observation: Float[Array, "steps num_envs observation"]
-    """Normalised observation that the action answers."""
-    final_observation: Float[Array, "steps num_envs observation"]
-    """Normalised observation after the decision, before any restart."""
-    raw: Float[Array, "steps num_envs observation"]
-    """Observation that the action answers, as it is."""
-    earned: Float[Array, "steps num_envs"]
-    """Of the objective, scaled."""
-    reward: Float[Array, "steps num_envs"]
-    """Of the task, not scaled."""
-    terminated: Bool[Array, "steps num_envs"]
-    """The task ended in this step."""
-    done: Bool[Array, "steps num_envs"]
-    """The episode ended in this step, for whatever reason."""
-    episodes: EpisodeRecord
-    """The complete episodes that ended."""
 
 
 def validate(config: SHACConfig, num_devices: int = 1) -> None:
@@ -190,14 +172,14 @@ def update(
     noise = action_noise(state)
 
     def loss(policy: Any) -> tuple[Array, tuple[VectorState, Window, Array]]:
-        environments, window = _acted(state, policy, noise)
-        following = _value(state, window.final_observation)
-        objective = _objective(window, following, config.discount)
+        environments, window = acted(state, policy, noise)
+        following = target_value(state, window.final_observation)
+        gain = objective(window, following, config.discount)
         size = state.env.action_size
         entropy = jnp.sum(policy["log_std"]) + 0.5 * size * math.log(
             2 * math.pi * math.e
         )
-        total = -objective - config.entropy_weight * entropy
+        total = -gain - config.entropy_weight * entropy
         return total, (environments, window, following)
 
     (found, (environments, window, following)), gradient = jax.value_and_grad(
@@ -247,73 +229,6 @@ def update(
     return state, Metrics(report, window.episodes)
 
 
-def _acted(
-    state: OnPolicyState, weights: Any, noise: Float[Array, "steps num_envs action"]
-) -> tuple[VectorState, Window]:
-    """A window acted by a policy of these weights."""
-    config: SHACConfig = state.config
-    environment = VectorEnvironment(state.env)
-    network = policy_network(state.env, config, noise.dtype)
-    phase = restart_phase(state.env, config, state.updates)
-
-    def normalised(observation: Array) -> Array:
-        return normalise(state.moments, observation, config.observation_limit)
-
-    def decide(environments: VectorState, noise: Array) -> tuple[VectorState, Window]:
-        seen = normalised(environments.observation)
-        mean, log_std = network.apply({"params": weights}, seen)
-        action = jnp.tanh(mean + jnp.exp(log_std)[None] * noise)
-        following, outcome = environment.step(
-            environments, action, state.env_params, restart_phase=phase
-        )
-        earned = outcome.reward
-        if config.objective == "cost":
-            cost = outcome.info["cost"]
-            # A broken arm costs nothing that anybody could tell; it is truncated.
-            cost = jnp.where(jnp.isfinite(cost), cost, 0)
-            earned = -config.action_repeat * cost
-        return following, Window(
-            observation=seen,
-            final_observation=normalised(outcome.final_observation),
-            raw=environments.observation,
-            earned=config.reward_scale * earned,
-            reward=outcome.reward,
-            terminated=outcome.terminated,
-            done=outcome.terminated | outcome.truncated,
-            episodes=outcome.episodes,
-        )
-
-    remembered = jax.checkpoint(decide, prevent_cse=False)
-    return jax.lax.scan(remembered, state.environments, noise)
-
-
-def _objective(
-    window: Window, following: Float[Array, "steps num_envs"], discount: Scalar
-) -> Float[Array, ""]:
-    """Discounted sum from all starts of the window and of episodes in it, a step's."""
-
-    def backwards(later: Array, step: Any) -> tuple[Array, Array]:
-        earned, terminated, done, value = step
-        after = jnp.where(done, jnp.where(terminated, 0, value), later)
-        total = earned + discount * after
-        return total, total
-
-    steps = (window.earned, window.terminated, window.done, following)
-    totals = jax.lax.scan(backwards, following[-1], steps, reverse=True)[1]
-    begins = jnp.concatenate([jnp.ones_like(window.done[:1]), window.done[:-1]])
-    return jnp.sum(jnp.where(begins, totals, 0)) / window.done.size
-
-
-def _value(
-    state: OnPolicyState, observation: Float[Array, "*batch observation"]
-) -> Float[Array, "*batch"]:
-    """Value of normalised observations by the target critic; 0 without one."""
-    if not state.config.critic:
-        return jnp.zeros_like(observation[..., 0])
-    network = value_network(state.config, observation.dtype)
-    return predicted_value(network, state.weights["target"], observation)
-
-
 def _fitted(
     state: OnPolicyState,
     window: Window,
@@ -329,7 +244,7 @@ def _fitted(
     window, following = jax.lax.stop_gradient((window, following))
     adam = _optimiser(config)
     network = value_network(config, following.dtype)
-    value = _value(state, window.observation)
+    value = target_value(state, window.observation)
     aim = value + generalised_advantages(
         reward=window.earned,
         value=value,
