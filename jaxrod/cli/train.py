@@ -38,6 +38,7 @@ examples:
   jaxrod train tracking                                    the paper's, a few minutes
   jaxrod train tracking --variant clean --steps 5M --seed 1 --out runs/clean
   jaxrod train tracking --resume --out runs/clean          go on after a stop
+  jaxrod train tracking --like runs/clean --seed 2 --out runs/clean-2
   jaxrod train trivial --steps 200k --num-envs 32 --set rollout_steps=64
   jaxrod train tracking --set learning_rate=3e-4 --set hidden_sizes=128,128
   jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
@@ -107,6 +108,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--overwrite", action="store_true", help="replace the run in DIR"
     )
     parser.add_argument(
+        "--like",
+        type=settings.path,
+        metavar="RUN",
+        help="begin a new run with the options, settings, steps and seed of the run in "
+        "the folder RUN; what is given besides counts instead",
+    )
+    parser.add_argument(
         "--num-envs",
         type=int,
         metavar="N",
@@ -152,22 +160,30 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.validation import check_seed
 
     stored = None
-    if args.resume:
-        stored = runs.read_config(_folder(args, None))
+    if args.resume and args.like:
+        raise ValueError("--like begins a new run, --resume goes on with an old one")
+    source = args.like or (_folder(args, None) if args.resume else None)
+    if source:
+        stored = runs.read_config(source)
         if stored["task"] != spelt_out(args.task):
             raise ValueError(
-                f"{_folder(args, None)} holds a run of {stored['task']}, "
-                f"not of {args.task}"
+                f"{source} holds a run of {stored['task']}, not of {args.task}"
             )
-        with reading(_folder(args, None) / "config.json"):
+        with reading(source / "config.json"):
             resolve(stored["algorithm"], None)
+    if args.like:
+        assert stored
+        # So that the folder is named after what is trained.
+        args.algorithm = args.algorithm or stored["algorithm"]
+        args.seed = stored["seed"] if args.seed is None else args.seed
     algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
     learner, config = resolve(algorithm, None)
     if "help" in args.set:
         print(settings.listing(config))
         return 0
-    if stored:
-        with reading(_folder(args, None) / "config.json"):
+    if stored and algorithm == stored["algorithm"]:
+        assert source
+        with reading(source / "config.json"):
             config = settings.configure(config, stored["settings"], [])
             learner.validate(config, 1)
             check_steps(stored["steps"], updates_of(learner, config))
@@ -178,8 +194,8 @@ def run(args: argparse.Namespace) -> int:
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     # Before somebody's own task is imported, which may compute at once.
     jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
-    if stored:
-        runs.open_run(_folder(args, None))
+    if source:
+        runs.open_run(source)
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant

@@ -98,6 +98,20 @@ def test_resuming_takes_over_what_the_run_was_started_with(trained, run_json, tm
     assert (folder / "config.json").read_bytes() == config
 
 
+@pytest.mark.default_precision
+def test_a_run_begins_like_another_but_for_what_is_given(trained, run_json, tmp_path):
+    folder = tmp_path / "run"
+    before = json.loads((trained[0] / "config.json").read_text())
+    words = ("train", "trivial", "--like", trained[0], "--out", folder, "--json")
+    summary = run_json(*words, "--set", "clip=0.3", "--steps", "1k")
+    after = json.loads((folder / "config.json").read_text())
+    assert summary["seed"] == before["seed"] == 3
+    assert after["settings"] == before["settings"] | {"clip": 0.3}
+    assert after["steps"] == 1000
+    same = set(before) - {"settings", "steps"}
+    assert {n: after[n] for n in same} == {n: before[n] for n in same}
+
+
 def test_overwriting_makes_a_new_run_with_new_pictures(trained, run_json, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
@@ -173,6 +187,8 @@ def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
         (["trivial", "--set", "clip=wide"], "clip must be a number, got 'wide'"),
         (["trivial", "--set", "clib=1"], "there is no setting 'clib'"),
         (["trivial", "--resume"], "does not exist"),
+        (["trivial", "--like", "nowhere"], "does not exist"),
+        (["trivial", "--like", "here", "--resume"], "--like begins a new run"),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(words, sentence, run, tmp_path):
