@@ -190,7 +190,7 @@ def picture(cells: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
                     linewidth=1,
                     label=None if number else name,
                 )
-            axes.set_xscale("log")
+            axes.set_xscale("log" if key == "control_steps" else "linear")
             axes.set_xlabel(words)
             axes.grid(alpha=0.3)
     for task, row in zip(tasks, panels, strict=True):
