@@ -3,7 +3,8 @@ r"""Least squares of a few unknowns within a box: projected Newton steps.
 The least of $|M z + r|^2$ with $l \le z \le u$. Unknowns at a bound towards which the
 cost falls are held, and so are those at a bound across which the Newton step of the
 rest leads. Of that step the best of several ways is taken: the whole of it or a part,
-cut off at the box, or as far as the first bound, where the cost falls for sure.
+cut off at the box, or as far as the first bound; or one unknown goes to its own least,
+where the cost falls for sure.
 
 Source: Y. Tassa, N. Mansard, E. Todorov, Control-limited differential dynamic
 programming, ICRA 2014, section IV; D. P. Bertsekas, Projected Newton methods for
@@ -72,9 +73,13 @@ def box_step(
         ways = jnp.clip(
             point[None] + shares[:, None] * step[None], lower[None], upper[None]
         )
+        # Where rounding is all that is left for those which are free, one that should
+        # leave its bound may be held because of them: each moves by itself, too.
+        alone = jnp.clip(point - slope / jnp.diagonal(square), lower, upper)
+        ways = jnp.concatenate([ways, jnp.where(identity > 0, alone, point)])
         costs = jax.vmap(cost)(ways)
         best = jnp.argmin(costs)
-        found = jnp.sum(jnp.where(jnp.arange(HALVINGS + 1) == best, ways.T, 0), axis=1)
+        found = jnp.sum(jnp.where(jnp.arange(len(ways)) == best, ways.T, 0), axis=1)
         better = jnp.min(costs) < cost(point)
         return jnp.where(better, found, point), tried + 1, better
 

@@ -159,6 +159,7 @@ FACTORIES = {
             "force": (3.0, 4.0),
             "activation": 0.5,
             "offsets": ((0.01, 0.0), (0.0, 0.02)),
+            "fastest": 5.0,
         }
     ],
     "gaussian_force": [{"width": 0.3}],
@@ -259,7 +260,12 @@ FACTORIES = {
             "at": (0.1, 0.2, 1.1),
         }
     ],
-    "body_contact": [{"rod": "rod", "body": "head", **TOUCH}],
+    "body_contact": [{"rod": "rod", "body": "head", "touching": 0.1, **TOUCH}],
+    "element_contact": [{"members": ("one", "two"), "stiffness": 1e4, "damping": 2.0}],
+    "linear_damper": [
+        {"damping_constant": 3.0},
+        {"translational": 0.1, "rotational": 1e-4},
+    ],
     "rod_contact": [{"members": ("one", "two"), **TOUCH}],
     "crossing_contact": [{"members": ("one", "two"), **TOUCH}],
     "rigid_contact": [

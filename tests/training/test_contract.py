@@ -155,7 +155,7 @@ def test_what_an_algorithm_lacks_is_said(tmp_path, changes, words):
 @pytest.mark.parametrize(
     ("algorithm", "words"),
     [
-        ("magic", "one of ddpg, .* or module:NAME; got 'magic'"),
+        ("magic", "one of dagger, .* or module:NAME; got 'magic'"),
         (3, "a name, an import path or a jaxrod.training.Algorithm, got 3"),
         (":X", "an import path is module:NAME, got ':X'"),
         ("json:dumps", "'json:dumps' must be a .*Algorithm, it is a function"),
