@@ -100,7 +100,8 @@ class Effect:
             if _says_of_others(cls, name, ("loads",)):
                 setattr(cls, name, vars(Effect)[name])
         if _says_of_others(cls, "held", ("constrain", "constrain_rates")):
-            # A class of its own says what it holds, or nothing.
+            # A class of its own says what it holds, or nothing. Checkers take what is
+            # assigned to a class for a mistake; here it is the inherited hook again.
             cls.held = Effect.held  # type: ignore[method-assign]
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
