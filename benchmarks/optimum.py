@@ -1,12 +1,13 @@
 """Measures how far the four tasks of the arm can be brought, and by whom.
 
-    python -m benchmarks.optimum [tracking reaching structured unstructured]
+    python -m benchmarks.optimum [tracking tracking_held reaching ...]
 
-For each task (variant "clean"), or those named, on the same episodes: the ceiling by
-construction, what model-predictive control earns and takes, and what random actions
-earn. Writes a record for each into benchmarks/optimum, then docs/optimum.md and its
-picture from all records there are, with those of the learners beside them. In float32
-on one core. `--pages` measures nothing and writes the pages from the records.
+For each task (variant "clean") and plan, or those named (`PLANS`), on the same
+episodes: the ceiling by construction, what model-predictive control earns and takes,
+and what random actions earn. Writes a record for each into benchmarks/optimum, then
+docs/optimum.md and its picture from all records there are, with those of the learners
+beside them. In float32 on one core. `--pages` measures nothing and writes the pages
+from the records.
 
 The ceiling of an episode is its reward with the tip in the best place there is: on the
 target, or as near as the arm's length from its base allows. In "reaching" the
@@ -43,13 +44,26 @@ SEED = 1
 """Of the episodes: those of `jaxrod evaluate`."""
 EPISODES = {"tracking": 32, "reaching": 32, "structured": 4, "unstructured": 4}
 """Nothing is random in the last two: all episodes are the same."""
+HELD = {
+    "shape": "steps",
+    "horizon": 32,
+    "knots": 1,
+    "replan": 16,
+    "hold": 16,
+    "effort": 1e-2,
+    "smoothness": 0.0,
+}
+"""One action, held: what DAgger's planner does (`jaxrod train --algorithm dagger`)."""
 PLANS: dict[str, dict[str, Any]] = {
     "tracking": {},
+    "tracking_held": HELD,
     "reaching": {},
+    "reaching_held": HELD,
     "structured": {},
     "unstructured": {},
 }
-"""Settings of the planner that are not its defaults."""
+"""Settings of the planner that are not its defaults, by the name of the record: a task,
+or a task and a word."""
 TIMED_PLANS = 10
 
 
@@ -101,10 +115,11 @@ class Random:
         return jax.random.uniform(key, shape, minval=-1.0), memory + 1
 
 
-def measured(task: str) -> dict[str, Any]:
-    """The record of a task."""
+def measured(name: str) -> dict[str, Any]:
+    """The record of a task and a plan for it."""
+    task, _, plan = name.partition("_")
     env, episodes = make(task, variant="clean"), EPISODES[task]
-    policy = mpc(env, **PLANS[task])
+    policy = mpc(env, **PLANS[name])
     # Randomness of a control step depends on how long actions are held: one for all.
     held = policy.action_repeat
     random = Random(jax.random.key(SEED), env.action_size, held)
@@ -118,13 +133,15 @@ def measured(task: str) -> dict[str, Any]:
     many, compiling = timed(policy, env, episodes)
     return {
         "task": task,
+        "plan": plan,
         "case": CASES[task],
         "seed": SEED,
         "episodes": episodes,
         "settings": {
-            name: getattr(policy, name)
-            for name in (
+            setting: getattr(policy, setting)
+            for setting in (
                 "method",
+                "shape",
                 "horizon",
                 "knots",
                 "iterations",
@@ -134,7 +151,7 @@ def measured(task: str) -> dict[str, Any]:
             )
         }
         | {"hold": held}
-        | {name: float(getattr(policy, name)) for name in ("effort", "smoothness")},
+        | {each: float(getattr(policy, each)) for each in ("effort", "smoothness")},
         "period_ms": 1e3 * policy.replan * env.control_period,
         "plan_ms": many,
         "single_plan_ms": timed(policy, env, 1)[0],
@@ -145,7 +162,7 @@ def measured(task: str) -> dict[str, Any]:
         "mpc_flagged": int(found.flagged.sum()),
         "random": chance.returns.tolist(),
         "machine": processor_and_versions(),
-        "command": f"python -m benchmarks.optimum {task}",
+        "command": f"python -m benchmarks.optimum {name}",
     }
 
 
@@ -173,18 +190,18 @@ def main(arguments: list[str]) -> int:
     """Measures and writes."""
     jaxrod.configure_cpu(1)
     names = [a for a in arguments if a != "--pages"]
-    unknown = set(names) - set(CASES)
+    unknown = set(names) - set(PLANS)
     if unknown:
-        raise SystemExit(f"tasks are {', '.join(CASES)}; got {', '.join(unknown)}")
+        raise SystemExit(f"there are {', '.join(PLANS)}; got {', '.join(unknown)}")
     if "--pages" not in arguments:
         RECORDS.mkdir(exist_ok=True)
-        for task in names or CASES:
-            record = measured(task)
+        for name in names or PLANS:
+            record = measured(name)
             write_atomically(
-                RECORDS / f"{task}.json", (json.dumps(record, indent=1) + "\n").encode()
+                RECORDS / f"{name}.json", (json.dumps(record, indent=1) + "\n").encode()
             )
             print(
-                f"{task}: planned {np.mean(record['mpc']):,.0f} of "
+                f"{name}: planned {np.mean(record['mpc']):,.0f} of "
                 f"{np.mean(record['ceiling']):,.0f}, random "
                 f"{np.mean(record['random']):,.0f}; {record['plan_ms']:.1f} ms of "
                 f"{record['period_ms']:.1f} ms, single "

@@ -13,6 +13,8 @@ from jaxrod.files import write_atomically
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "benchmarks" / "optimum"
 CASES = {"tracking": 1, "reaching": 2, "structured": 3, "unstructured": 4}
+PLANS = ("", "held")
+"""Of a task: the line through knots that `mpc` makes by default, or one action."""
 
 
 def learners(case: int) -> list[tuple[str, float, int]]:
@@ -38,7 +40,8 @@ HEADER = """\
 
 Written by `python -m benchmarks.optimum`; do not edit. For those of the four tasks of
 the arm that have a record (`python -m benchmarks.optimum TASK`), variant `clean`, on
-the same episodes (seed {seed} of `evaluate`):
+the same episodes (seed {seed} of `evaluate`; what is random there depends on how long
+actions are held):
 
 - **ceiling**: the reward with the tip on the target, or as near to it as the arm's
   length from its base allows, and in `reaching` with the goal's orientation. By
@@ -47,12 +50,13 @@ the same episodes (seed {seed} of `evaluate`):
   a few percent when it is swung, is left out as well, so it is no bound to the last
   digit.
 - **planned**: `jaxrod.control.mpc`, which plans with the rod itself and does not know
-  what is random, untrained;
+  what is random, untrained; *held* is a plan of one action only
+  (`python -m benchmarks.optimum TASK_held`);
 - **learned**: the best learner of each recorded grid by the mean over its seeds, its
   policies without exploration noise. They were measured on other episodes, those of the
   `paper` variant under the published physics, too. Their shares are of the mean
   ceiling here;
-- **random**: actions drawn anew every {hold} control steps.
+- **random**: actions drawn anew as often as the planner acts.
 
 ![Shares of the ceiling](../benchmarks/optimum/optimum.png)
 
@@ -81,6 +85,7 @@ Control steps of 1.4 ms; see `jaxrod.control.mpc`. Costs are the tasks' own
 """
 NAMES = (
     "method",
+    "shape",
     "horizon",
     "knots",
     "replan",
@@ -98,11 +103,12 @@ def write_pages(seed: int) -> None:
     records = [
         json.loads(file.read_text())
         for task in CASES
-        if (file := RECORDS / f"{task}.json").exists()
+        for plan in PLANS
+        if (file := RECORDS / f"{task}{plan and '_' + plan}.json").exists()
     ]
     if not records:
         return
-    page = HEADER.format(seed=seed, hold=records[0]["settings"]["hold"])
+    page = HEADER.format(seed=seed)
     times = TIMES
     settings = SETTINGS.format(" | ".join(NAMES), "---:|" * len(NAMES))
     for record in records:
@@ -113,26 +119,31 @@ def write_pages(seed: int) -> None:
             for name, score, seeds in learners(record["case"])
         )
         flagged = record["mpc_flagged"]
+        title = f"{record['case']} `{record['task']}`{_spaced(record['plan'])}"
         page += (
-            f"| {record['case']} `{record['task']}` | {record['episodes']} "
+            f"| {title} | {record['episodes']} "
             f"| {mean:,.0f} | {planned.mean():,.0f}"
             f"{f', {flagged} flagged' if flagged else ''} "
             f"| {planned.mean() / mean:.1%} | {np.min(planned / ceiling):.1%} "
             f"| {np.mean(record['random']):,.0f} | {known} |\n"
         )
         times += (
-            f"| {record['case']} `{record['task']}` | {record['period_ms']:.1f} "
+            f"| {title} | {record['period_ms']:.1f} "
             f"| {record['plan_ms']:.1f} | {record['single_plan_ms']:.1f} "
             f"| {record['compile_s']:.0f} |\n"
         )
         values = " | ".join(_shown(record["settings"][name]) for name in NAMES)
-        settings += f"| {record['case']} `{record['task']}` | {values} |\n"
+        settings += f"| {title} | {values} |\n"
     machines = sorted({record["machine"] for record in records})
     measured_on = f"\nMeasured on: {'; '.join(machines)}.\n"
     write_atomically(
         ROOT / "docs" / "optimum.md", (page + times + measured_on + settings).encode()
     )
     picture(records)
+
+
+def _spaced(plan: str) -> str:
+    return f", {plan}" if plan else ""
 
 
 def _shown(value: Any) -> str:
@@ -147,29 +158,40 @@ def picture(records: list[dict[str, Any]]) -> None:
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    kinds = {
-        "random": ("0.75", lambda r: np.mean(r["random"])),
-        "learned (paper)": ("tab:orange", lambda r: _learned(r, "(paper)")),
-        "learned (clean)": ("tab:red", lambda r: _learned(r, "(clean)")),
-        "planned": ("tab:blue", lambda r: np.mean(r["mpc"])),
-    }
-    for place, (name, (colour, value)) in enumerate(kinds.items()):
-        shares = [100 * value(r) / np.mean(r["ceiling"]) for r in records]
+    own = {(r["task"], r["plan"]): r for r in records}
+    tasks = [task for task in CASES if any(r["task"] == task for r in records)]
+    some = [next(r for r in records if r["task"] == task) for task in tasks]
+    kinds: list[tuple[str, str, list[float]]] = [
+        ("random", "0.75", [_share(r, np.mean(r["random"])) for r in some]),
+        *(
+            (f"learned {words}", colour, [_share(r, _learned(r, words)) for r in some])
+            for words, colour in (("(paper)", "tab:orange"), ("(clean)", "tab:red"))
+        ),
+    ]
+    for plan, colour in zip(PLANS, ("tab:blue", "tab:cyan"), strict=True):
+        found = [own.get((task, plan)) for task in tasks]
+        shares = [_share(r, np.mean(r["mpc"])) if r else np.nan for r in found]
+        kinds.append(("planned" + _spaced(plan), colour, shares))
+    for place, (name, colour, shares) in enumerate(kinds):
         bars = axes.bar(
-            np.arange(len(records)) + 0.2 * (place - 1.5),
+            np.arange(len(tasks)) + 0.17 * (place - 2),
             np.maximum(np.nan_to_num(shares), 0),
-            0.18,
+            0.15,
             color=colour,
             label=name,
         )
         words = ["" if np.isnan(share) else f"{share:.0f}" for share in shares]
         axes.bar_label(bars, words, fontsize=8)
-    axes.set_xticks(range(len(records)), [r["task"] for r in records])
+    axes.set_xticks(range(len(tasks)), tasks)
     axes.set_ylabel("share of the ceiling [%]")
     axes.set_ylim(0, 112)
     axes.axhline(100, color="black", linewidth=0.8)
-    axes.legend(ncols=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    axes.legend(ncols=5, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.savefig(RECORDS / "optimum.png", dpi=120, metadata={"Software": None})
+
+
+def _share(record: dict[str, Any], earned: Any) -> float:
+    return float(100 * earned / np.mean(record["ceiling"]))
 
 
 def _learned(record: dict[str, Any], variant: str) -> float:

@@ -1,9 +1,9 @@
 r"""Model-predictive control: a policy that plans ahead with the model, ever again.
 
-A plan is a line of actions through `knots`, over the next `horizon` control steps. It
-is made better by one of three methods, its beginning is acted, and `replan` control
-steps later it is moved on and made better again (receding horizon, warm start). What is
-made small is
+A plan is a line of actions through `knots`, or steps from one to the next, over the
+next `horizon` control steps. It is made better by one of three methods, its beginning
+is acted, and `replan` control steps later it is moved on and made better again
+(receding horizon, warm start). What is made small is
 
 $$\frac1K \sum_k |r(x_k)|^2 + \frac{e}{K} \sum_k |u_k|^2
   + \frac{s}{K} \sum_k |u_k - u_{k-1}|^2,$$
@@ -30,7 +30,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.control.planning_policy import METHODS, Model, PlanningPolicy
+from jaxrod.control.plan_weights import SHAPES
+from jaxrod.control.planning_policy import (
+    METHODS,
+    Model,
+    PlanningPolicy,
+    check_model,
+)
 from jaxrod.validation import check_count, check_seed
 
 
@@ -42,6 +48,7 @@ def mpc(
     knots: int = 6,
     iterations: int | None = None,
     method: str = "gauss-newton",
+    shape: str = "lines",
     hold: int = 4,
     replan: int | None = None,
     first: int | None = None,
@@ -64,6 +71,8 @@ def mpc(
         knots: Values planned for each action.
         iterations: Steps of the method in each plan; by default 1, or 4 of Adam.
         method: `"gauss-newton"`, `"gradient"` or `"mppi"`.
+        shape: `"lines"` from knot to knot, or `"steps"`: a knot's value is held from
+            the one before to its own. One step is the cheapest plan.
         hold: Control steps for which an action is held.
         replan: Control steps from plan to plan, a multiple of `hold`, at most the
             horizon; by default the distance of two knots.
@@ -84,12 +93,9 @@ def mpc(
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}; got {method!r}")
     needed = ("predict", "cost") + (("residuals",) if method == METHODS[0] else ())
-    missing = [name for name in needed if not hasattr(env, name)]
-    if missing:
-        raise ValueError(
-            f"{type(env).__name__} cannot be planned with by {method!r}: it has no "
-            f"{' and no '.join(missing)} (jaxrod.envs.Plannable)"
-        )
+    check_model(env, needed, f" by {method!r}")
+    if shape not in SHAPES:
+        raise ValueError(f"shape must be one of {', '.join(SHAPES)}; got {shape!r}")
     horizon = check_count("horizon", horizon, 1)
     knots = check_count("knots", knots, 1)
     hold = check_count("hold", hold, 1)
@@ -136,4 +142,5 @@ def mpc(
         samples=samples,
         starts=starts,
         method=method,
+        shape=shape,
     )

@@ -40,11 +40,13 @@ class PlanCost:
     """Control steps from knot to knot."""
     hold: int = static()
     """Control steps for which an action is held."""
+    shape: str = static(default="lines")
+    """Of the plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
 
     def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
         """What is acted in the pieces of every knot's interval."""
         table = jnp.asarray(
-            piece_weights(self.knots, self.spacing, self.hold), knots.dtype
+            piece_weights(self.knots, self.spacing, self.hold, self.shape), knots.dtype
         )
         acted = table @ jnp.concatenate([now[None], knots])
         return jnp.reshape(acted, (self.knots, -1, acted.shape[-1]))

@@ -43,6 +43,22 @@ class Model(Protocol):
         """Smooth cost of a state and the action that led there."""
 
 
+def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
+    """Raises a ValueError unless an environment has what a planner asks of it.
+
+    Args:
+        env: The environment.
+        needed: Names of methods.
+        planner: Words for who asks.
+    """
+    missing = [name for name in needed if not hasattr(env, name)]
+    if missing:
+        raise ValueError(
+            f"{type(env).__name__} cannot be planned with{planner}: it has no "
+            f"{' and no '.join(missing)} (jaxrod.envs.Plannable)"
+        )
+
+
 @pytree
 class Plan:
     """What a planner remembers of a batch of episodes."""
@@ -91,6 +107,8 @@ class PlanningPolicy:
     """Noisy plans from which an episode's first begins."""
     method: str = static()
     """One of `METHODS`."""
+    shape: str = static(default="lines")
+    """Of a plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
         """Memory at the start of a batch of episodes."""
@@ -122,9 +140,9 @@ class PlanningPolicy:
             lambda plan: plan,
             memory,
         )
-        table = piece_weights(self.knots, spacing, self.action_repeat)[:calls]
+        table = piece_weights(self.knots, spacing, self.action_repeat, self.shape)
         row = lax.dynamic_index_in_dim(
-            jnp.asarray(table, memory.values.dtype), place, keepdims=False
+            jnp.asarray(table[:calls], memory.values.dtype), place, keepdims=False
         )
         action = jnp.sum(row[None, :, None] * memory.values, axis=1)
         return action, Plan(memory.values, memory.calls + 1, memory.key, memory.cost)
@@ -134,7 +152,8 @@ class PlanningPolicy:
         spacing = self.horizon // self.knots
         begun = memory.calls > 0
         shift = jnp.asarray(
-            shift_weights(self.knots, spacing, self.replan), memory.values.dtype
+            shift_weights(self.knots, spacing, self.replan, self.shape),
+            memory.values.dtype,
         )
         moved = jnp.sum(shift[None, :, :, None] * memory.values[:, None], axis=2)
         values = jnp.where(begun, moved, memory.values)
@@ -147,6 +166,7 @@ class PlanningPolicy:
             knots=self.knots,
             spacing=spacing,
             hold=self.action_repeat,
+            shape=self.shape,
         )
         rate = self.rate.astype(values.dtype)
         key, own = jax.random.split(memory.key)

@@ -45,8 +45,10 @@ def test_no_policy_earns_more_than_the_ceiling_of_its_own_episodes(monkeypatch):
     small = {"variant": "clean", "n_elements": 10, "episode_length": 32}
     monkeypatch.setattr(optimum, "make", lambda task, **_: make(task, **small))
     monkeypatch.setitem(optimum.EPISODES, "reaching", 2)
-    monkeypatch.setitem(optimum.PLANS, "reaching", {"horizon": 16, "knots": 2})
-    record = optimum.measured("reaching")
+    held = optimum.HELD | {"horizon": 16, "replan": 8, "hold": 8}
+    monkeypatch.setitem(optimum.PLANS, "reaching_held", held)
+    record = optimum.measured("reaching_held")
+    assert record["task"] == "reaching" and record["plan"] == "held"
     most = np.array(record["ceiling"])
     assert most.shape == (2,) and most.max() <= 6 * 32
     for who in ("mpc", "random"):
@@ -73,6 +75,7 @@ def test_the_page_says_what_the_records_do(tmp_path, monkeypatch):
         (cells / f"{seed}.json").write_text(json.dumps(cell))
     record = {
         "task": "reaching",
+        "plan": "",
         "case": 2,
         "episodes": 2,
         "settings": dict.fromkeys(optimum_page.NAMES, 4) | {"method": "mppi"},
@@ -87,12 +90,16 @@ def test_the_page_says_what_the_records_do(tmp_path, monkeypatch):
         "machine": "a machine",
     }
     (records / "reaching.json").write_text(json.dumps(record))
+    held = record | {"plan": "held", "mpc": [1020, 680], "plan_ms": 0.7}
+    (records / "reaching_held.json").write_text(json.dumps(held))
     optimum_page.write_pages(7)
     page = (tmp_path / "docs" / "optimum.md").read_text()
     assert (
         "| 2 `reaching` | 2 | 1,000 | 800, 1 flagged | 80.0% | 65.0% | -50 "
         "| PPO (clean) 650 (65.0%, 2 seeds) |"
     ) in page
+    assert "| 2 `reaching`, held | 2 | 1,000 | 850, 1 flagged | 85.0% | 85.0% |" in page
     assert "| 2 `reaching` | 22.4 | 5.0 | 11.3 | 30 |" in page
+    assert "| 2 `reaching`, held | 22.4 | 0.7 | 11.3 | 30 |" in page
     assert "| 2 `reaching` | mppi | 4 |" in page
     assert (records / "optimum.png").stat().st_size > 1000

@@ -40,6 +40,43 @@ def test_lines_between_knots():
     np.testing.assert_allclose(shift_weights(2, 4, 2) @ corners, [2, 5, 7])
 
 
+def test_steps_from_knot_to_knot():
+    # Value now 1, knots 3 and 7: 3 until time 4, 7 from then on.
+    corners = np.array([1.0, 3.0, 7.0])
+    np.testing.assert_allclose(
+        weights_at([0, 1, 4, 4.5, 8, 99], 2, 4, "steps") @ corners, [1, 3, 3, 7, 7, 7]
+    )
+    np.testing.assert_allclose(piece_weights(2, 4, 2, "steps") @ corners, [3, 3, 7, 7])
+    np.testing.assert_allclose(shift_weights(2, 4, 4, "steps") @ corners, [3, 7, 7])
+    # Half a step later: what is acted now, and of the mixed step its later half.
+    np.testing.assert_allclose(shift_weights(2, 4, 2, "steps") @ corners, [3, 7, 7])
+    np.testing.assert_allclose(shift_weights(1, 4, 2, "steps") @ [1, 3], [3, 3])
+
+
+def test_a_plan_of_one_step_is_the_best_action_that_is_held():
+    env = make("trivial")
+    params, effort, hold = env.default_params(), 1e-4, 2
+    policy = mpc(
+        env,
+        shape="steps",
+        horizon=hold,
+        knots=1,
+        hold=hold,
+        effort=effort,
+        smoothness=0.0,
+    )
+    seen, states = jax.vmap(env.reset, (0, None))(
+        jax.random.split(jax.random.key(0), 20), params
+    )
+    action, memory = jax.jit(policy.act)(policy.init(seen, states), seen, states)
+    # min (x + 2 s u)^2 + e u^2, by hand; damping of a step leaves a thousandth.
+    stride = hold * params.stride
+    best = jnp.clip(-states.position * stride / (stride**2 + effort), -1, 1)
+    np.testing.assert_allclose(action[:, 0], best, atol=1e-3)
+    left = (states.position + stride * action[:, 0]) ** 2 + effort * action[:, 0] ** 2
+    np.testing.assert_allclose(memory.cost, left, atol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["gauss-newton", "gradient", "mppi"])
 def test_the_best_policy_is_found_by_every_method(method):
@@ -152,6 +189,7 @@ def test_what_cannot_be_planned_with_is_refused():
     env = make("trivial")
     for wrong, words in [
         ({"method": "magic"}, "method must be one of"),
+        ({"shape": "curves"}, "shape must be one of lines, steps"),
         ({"horizon": 7}, "multiple of knots times hold"),
         ({"replan": 3, "hold": 2, "horizon": 12}, "replan must be a multiple of hold"),
         ({"replan": 400}, "replan must be a multiple of hold"),

@@ -5,10 +5,11 @@ A plan of one action $u$ in [-1, 1], held for some control steps, from the state
 $$\min_u |r(x_h(u))|^2 + e |u|^2$$
 
 with the environment's residuals $r$ at the end, and a small effort $e$, which chooses
-among the many actions that do it. Being so short a plan it is cheap, a backward pass
-for each of the few residuals, and nearly a function of the state, so that a network
-can learn it; planned anew before it is acted out it is no worse a planner than a line
-of actions through several knots.
+among the many actions that do it: a plan of `jaxrod.control.mpc` with one step, as a
+function of where to begin. Being so short a plan it is cheap, a backward pass for each
+of the few residuals, and nearly a function of the state, so that a network can learn
+it; planned anew before it is acted out it earns nearly what a line of actions through
+several knots does (docs/optimum.md).
 """
 
 from __future__ import annotations
@@ -20,22 +21,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.control.planning import PlanCost, by_gauss_newton
+from jaxrod.control.planning_policy import check_model
 from jaxrod.envs import Environment
 from jaxrod.envs.action_repeat import ActionRepeat
-from jaxrod.structure import pytree
 
 PASSES = 4
 """Times that an iteration runs the model forward: at the action, at three others."""
-
-
-@pytree
-class HeldPlan(PlanCost):
-    """What it costs to hold one action for `spacing` control steps."""
-
-    def actions(self, now: Array, knots: Array) -> Float[Array, "1 1 action"]:
-        """The action, whatever the one before was."""
-        del now
-        return knots[:, None]
 
 
 def model_of(env: Environment) -> Any:
@@ -45,12 +36,7 @@ def model_of(env: Environment) -> Any:
         ValueError: it is none.
     """
     model = env.env if isinstance(env, ActionRepeat) else env
-    missing = [name for name in ("predict", "residuals") if not hasattr(model, name)]
-    if missing:
-        raise ValueError(
-            f"{type(model).__name__} cannot be planned with: it has no "
-            f"{' and no '.join(missing)} (jaxrod.envs.Plannable)"
-        )
+    check_model(model, ("predict", "residuals"))
     return model
 
 
@@ -76,7 +62,7 @@ def better_actions(
         effort: cost of the mean squared action.
         iterations: steps of the method.
     """
-    cost = HeldPlan(
+    cost = PlanCost(
         params=params,
         effort=effort,
         smoothness=jnp.zeros_like(effort),
@@ -84,6 +70,7 @@ def better_actions(
         knots=1,
         spacing=lookahead,
         hold=lookahead,
+        shape="steps",
     )
     count = jnp.asarray(iterations, jnp.int32)
 
