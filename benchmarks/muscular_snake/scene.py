@@ -172,8 +172,14 @@ def _muscles(group: str) -> Any:
     return jax.vmap(lambda *row: _muscle(SIZES[group], *row))(*rows)
 
 
-def ours() -> tuple[Any, Any]:
-    """The system and its state, in the default law."""
+def ours(sinks: float = 0.02, drag: float = 1000.0) -> tuple[Any, Any]:
+    """The system and its state, in the default law.
+
+    Args:
+        sinks: How far the body sinks into the ground at rest, over its radius.
+        drag: Of friction where it sets in, over the mass per length [1/s]: from some
+            mu g / drag on it is that of sliding.
+    """
     body, of_body = jaxrod.straight_rod(
         N_BODY,
         length=LENGTH,
@@ -186,14 +192,14 @@ def ours() -> tuple[Any, Any]:
         normal=(0.0, 0.0, 1.0),
         dtype=jnp.float64,
     )
-    line, depth = float(body.linear_density[0]), 0.02 * RADIUS
+    line, depth = float(body.linear_density[0]), sinks * RADIUS
     # The plane is so high that the body rests on it where it is.
     ground = jaxrod.contact(
         jaxrod.plane((0.0, 0.0, depth), (0.0, 0.0, 1.0)),
         stiffness=line * G / depth,
         damping=300.0 * line,
         friction=FRICTION,
-        friction_drag=1000.0 * line,
+        friction_drag=drag * line,
     )
     rate = BODY_DAMPING + MUSCLE_DAMPING
     members = {
@@ -228,11 +234,16 @@ def ours() -> tuple[Any, Any]:
     return jaxrod.make_system(members, *glues, state=state), state
 
 
-def theirs() -> tuple[Any, list[Any]]:
+def theirs(repulsion: float = REPULSION, holds: float = 2.0) -> tuple[Any, list[Any]]:
     """PyElastica's simulator and its nine rods, the body first.
 
     Joints are those of its experimental module, whose constructor fails in 1.0, one
     object for all elements of a muscle: its loops over them are compiled.
+
+    Args:
+        repulsion: Of joints that are pressed together, over their unscaled stiffness.
+            It never acts, as PyElastica takes one norm of all distances of an object.
+        holds: Static friction over that of sliding; ours is 1.
     """
     import elastica as ea
     from elastica._calculus import difference_kernel
@@ -318,7 +329,7 @@ def theirs() -> tuple[Any, list[Any]]:
             SideJoint,
             k=stiffness * scales,
             nu=1e-4,
-            k_repulsive=stiffness * REPULSION,
+            k_repulsive=stiffness * repulsion,
             rod_one_direction_vec_in_material_frame=ways[0],
             rod_two_direction_vec_in_material_frame=ways[1],
             offset_btw_rods=ways[2],
@@ -331,7 +342,7 @@ def theirs() -> tuple[Any, list[Any]]:
         k=10.0,
         nu=40.0,
         slip_velocity_tol=1e-8,
-        static_mu_array=2 * FRICTION,
+        static_mu_array=holds * FRICTION,
         kinetic_mu_array=FRICTION,
     )
     simulator.finalize()

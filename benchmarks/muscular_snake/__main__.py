@@ -1,0 +1,80 @@
+"""How fast the muscular snake crawls, here or in PyElastica.
+
+    python -m benchmarks.muscular_snake {ours,theirs} [PERIODS [NUMBERS ...]]
+
+Prints where the body's centre of mass is after every quarter of a period, and the speed
+of the last period. A period is 200,000 steps. Numbers that
+follow are arguments of `scene.ours` or `scene.theirs`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+from benchmarks.muscular_snake import scene
+
+QUARTER = round(scene.PERIOD / scene.STEP / 4)
+"""Steps."""
+
+
+def middle(positions: Any, masses: Any) -> np.ndarray:
+    """The centre of mass of nodes [m]."""
+    mass = np.asarray(masses)
+    middle: np.ndarray = np.asarray(positions) @ mass / np.sum(mass)
+    return middle
+
+
+def our_places(quarters: int, *given: float) -> Iterator[np.ndarray]:
+    """Centres of mass of the body after each quarter of a period [m]."""
+    system, state = scene.ours(*given)
+    masses = system.members["body"].rod.node_masses
+    advance = jax.jit(jaxrod.advance)
+    yield middle(state["body"].positions, masses)
+    for quarter in range(quarters):
+        first = jnp.asarray(quarter * QUARTER)
+        state = advance(system, state, scene.STEP, jnp.asarray(QUARTER), first=first)
+        yield middle(state["body"].positions, masses)
+
+
+def their_places(quarters: int, *given: float) -> Iterator[np.ndarray]:
+    """The same of PyElastica's."""
+    import elastica as ea
+
+    simulator, rods = scene.theirs(*given)
+    stepper, time = ea.PositionVerlet(), np.float64(0.0)
+    yield middle(rods[0].position_collection, rods[0].mass)
+    for _ in range(quarters):
+        for _ in range(QUARTER):
+            time = stepper.step(simulator, time, np.float64(scene.STEP))
+        yield middle(rods[0].position_collection, rods[0].mass)
+
+
+def main(which: str, periods: int = 6, *given: float) -> None:
+    """Steps one of the two and prints a table."""
+    jax.config.update("jax_enable_x64", True)
+    places: Callable[..., Any] = {"ours": our_places, "theirs": their_places}[which]
+    found = []
+    print("| time [s] | centre of mass [m] |")
+    print("|---|---|")
+    for quarter, place in enumerate(places(4 * periods, *given)):
+        found.append(place)
+        print(
+            f"| {quarter * scene.PERIOD / 4:g} | "
+            f"{', '.join(f'{x:.6f}' for x in place)} |",
+            flush=True,
+        )
+    moved = (found[-1] - found[-5]) / scene.LENGTH
+    speed = np.linalg.norm(moved)
+    print(f"in the last period {speed:.5f} lengths: {moved.round(5)}")
+
+
+if __name__ == "__main__":
+    which, *numbers = sys.argv[1:]
+    main(which, *map(int, numbers[:1]), *map(float, numbers[1:]))
