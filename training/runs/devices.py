@@ -7,10 +7,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 
 from jaxrod.training.algorithm import DEVICE_AXIS, Algorithm, Metrics
+from jaxrod.training.leaves import is_key
 
 
 def device_mesh(devices: Sequence[jax.Device]) -> Mesh:
@@ -34,9 +36,21 @@ def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
     """Puts a tree where its specifications, a tree prefix, say."""
 
     def put(spec: PartitionSpec, subtree: Any) -> Any:
-        return jax.device_put(subtree, NamedSharding(mesh, spec))
+        sharding = NamedSharding(mesh, spec)
+        if sharding.is_fully_addressable:
+            return jax.device_put(subtree, sharding)
+        return jax.tree.map(lambda leaf: _put_share(leaf, sharding), subtree)
 
     return jax.tree.map(put, specs, tree, is_leaf=_is_spec)
+
+
+def _put_share(leaf: Any, sharding: NamedSharding) -> Any:
+    """Puts what belongs on this process's devices there; all have the same leaf."""
+    if is_key(leaf):
+        words = _put_share(jax.random.key_data(leaf), sharding)
+        return jax.random.wrap_key_data(words, impl=jax.random.key_impl(leaf))
+    array = np.asarray(leaf)
+    return jax.make_array_from_callback(array.shape, sharding, lambda i: array[i])
 
 
 def compile_updates(
@@ -91,10 +105,9 @@ def compile_updates(
     count = jax.ShapeDtypeStruct((), jnp.int32)
     lowered = jax.jit(program, donate_argnums=0).lower(state, count)
     compiled = lowered.compile()
-    repeated = NamedSharding(mesh, PartitionSpec())
 
     def run(state: Any, count: int) -> tuple[Any, Metrics]:
-        return compiled(state, jax.device_put(jnp.int32(count), repeated))
+        return compiled(state, place(np.int32(count), PartitionSpec(), mesh))
 
     return run
 

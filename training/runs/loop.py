@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from jaxrod.training.algorithm import Algorithm, recorded_name
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.folder import RunFolder, differences
+from jaxrod.training.runs.hosts import Hosts
 from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.recorded_settings import plain, recorded
 from jaxrod.training.runs.run import Result, Run
@@ -100,13 +102,19 @@ def train(
     if out is None and resume:
         raise ValueError("resume needs the folder of a run, got out=None")
     folder = None if out is None else RunFolder(out)
+    hosts = Hosts(devices)
     with ExitStack() as stack:
-        if folder:
+
+        def take(folder: RunFolder) -> bytes:
             # Once so that what is refused leaves no trace, once more when nobody
             # else can change it.
             _check_folder(folder, asked, resume, overwrite)
             stack.enter_context(folder.only_process())
             _check_folder(folder, asked, resume, overwrite)
+            return b""
+
+        if folder:
+            hosts.from_writer(partial(take, folder))
         return Run(
             env=env,
             learner=learner,
@@ -118,6 +126,7 @@ def train(
             checkpoint_seconds=checkpoint_seconds,
             chunk_steps=chunk_steps,
             devices=devices,
+            hosts=hosts,
             show=progress,
             log=log,
         ).go(evaluation_episodes)

@@ -19,6 +19,7 @@ import numpy as np
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
+from jaxrod.training.leaves import from_array, named_leaves, to_array, with_leaves
 from jaxrod.training.policy import Policy
 from jaxrod.training.policy_files import save_policy
 from jaxrod.training.progress import ProgressBar
@@ -31,10 +32,13 @@ from jaxrod.training.runs.devices import (
     place,
 )
 from jaxrod.training.runs.folder import RunFolder
+from jaxrod.training.runs.hosts import Hosts, packed, unpacked
 from jaxrod.training.runs.interruption import Interruption
-from jaxrod.training.runs.resuming import facts_of, restore, stored
+from jaxrod.training.runs.resuming import Stored, facts_of, restore, stored
 from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
+
+_STORED = "stored"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +77,7 @@ class Run:
         checkpoint_seconds: float,
         chunk_steps: int,
         devices: Sequence[jax.Device],
+        hosts: Hosts,
         show: bool,
         log: Callable[[dict[str, Any]], None] | None,
     ) -> None:
@@ -80,8 +85,11 @@ class Run:
         self.began = time.monotonic()
         env_params = env.default_params() if env_params is None else env_params
         self.env, self.learner, self.env_params = env, learner, env_params
-        self.asked, self.folder, self.devices = asked, folder, devices
-        self.checkpoint_seconds, self.show, self.log = checkpoint_seconds, show, log
+        self.asked, self.devices, self.hosts = asked, devices, hosts
+        self.folder = folder if hosts.writes else None
+        self.saves = folder is not None
+        self.checkpoint_seconds = checkpoint_seconds
+        self.show, self.log = show and hosts.writes, log if hosts.writes else None
         self.per_update = updates_of(learner, config)
         self.total = check_steps(asked["steps"], self.per_update)
         self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
@@ -89,7 +97,8 @@ class Run:
         self.wall_s = self.wall_before = 0.0
         self.rows: list[dict[str, Any]] = []
         self.episodes = EpisodeLog()
-        self.checkpoints = Checkpoints(folder.checkpoints) if folder else None
+        own = self.folder
+        self.checkpoints = Checkpoints(own.checkpoints) if own else None
 
         # The mesh first: it fails at once where the devices do not fit.
         self.mesh = device_mesh(devices)
@@ -102,7 +111,7 @@ class Run:
             state = self._restore(state)
         elif folder:
             # Not before the state could be made: what fails here costs nothing.
-            folder.begin(asked)
+            hosts.from_writer(lambda: folder.begin(asked) or b"")
         self.state = place(state, partition_of(learner, state), self.mesh)
 
     @property
@@ -157,12 +166,18 @@ class Run:
             done=self.env_steps,
             enabled=self.show,
         )
+        hosts, stop = self.hosts, False
         with Interruption(bar.message) as interruption:
-            while self.done < self.total and not interruption.asked:
+            while self.done < self.total and not stop:
                 count = min(self.capacity, self.total - self.done)
-                self.state, metrics = update(self.state, count)
-                self._record(jax.device_get(metrics), count, bar)
-                if time.monotonic() - saved > self.checkpoint_seconds:
+                with hosts.losing_none(self.env_steps):
+                    self.state, metrics = update(self.state, count)
+                    metrics = hosts.fetched(metrics, self.mesh)
+                self._record(metrics, count, bar)
+                due = time.monotonic() - saved > self.checkpoint_seconds
+                with hosts.losing_none(self.env_steps):
+                    stop, due = hosts.agree(interruption.asked, due)
+                if due:
                     self._save()
                     saved = time.monotonic()
             self._save()
@@ -219,16 +234,21 @@ class Run:
         policy = self._policy()
         lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
         self._stop_if(["the policy"] if lost else [])
+        if not self.saves:
+            return
+        with self.hosts.losing_none(self.env_steps):
+            state = self.hosts.fetched(self.state, self.mesh, at_all=False)
         if self.folder and self.checkpoints:
             facts = facts_of(self.folder, self.asked, self.done, self._clock())
-            kept = stored(self.state, self.env_params)
+            kept = stored(state, self.env_params)
             self.checkpoints.save(self.done, kept, facts)
             # So that a run can be evaluated and drawn while it goes on.
             self._export(policy)
 
     def _policy(self) -> Policy:
         """The deterministic policy, on the host."""
-        return jax.device_get(self.learner.policy(self.state))
+        with self.hosts.losing_none(self.env_steps):
+            return self.hosts.fetched(self.learner.policy(self.state), self.mesh)
 
     def _export(self, policy: Policy) -> None:
         """Writes the policy into the folder, if there is one."""
@@ -239,20 +259,26 @@ class Run:
 
     def _restore(self, template: Any) -> Any:
         """The train state to go on from, with all that is known of the run so far."""
-        assert self.checkpoints and self.folder
-        found = restore(
-            self.folder,
-            self.checkpoints,
-            self.asked,
-            stored(template, self.env_params),
-        )
+        begun = stored(template, self.env_params)
+        if not self.hosts.several:
+            found = self._read(begun)
+        else:
+            found = _from_bytes(
+                self.hosts.from_writer(lambda: _as_bytes(self._read(begun))), begun
+            )
         if found is None:
             return template
-        kept, facts = found
-        self.episodes.restore(self.folder.episodes.read())
+        kept, facts, episodes = found
+        self.episodes.restore(episodes)
         self.done = facts["updates"]
         self.wall_s = self.wall_before = facts["wall_s"]
         return kept.learner
+
+    def _read(self, template: Stored) -> _Found | None:
+        """Reads what there is in the folder."""
+        assert self.checkpoints and self.folder
+        found = restore(self.folder, self.checkpoints, self.asked, template)
+        return None if found is None else (*found, self.folder.episodes.read())
 
     def _evaluate(
         self, policy: Policy, episodes: int
@@ -283,6 +309,29 @@ class Run:
             "jax_version": jax.__version__,
             "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
         }
+
+
+_Found = tuple[Stored, dict[str, Any], list[dict[str, str]]]
+"""What a run goes on from: a checkpoint's state and facts, rows of the episodes."""
+
+
+def _as_bytes(found: _Found | None) -> bytes:
+    """What was found, to be sent to other processes."""
+    if found is None:
+        return b""
+    kept, *about = found
+    leaves = named_leaves(kept, _STORED)
+    return packed({name: to_array(leaf) for name, leaf in leaves.items()}, about)
+
+
+def _from_bytes(content: bytes, template: Stored) -> _Found | None:
+    """What `_as_bytes` was given."""
+    if not content:
+        return None
+    arrays, (facts, episodes) = unpacked(content)
+    leaves = named_leaves(template, _STORED)
+    found = {name: from_array(arrays[name], leaf) for name, leaf in leaves.items()}
+    return with_leaves(template, _STORED, found), facts, episodes
 
 
 def _reached(row: Mapping[str, Any]) -> str:
