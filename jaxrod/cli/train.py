@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -131,7 +132,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--devices",
         type=int,
         metavar="N",
-        help="devices to spread the environments over (default: as many as fit)",
+        help="devices to spread the environments over, of each process "
+        "(default: as many as fit)",
+    )
+    parser.add_argument(
+        "--distributed",
+        action="store_true",
+        help="this is one of several processes that train together: SLURM, Open MPI "
+        "or Kubernetes say which, or the three options below (docs/cluster.md)",
+    )
+    parser.add_argument(
+        "--coordinator", metavar="HOST:PORT", help="address of the first process"
+    )
+    parser.add_argument(
+        "--processes", type=int, metavar="N", help="number of processes"
+    )
+    parser.add_argument(
+        "--process-id", type=int, metavar="I", help="number of this one, from 0"
     )
     parser.add_argument(
         "--checkpoint-seconds",
@@ -154,8 +171,10 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.cli import runs
     from jaxrod.envs import check_environment, names
     from jaxrod.envs.importing import spelt_out
+    from jaxrod.installation.processes import join_processes
     from jaxrod.training import RunFolder, train
     from jaxrod.training.runs.contract import resolve, updates_of
+    from jaxrod.training.runs.hosts import LostProcessError
     from jaxrod.training.settings import check_steps
     from jaxrod.validation import check_seed
 
@@ -194,6 +213,13 @@ def run(args: argparse.Namespace) -> int:
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     # Before somebody's own task is imported, which may compute at once.
     jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
+    processes = (args.coordinator, args.processes, args.process_id)
+    if args.distributed:
+        join_processes(*processes)
+    elif any(one is not None for one in processes):
+        raise ValueError(
+            "--coordinator, --processes and --process-id go with --distributed"
+        )
     if source:
         runs.open_run(source)
     options = dict(stored["env_options"]) if stored else {}
@@ -206,7 +232,8 @@ def run(args: argparse.Namespace) -> int:
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     out = _folder(args, getattr(env, "variant", None))
-    if not args.resume:
+    # Of several processes only the first looks, in `train`: it may have begun already.
+    if not args.resume and not args.distributed:
         RunFolder(out).check_replaceable()
         if RunFolder(out).exists and not args.overwrite:
             raise ValueError(
@@ -217,11 +244,14 @@ def run(args: argparse.Namespace) -> int:
 
     if args.task not in names():
         check_environment(env)
-    share = _share(wanted, args.devices, jax.device_count())
-    if share > jax.device_count():
-        raise ValueError(
-            f"devices must be at most the {jax.device_count()} there are, got {share}"
-        )
+    devices = jax.devices()
+    if not args.distributed:
+        share = _share(wanted, args.devices, len(devices))
+        if share > len(devices):
+            raise ValueError(
+                f"devices must be at most the {len(devices)} there are, got {share}"
+            )
+        devices = devices[:share]
     try:
         result = train(
             env,
@@ -236,12 +266,21 @@ def run(args: argparse.Namespace) -> int:
             resume=args.resume,
             overwrite=args.overwrite,
             checkpoint_seconds=args.checkpoint_seconds,
-            devices=jax.devices()[:share],
+            devices=devices,
         )
     except FloatingPointError as error:
         print(f"jaxrod train: {error}", file=sys.stderr)
         return 1
+    except LostProcessError as error:
+        print(f"jaxrod train: {error}", file=sys.stderr, flush=True)
+        # Ending in order would wait for the one that is lost, and then abort.
+        os._exit(1)
+    if args.distributed:
+        # Here, where all are: what follows only the first does.
+        jax.distributed.shutdown()
     summary = result.summary
+    if result.folder is None:
+        return 130 if summary["status"] == "interrupted" else 0
     if summary["status"] == "interrupted":
         print(
             f"continue with: jaxrod train {args.task} --resume --out {out}",

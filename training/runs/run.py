@@ -11,6 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -111,7 +112,7 @@ class Run:
             state = self._restore(state)
         elif folder:
             # Not before the state could be made: what fails here costs nothing.
-            hosts.from_writer(lambda: folder.begin(asked) or b"")
+            hosts.from_writer(partial(_begin, folder, asked))
         self.state = place(state, partition_of(learner, state), self.mesh)
 
     @property
@@ -313,6 +314,11 @@ class Run:
 
 _Found = tuple[Stored, dict[str, Any], list[dict[str, str]]]
 """What a run goes on from: a checkpoint's state and facts, rows of the episodes."""
+
+
+def _begin(folder: RunFolder, asked: dict[str, Any]) -> bytes:
+    folder.begin(asked)
+    return b""
 
 
 def _as_bytes(found: _Found | None) -> bytes:
