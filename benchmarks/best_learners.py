@@ -56,14 +56,14 @@ MAZE: dict[str, Any] = {
 RECIPES: dict[str, tuple[Stage, ...]] = {
     "tracking": (
         ("dagger", 600_000, {"plan_iterations": 2}),
-        ("ppo", 6_000_000, CLIMB),
+        ("ppo", 10_000_000, CLIMB),
     ),
     "reaching": (
         ("dagger", 600_000, {"short_steps": 1.0e9, "short_length": 480.0}),
-        ("ppo", 8_000_000, CLIMB),
+        ("ppo", 6_000_000, CLIMB),
     ),
     "structured": (("ppo", 1_200_000, MAZE),),
-    "unstructured": (("ppo", 3_000_000, MAZE),),
+    "unstructured": (("ppo", 2_400_000, MAZE),),
 }
 """Learners of a task, one after the other; each begins with the policy before it."""
 
