@@ -100,6 +100,12 @@ gradient of what a short window earns, through the simulation, and of the value 
 it ends; with `critic=false` it is the analytic policy gradient (APG). It earns minus
 the task's smooth cost, or with `objective=reward` the reward, whose bonuses have no
 slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.csv`.
+
+One learner after the other: `jaxrod.training.beginning_with(PPO, policy)` is PPO whose
+first policy is one that was learned before, by `dagger` say, instead of chance. Its
+configuration needs the policy's `hidden_sizes` and a small `initial_log_std`. In
+`tracking` and `reaching` this [earns most](optimum.md), with the settings that are told
+there.
 """
 
 

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.best_learners_page import section
 from jaxrod.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "benchmarks" / "optimum"
+LEARNERS = RECORDS / "learners"
 CASES = {"tracking": 1, "reaching": 2, "structured": 3, "unstructured": 4}
 PLANS = ("", "held")
 """Of a task: the line through knots that `mpc` makes by default, or one action."""
@@ -136,9 +138,8 @@ def write_pages(seed: int) -> None:
         settings += f"| {title} | {values} |\n"
     machines = sorted({record["machine"] for record in records})
     measured_on = f"\nMeasured on: {'; '.join(machines)}.\n"
-    write_atomically(
-        ROOT / "docs" / "optimum.md", (page + times + measured_on + settings).encode()
-    )
+    page += section(LEARNERS, CASES) + times + measured_on + settings
+    write_atomically(ROOT / "docs" / "optimum.md", page.encode())
     picture(records)
 
 

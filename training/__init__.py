@@ -17,6 +17,7 @@ try:
         mean_over_devices,
         steps_per_update,
     )
+    from jaxrod.training.algorithms.beginning import beginning_with
     from jaxrod.training.algorithms.dagger import DAGGER
     from jaxrod.training.algorithms.dagger_state import DAggerConfig
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
@@ -82,6 +83,7 @@ __all__ = [
     "UnreachableTargetWarning",
     "actuated_arm",
     "algorithm_names",
+    "beginning_with",
     "evaluate",
     "find_algorithm",
     "load_policy",

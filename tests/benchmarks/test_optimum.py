@@ -63,6 +63,7 @@ def test_the_page_says_what_the_records_do(tmp_path, monkeypatch):
     records.mkdir()
     monkeypatch.setattr(optimum_page, "ROOT", tmp_path)
     monkeypatch.setattr(optimum_page, "RECORDS", records)
+    monkeypatch.setattr(optimum_page, "LEARNERS", records / "learners")
     cells = tmp_path / "benchmarks" / "clean" / "cells"
     cells.mkdir(parents=True)
     for seed, score in enumerate((600, 700)):

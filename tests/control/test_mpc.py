@@ -238,6 +238,6 @@ def test_an_arm_reaches_its_goal():
     policy = mpc(env, horizon=48, knots=3, hold=4)
     found = evaluate(env, policy, episodes=4)
     assert not found.flagged.any()
-    # Six in each step from the first 0.11 s on; standing still pays nothing. One goal in
-    # four may be out of a short plan's reach, and rounding decides which.
+    # Six in each step from the first 0.11 s on; standing still pays nothing. One goal
+    # in four may be out of a short plan's reach, and rounding decides which.
     assert sorted(found.returns)[1] > 6 * 80

@@ -1,0 +1,106 @@
+"""Learning on policy that begins with a policy there is, instead of with chance.
+
+What imitates a planner is bound by what the planner's cost tells and by what is
+observed; what climbs rewards takes long to find the first of them. One after the other
+has neither trouble.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int, Key
+
+from jaxrod.envs import Environment
+from jaxrod.training.algorithm import Algorithm
+from jaxrod.training.algorithms.on_policy import ACTIVATION, OnPolicyState
+from jaxrod.training.networks import layers
+from jaxrod.training.policy import MLPPolicy
+
+OUTPUT = "clip"
+"""How actions of all on-policy learners are bounded."""
+
+
+def beginning_with(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
+    """A learner whose first policy is one that was learned before.
+
+    The network, the moments and the bound of its observations are the policy's, so
+    that without noise it acts as it did if actions are held as long. Noise is the
+    configuration's: `initial_log_std` should be far below 0, or the first
+    updates forget what was known. The value network begins anew.
+
+    Args:
+        algorithm: `PPO` or `TRPO`, whose configuration must have the policy's
+            `hidden_sizes`.
+        policy: what to begin with, of the same task.
+
+    Raises:
+        ValueError: the policy is no perceptron, or not of the kind these learn;
+            when the run begins, that the algorithm does not learn on policy, or that
+            sizes differ.
+    """
+    if not isinstance(policy, MLPPolicy):
+        raise ValueError(
+            f"policy must be an MLPPolicy to begin with, it is a "
+            f"{type(policy).__name__}"
+        )
+    if (policy.activation, policy.output) != (ACTIVATION, OUTPUT):
+        raise ValueError(
+            f"policy must have activation {ACTIVATION!r} and output {OUTPUT!r}, as "
+            f"what is learned on policy; got {policy.activation!r} and "
+            f"{policy.output!r}"
+        )
+
+    def init(
+        key: Key[Array, ""],
+        env: Environment,
+        config: Any,
+        env_params: Any = None,
+        total_steps: int | Int[Array, ""] = 10_000_000,
+    ) -> OnPolicyState:
+        state = algorithm.init(key, env, config, env_params, total_steps)
+        if not isinstance(state, OnPolicyState):
+            raise ValueError(
+                f"{algorithm.name} cannot begin with a policy: it does not learn on "
+                "policy, as ppo and trpo do"
+            )
+        return _with_policy(state, policy)
+
+    return dataclasses.replace(
+        algorithm, name=f"{algorithm.name}_with_policy", init=init
+    )
+
+
+def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
+    """The train state with the policy's network, moments and bound."""
+    if state.config.network is not None:
+        raise ValueError("network must be None to begin with an MLPPolicy")
+    weights: dict[str, Any] = dict(state.weights)
+    usual = weights["policy"]["mean"]
+    own, given = _sizes(layers(usual)), _sizes(policy.layers)
+    if own != given:
+        raise ValueError(
+            f"the policy's layers must have the sizes of the run's, {own}, as "
+            f"hidden_sizes and the task have them; got {given}"
+        )
+    dtype = state.moments.mean.dtype
+    names = [f"hidden_{i}" for i in range(len(own) - 1)] + ["output"]
+    mean = {
+        name: {"kernel": jnp.asarray(kernel, dtype), "bias": jnp.asarray(bias, dtype)}
+        for name, (kernel, bias) in zip(names, policy.layers, strict=True)
+    }
+    weights["policy"] = {**weights["policy"], "mean": mean}
+    limit = jnp.asarray(policy.limit, state.config.observation_limit.dtype)
+    return dataclasses.replace(
+        state,
+        config=dataclasses.replace(state.config, observation_limit=limit),
+        weights=weights,
+        moments=jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), policy.moments),
+    )
+
+
+def _sizes(found: tuple[tuple[Array, Array], ...]) -> list[tuple[int, ...]]:
+    return [kernel.shape for kernel, _ in found]
