@@ -103,9 +103,9 @@ slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.
 
 One learner after the other: `jaxrod.training.beginning_with(PPO, policy)` is PPO whose
 first policy is one that was learned before, by `dagger` say, instead of chance. Its
-configuration needs the policy's `hidden_sizes` and a small `initial_log_std`. In
-`tracking` and `reaching` this [earns most](optimum.md), with the settings that are told
-there.
+configuration needs the policy's `hidden_sizes` and a small `initial_log_std`.
+`python -m benchmarks.best_learners TASK` trains so in `tracking` and `reaching`:
+[what that earns](optimum.md).
 """
 
 
