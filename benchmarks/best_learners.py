@@ -68,19 +68,19 @@ RECIPES: dict[str, tuple[Stage, ...]] = {
 """Learners of a task, one after the other; each begins with the policy before it."""
 
 
-def trained(task: str, seed: int, programs: dict[str, tuple[Any, float]]) -> Any:
+def trained(task: str, seed: int, programs: dict[int, tuple[Any, float]]) -> Any:
     """The record of a run.
 
     Args:
         task: its name.
         seed: of every stage.
-        programs: compiled updates of the task's learners, and the processor time that
+        programs: compiled updates of the task's stages, and the processor time that
             took [s], which counts in every run; those that lack are added.
     """
     env, episodes = make(task, variant="clean"), EPISODES[task]
     policy: Any = None
     stages = []
-    for name, steps, settings in RECIPES[task]:
+    for number, (name, steps, settings) in enumerate(RECIPES[task]):
         learner = find_algorithm(name)
         if policy is not None:
             learner = beginning_with(learner, policy)
@@ -94,10 +94,10 @@ def trained(task: str, seed: int, programs: dict[str, tuple[Any, float]]) -> Any
         state = start(jax.random.key(seed), env, config, params, updates * per_update)
         jax.block_until_ready(state)
         begun = clocks.read()[1]
-        if name not in programs:
+        if number not in programs:
             compiled = jax.jit(learner.update, donate_argnums=0).lower(state).compile()
-            programs[name] = compiled, clocks.read()[1] - begun
-        update, compiling = programs[name]
+            programs[number] = compiled, clocks.read()[1] - begun
+        update, compiling = programs[number]
         clocks = Clocks()
         for _ in range(updates):
             state, _ = update(state)
@@ -144,7 +144,7 @@ def main() -> int:
         parser.error(f"tasks are {', '.join(RECIPES)}; got {', '.join(unknown)}")
     LEARNERS.mkdir(parents=True, exist_ok=True)
     for task in asked.tasks or RECIPES:
-        programs: dict[str, tuple[Any, float]] = {}
+        programs: dict[int, tuple[Any, float]] = {}
         for seed in asked.seeds:
             record = trained(task, seed, programs)
             write_atomically(
