@@ -12,6 +12,7 @@ from __future__ import annotations
 import statistics
 import sys
 import time
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,11 +69,38 @@ def row(name: str, variant: str) -> str:
 
 def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
     """Control steps per second of a batch, and the share of them that was flagged."""
+    steps, call = stepping(env, envs_per_core, jax.devices())
+    shares: list[float] = []
+
+    def timed() -> float:
+        start = time.perf_counter()
+        flagged = call()
+        wall = time.perf_counter() - start
+        shares.append(flagged)
+        return wall
+
+    timed()
+    calls = max(1, round(WINDOW_SECONDS / timed()))
+    wall = statistics.median(
+        sum(timed() for _ in range(calls)) / calls for _ in range(WINDOWS)
+    )
+    return steps / wall, statistics.mean(shares)
+
+
+def stepping(
+    env: Any, envs_per_device: int, devices: Sequence[jax.Device]
+) -> tuple[int, Callable[[], float]]:
+    """What steps a batch that is spread over devices, under random actions.
+
+    Returns:
+        Control steps of a call, and the call, which returns the share that was
+        flagged. The first one compiles.
+    """
     batch = VectorEnvironment(env)
     params = env.default_params()
-    mesh = device_mesh(jax.devices())
+    mesh = device_mesh(devices)
     spread, whole = PartitionSpec(DEVICE_AXIS), PartitionSpec()
-    steps = max(1, round(MOTION / env.control_period / envs_per_core))
+    steps = max(1, round(MOTION / env.control_period / envs_per_device))
 
     @jax.jit
     @partial(
@@ -85,7 +113,7 @@ def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
     )
     def play(
         state: VectorState, params: Any
-    ) -> tuple[VectorState, Float[Array, " cores"]]:
+    ) -> tuple[VectorState, Float[Array, " devices"]]:
         def step(state: VectorState, _: None) -> tuple[VectorState, Array]:
             draw = jax.vmap(
                 lambda key, tick: jax.random.uniform(
@@ -98,25 +126,16 @@ def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
         state, flagged = jax.lax.scan(step, state, length=steps)
         return state, jnp.mean(flagged)[None]
 
-    num_envs = envs_per_core * jax.device_count()
+    num_envs = envs_per_device * len(devices)
     state = batch.reset(jax.random.key(0), num_envs, params, spread_phases=True)
-    state = place(state, spread, mesh)
-    shares: list[float] = []
+    state, params = place(state, spread, mesh), place(params, whole, mesh)
 
-    def timed() -> float:
+    def call() -> float:
         nonlocal state
-        start = time.perf_counter()
         state, flagged = jax.block_until_ready(play(state, params))
-        wall = time.perf_counter() - start
-        shares.append(float(jnp.mean(flagged)))
-        return wall
+        return float(jnp.mean(flagged))
 
-    timed()
-    calls = max(1, round(WINDOW_SECONDS / timed()))
-    wall = statistics.median(
-        sum(timed() for _ in range(calls)) / calls for _ in range(WINDOWS)
-    )
-    return steps * num_envs / wall, statistics.mean(shares)
+    return steps * num_envs, call
 
 
 def main(names: list[str]) -> int:

@@ -58,10 +58,6 @@ def compile_updates(
 ) -> Callable[[Any, int], tuple[Any, Metrics]]:
     """Compiles up to `capacity` updates into one program.
 
-    Every device runs its share of the environments and of every minibatch; only
-    gradients and a few averages are exchanged. How many updates to do is an
-    argument of the program, so a shorter last chunk compiles nothing.
-
     Args:
         algorithm: the learner.
         state: a train state, placed on the mesh; it is not changed here.
@@ -71,6 +67,23 @@ def compile_updates(
     Returns:
         `(state, count) -> (state, metrics)`. The state given is consumed. The
         metrics have a leading axis of `capacity`, valid up to `count`.
+    """
+    compiled = lower_updates(algorithm, state, capacity, mesh).compile()
+
+    def run(state: Any, count: int) -> tuple[Any, Metrics]:
+        return compiled(state, place(np.int32(count), PartitionSpec(), mesh))
+
+    return run
+
+
+def lower_updates(
+    algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
+) -> jax.stages.Lowered:
+    """The program that `compile_updates` compiles, with its arguments.
+
+    Every device runs its share of the environments and of every minibatch; only
+    gradients and a few averages are exchanged. How many updates to do is an
+    argument of the program, so a shorter last chunk compiles nothing.
     """
     specs = partition_of(algorithm, state)
     # Without a partition there is one device, and nothing to average over.
@@ -103,13 +116,7 @@ def compile_updates(
         check_vma=False,
     )
     count = jax.ShapeDtypeStruct((), jnp.int32)
-    lowered = jax.jit(program, donate_argnums=0).lower(state, count)
-    compiled = lowered.compile()
-
-    def run(state: Any, count: int) -> tuple[Any, Metrics]:
-        return compiled(state, place(np.int32(count), PartitionSpec(), mesh))
-
-    return run
+    return jax.jit(program, donate_argnums=0).lower(state, count)
 
 
 def _is_spec(leaf: Any) -> bool:
