@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
 def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) -> None:
     """Prints what would run, and for how long as far as is known."""
     from benchmarks.paper.running import changed_since
-    from benchmarks.paper.view import against, duration
+    from jaxrod.cli.sweeps.view import duration
 
     rows = []
     for cell in cells:
@@ -175,7 +175,7 @@ def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) ->
         time = "not measured" if known is None else duration(known)
         print(
             f"{row['cell']:<{width}}  {row['status']:<8}  {row['steps']:>10,} steps  "
-            f"{time:<12}{against(cell)}  {' '.join(row['changed'])}".rstrip()
+            f"{time:<12}{cell.beside}  {' '.join(row['changed'])}".rstrip()
         )
     changed = sum(row["status"] == "changed" for row in rows)
     if changed:

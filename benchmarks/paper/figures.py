@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
-import numpy as np
 
 from benchmarks.paper.records import Record, Records
 from jaxrod.cli.runs import paper_result
-from jaxrod.files import write_atomically
-from jaxrod.viz.curves import FilePath, common_steps, read_curve
-from jaxrod.viz.matplotlib_needed import need_matplotlib
-from jaxrod.viz.paper import PaperResult
-
-_COLOURS = {
-    "PPO": "#2563c9",
-    "TRPO": "#b45309",
-    "SAC": "#15803d",
-    "TD3": "#a21caf",
-    "DDPG": "#5a6676",
-}
+from jaxrod.viz.grid_curves import grid_curves
 
 
 def draw_figures(records: Records) -> None:
@@ -47,85 +31,3 @@ def draw_figures(records: Records) -> None:
         except ModuleNotFoundError as missing:
             if missing.name != "matplotlib":
                 raise
-
-
-def grid_curves(
-    curves: Mapping[str, Sequence[FilePath]],
-    papers: Mapping[str, PaperResult | None],
-    out: FilePath,
-    *,
-    title: str = "",
-) -> None:
-    """Draws a case into a PNG file: return against steps and against wall-clock.
-
-    Left, return over control steps: the mean over seeds and, shaded, its standard
-    deviation; across it, dashed, the paper's final scores in bands of their spread over
-    its seeds. Right, the same over wall-clock time, with the paper's at their hours.
-
-    Args:
-        curves: for every algorithm, such as "PPO", the curve of every seed: a CSV file
-            with the columns env_steps, wall_s [s] and episode_return_mean.
-        papers: the paper's result with it; None or missing where nothing compares.
-        out: the PNG file to write; its folder must exist.
-        title: heading of the picture.
-
-    Raises:
-        ValueError: a file lacks the columns or has no finished episode.
-    """
-    need_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import (
-        EngFormatter,
-        LogLocator,
-        NullFormatter,
-        StrMethodFormatter,
-    )
-
-    figure = Figure(figsize=(11, 4.8), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    steps_axes, clock_axes = np.ravel(
-        np.asarray(figure.subplots(1, 2, sharey=True), dtype=object)
-    )
-    runs = {
-        name: [read_curve(Path(f)) for f in files] for name, files in curves.items()
-    }
-    last = max(run.steps[-1] for some in runs.values() for run in some)
-    for name, some in runs.items():
-        colour = _COLOURS.get(name, "#334155")
-        steps = common_steps(some)
-        values = np.array([np.interp(steps, r.steps, r.returns) for r in some])
-        wall = np.mean([np.interp(steps, r.steps, r.wall) for r in some], axis=0)
-        mean, spread = values.mean(0), values.std(0)
-        for axes, across in ((steps_axes, steps), (clock_axes, wall / 3600)):
-            axes.plot(across, mean, color=colour, linewidth=2, label=name)
-            axes.fill_between(
-                across, mean - spread, mean + spread, color=colour, alpha=0.18, lw=0
-            )
-        paper = papers.get(name)
-        if paper is not None:
-            score, error = paper.final_mean, paper.final_std
-            steps_axes.axhspan(score - error, score + error, color=colour, alpha=0.08)
-            steps_axes.axhline(score, color=colour, linewidth=1, linestyle="--")
-            clock_axes.errorbar(
-                paper.wall_hours, score, error, color=colour, marker="D", capsize=3
-            )
-    steps_axes.set_xlim(0, last)
-    dashed = " (dashed: the paper's final scores)" if any(papers.values()) else ""
-    steps_axes.set_xlabel(f"control steps{dashed}")
-    steps_axes.set_ylabel("episode return")
-    steps_axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
-    clock_axes.set_xscale("log")
-    clock_axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    clock_axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    clock_axes.xaxis.set_minor_formatter(NullFormatter())
-    clock_axes.set_xlabel("wall-clock time [h]")
-    for axes in (steps_axes, clock_axes):
-        axes.grid(color="#d5dbe4", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    steps_axes.legend(loc="best", frameon=True, edgecolor="none", fontsize=8)
-    if title:
-        figure.suptitle(title, fontsize=12, fontweight="bold")
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Description": title})
-    write_atomically(out, picture.getvalue())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from benchmarks.paper.settings import GRID, planned
 from jaxrod.cli.runs import PAPER_CASES, paper_result
+from jaxrod.cli.settings import word_of
 
 if TYPE_CHECKING:
     from jaxrod.viz import PaperResult
@@ -61,6 +62,11 @@ class Cell:
     def paper(self) -> PaperResult | None:
         """What the paper reached; None where scores do not compare."""
         return paper_result(self.config)
+
+    @property
+    def beside(self) -> str:
+        """The paper's score in words; empty where there is none."""
+        return f"  paper {self.paper.final_mean:,.0f}" if self.paper else ""
 
     def command(self, out: Path) -> list[str]:
         """The words that run it, after `jaxrod`."""
@@ -147,7 +153,7 @@ def _cell(
         variant=variant,
         seed=seed,
         steps=cell_plan.steps,
-        changed=tuple(f"{name}={_word(value)}" for name, value in different.items()),
+        changed=tuple(f"{name}={word_of(value)}" for name, value in different.items()),
         settings=recorded(config),
     )
     per_update = learner.steps_per_update(config)
@@ -174,10 +180,3 @@ def _task(word: str) -> str:
 
 def _unique(values: Sequence[Any]) -> list[Any]:
     return list(dict.fromkeys(values))
-
-
-def _word(value: Any) -> str:
-    """A value as `jaxrod train --set` reads it."""
-    if isinstance(value, tuple):
-        return ",".join(map(str, value))
-    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -12,13 +12,13 @@ it.
 from __future__ import annotations
 
 import csv
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.paper.plan import Cell
+from jaxrod.cli.sweeps.results import csv_of
 from jaxrod.files import write_atomically
 
 COLUMNS = (
@@ -88,7 +88,7 @@ class Records:
         for folder in ("cells", "curves"):
             (self.out / folder).mkdir(parents=True, exist_ok=True)
         rows = [{k: row[k] for k in CURVE} for row in thinned(progress)]
-        write_atomically(self.curve(name), _csv(CURVE, rows))
+        write_atomically(self.curve(name), csv_of(CURVE, rows))
         text = json.dumps(record, indent=2, allow_nan=False) + "\n"
         write_atomically(self.out / "cells" / f"{name}.json", text.encode())
         self._records[name] = record
@@ -100,7 +100,7 @@ class Records:
         for record in self:
             row = _row(record)
             rows[_key(row)] = row
-        content = _csv(COLUMNS, [rows[key] for key in sorted(rows)])
+        content = csv_of(COLUMNS, [rows[key] for key in sorted(rows)])
         write_atomically(self.out / "results.csv", content)
 
     def _stored_rows(self) -> dict[tuple[str, str, str, int], dict[str, str]]:
@@ -134,11 +134,3 @@ def _row(record: Record) -> dict[str, str]:
 
 def _key(row: Mapping[str, str]) -> tuple[str, str, str, int]:
     return row["case"], row["algorithm"], row["variant"], int(row["seed"])
-
-
-def _csv(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode()

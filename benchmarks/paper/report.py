@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import fmean
 
 from benchmarks.paper.records import Record
-from benchmarks.paper.view import duration
 from jaxrod.cli.runs import paper_result
+from jaxrod.cli.sweeps.view import duration
 from jaxrod.files import write_atomically
 
 _HEADS = (

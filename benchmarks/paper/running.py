@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shlex
 import shutil
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
-from benchmarks.paper import process
 from benchmarks.paper.figures import draw_figures
 from benchmarks.paper.plan import Cell
 from benchmarks.paper.records import Record, Records
 from benchmarks.paper.report import write_report
-from benchmarks.paper.view import GridView
+from jaxrod.cli.sweeps.planned import differs
+from jaxrod.cli.sweeps.process import (
+    Ended,
+    ThisMachine,
+    last_row,
+    log_of,
+    wait_for,
+)
+from jaxrod.cli.sweeps.running import train_all
+from jaxrod.cli.sweeps.view import RunsView
 from jaxrod.installation.machine import processor
 from jaxrod.training import RunFolder, find_algorithm
-from jaxrod.training.runs.folder import differences
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.lock import only_process
 from jaxrod.training.runs.recorded_settings import recorded
@@ -27,8 +32,6 @@ CHECKPOINT_SECONDS = 300
 """Time between checkpoints [s]: off-policy learners save all that they remember."""
 DIVERGED = 1
 """Exit code of `jaxrod train` when learning diverged."""
-
-_UNASKED = ("score_window",)
 
 
 def run_grid(
@@ -63,7 +66,7 @@ def run_grid(
                     "run such cells again with --overwrite, or choose another folder "
                     "with --out"
                 )
-    view = GridView(cells, stream)
+    view = RunsView(cells, stream)
     with only_process(records.out / "runs"):
         (records.out / "runs" / ".gitignore").write_text("*\n")
         waiting = []
@@ -75,10 +78,25 @@ def run_grid(
                 _show(view, cell, record, quiet=True)
         failed = [c for c in cells if (r := records.get(c)) and r["error"]]
         broken = [cell for cell in failed if cell not in waiting]
-        process.wait_for((_folder(cell, records) for cell in waiting), view.say)
+        folders = {cell.name: _folder(cell, records) for cell in waiting}
+        wait_for(folders.values(), view.say)
+        for cell in list(waiting):
+            folder = folders[cell.name]
+            if _ready(cell, folder):
+                waiting.remove(cell)
+                _record(cell, folder, records, folder.summary(), None)
+                _show(view, cell, folder.summary())
         with Interruption(view.say) as interruption:
-            for cell, good in _run(waiting, records, view, interruption, jobs):
-                if not good:
+            for cell, ended in train_all(
+                waiting,
+                lambda cell: folders[cell.name],
+                ThisMachine(jobs),
+                view,
+                interruption,
+                ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"],
+            ):
+                stopped = interruption.asked
+                if not _ended(cell, folders[cell.name], ended, records, view, stopped):
                     broken.append(cell)
         if interruption.asked:
             view.say("stopped; the same command goes on")
@@ -91,10 +109,8 @@ def changed_since(cell: Cell, records: Records) -> list[str]:
     record = records.get(cell)
     folder = _folder(cell, records)
     if record is not None:
-        return differences(_completed(record["config"]), cell.config, _UNASKED)
-    if folder.exists:
-        return differences(folder.config(), cell.config, _UNASKED)
-    return []
+        return differs(cell, folder, _completed(record["config"]))
+    return differs(cell, folder)
 
 
 def _completed(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,113 +122,34 @@ def _completed(config: Mapping[str, Any]) -> dict[str, Any]:
     return {**config, "settings": {**recorded(default), **config["settings"]}}
 
 
-@dataclasses.dataclass
-class _Running:
-    """A cell whose process runs, on its share of the cores."""
-
-    cell: Cell
-    folder: RunFolder
-    child: process.Child
-    cores: tuple[int, ...]
-
-
-def _run(
-    waiting: list[Cell],
-    records: Records,
-    view: GridView,
-    interruption: Interruption,
-    jobs: int,
-) -> Iterator[tuple[Cell, bool]]:
-    """Runs cells to their ends; yields each as it ends, and whether it is sound."""
-    waiting, told = list(waiting), False
-    running: list[_Running] = []
-    idle = process.shares(jobs)
-    try:
-        while running or (waiting and not interruption.asked):
-            while waiting and idle and not interruption.asked:
-                cell = waiting.pop(0)
-                folder = _folder(cell, records)
-                if _ready(cell, folder):
-                    yield cell, _ended(cell, folder, 0, records, view, False)
-                    continue
-                child = _start(cell, folder, view, idle[0])
-                running.append(_Running(cell, folder, child, idle.pop(0)))
-            if interruption.asked and not told:
-                told = True
-                for run in running:
-                    run.child.stop()
-            for run in list(running):
-                code = run.child.code()
-                if code is None:
-                    _look(run, view)
-                    continue
-                run.child.end()
-                running.remove(run)
-                idle.append(run.cores)
-                stopped = interruption.asked
-                yield (
-                    run.cell,
-                    _ended(run.cell, run.folder, code, records, view, stopped),
-                )
-            time.sleep(process.POLL_SECONDS)
-    finally:
-        for run in running:
-            run.child.end()
-
-
 def _ready(cell: Cell, folder: RunFolder) -> bool:
     """Whether it has run to its end before, but was not recorded."""
-    if folder.exists and differences(folder.config(), cell.config, _UNASKED):
+    if differs(cell, folder):
         # Otherwise the summary of the run before could be taken for this one's.
         folder.clear()
     return folder.finished
 
 
-def _start(
-    cell: Cell, folder: RunFolder, view: GridView, cores: tuple[int, ...]
-) -> process.Child:
-    """Starts a cell, or goes on with it from wherever it is."""
-    row = process.last_row(folder)
-    view.start(cell, int(row["env_steps"]) if row and folder.exists else 0)
-    words = cell.command(folder.path)
-    words += ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"]
-    if folder.exists:
-        words.append("--resume")
-    return process.Child(words, _log(folder), cores)
-
-
-def _look(run: _Running, view: GridView) -> None:
-    """Shows how far a cell is."""
-    row = process.last_row(run.folder)
-    if row:
-        score = row["episode_return_mean"]
-        view.running(run.cell, int(row["env_steps"]), float(score) if score else None)
-
-
 def _ended(
     cell: Cell,
     folder: RunFolder,
-    code: int,
+    ended: Ended,
     records: Records,
-    view: GridView,
+    view: RunsView,
     stopped: bool,
 ) -> bool:
     """Records a cell whose process has ended; whether the cell is not broken."""
-    row = process.last_row(folder)
+    row = last_row(folder)
     if folder.finished:
         _record(cell, folder, records, folder.summary(), None)
-    elif code == DIVERGED and not stopped:
-        said = process.last_words(_log(folder))
-        _record(cell, folder, records, _so_far(row or {}), said)
+    elif ended.code == DIVERGED and not stopped:
+        _record(cell, folder, records, _so_far(row or {}), ended.said)
     elif stopped:
         view.stopped(cell, int(row["env_steps"]) if row else 0)
         return True
     else:
         # Not recorded: the next call tries again, from the last checkpoint.
-        how = f"killed by signal {-code}"
-        if code >= 0:
-            how = process.last_words(_log(folder))
-        view.failed(cell, f"{how} (see {_log(folder)})")
+        view.failed(cell, f"{ended.said} (see {log_of(folder)})")
         return False
     record = records.get(cell)
     assert record is not None
@@ -223,11 +160,6 @@ def _ended(
 def _folder(cell: Cell, records: Records) -> RunFolder:
     """Where a cell is trained."""
     return RunFolder(records.out / "runs" / cell.name)
-
-
-def _log(folder: RunFolder) -> Path:
-    """What the process of a cell said."""
-    return folder.path.with_suffix(".log")
 
 
 def _record(
@@ -271,8 +203,8 @@ def _so_far(row: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def _show(view: GridView, cell: Cell, record: Record, quiet: bool = False) -> None:
-    if record["error"]:
+def _show(view: RunsView, cell: Cell, record: Record, quiet: bool = False) -> None:
+    if record.get("error"):
         view.failed(cell, record["error"], quiet)
     else:
-        view.done(cell, record["final_score"], record["wall_s"], quiet)
+        view.done(cell, record, quiet)

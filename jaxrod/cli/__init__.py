@@ -36,6 +36,7 @@ from jaxrod.installation.jax_version import UnsoundJaxError
 
 COMMANDS = {
     "train": "train a policy on a task",
+    "sweep": "train many: tasks, algorithms, settings, seeds",
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
     "optimise": "find actuation by gradients through the simulation",
@@ -52,6 +53,7 @@ EXTRAS = {
     "matplotlib": "viz",
     "gymnasium": "gym",
     "brax": "brax",
+    "ray": "ray",
 }
 
 BROKEN = 70

@@ -65,6 +65,13 @@ def _parse(name: str, text: str, default: Any) -> Any:
         raise ValueError(f"{name} must be {wanted}, got {text!r:.60}") from error
 
 
+def word_of(value: Any) -> str:
+    """A value as `--set` reads it; not of a function."""
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def options(words: Sequence[str]) -> dict[str, Any]:
     """Options of a task from NAME=VALUE words.
 

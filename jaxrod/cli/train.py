@@ -212,7 +212,7 @@ def run(args: argparse.Namespace) -> int:
     config = settings.configure(config, {}, words)
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     # Before somebody's own task is imported, which may compute at once.
-    jaxrod.configure_cpu(_share(wanted, args.devices, available=None))
+    jaxrod.configure_cpu(devices_that_fit(wanted, args.devices, available=None))
     processes = (args.coordinator, args.processes, args.process_id)
     if args.distributed:
         join_processes(*processes)
@@ -246,7 +246,7 @@ def run(args: argparse.Namespace) -> int:
         check_environment(env)
     devices = jax.devices()
     if not args.distributed:
-        share = _share(wanted, args.devices, len(devices))
+        share = devices_that_fit(wanted, args.devices, len(devices))
         if share > len(devices):
             raise ValueError(
                 f"devices must be at most the {len(devices)} there are, got {share}"
@@ -344,10 +344,9 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
         return args.out
     # An import path is no name of a folder everywhere.
     algorithm = (args.algorithm or "ppo").replace(":", "-")
-    words = [args.task, variant, algorithm, str(args.seed or 0)]
+    words = [short_name(args.task), variant, algorithm, str(args.seed or 0)]
     if args.task not in envs.names():
-        place, _, name = args.task.rpartition(":")
-        words[:2] = [f"{Path(place.removesuffix('.py')).name}-{name}", args.variant]
+        words[1] = args.variant
     elif args.resume and variant is None:
         words[1] = args.variant or _default_variant(args.task)
     if args.controls is not None:
@@ -355,6 +354,12 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
     if args.nest not in (None, PUBLISHED):
         words.insert(2, f"nest-{args.nest}")
     return Path("runs") / "-".join(word for word in words if word)
+
+
+def short_name(task: str) -> str:
+    """A task in the name of a folder; of one's own the file or module and what of it."""
+    place, colon, name = task.rpartition(":")
+    return f"{Path(place.removesuffix('.py')).name}-{name}" if colon else task
 
 
 def _nest(text: str) -> int | str:
@@ -382,7 +387,7 @@ def _chosen(
     return stored.get(name, default) if stored else default
 
 
-def _share(num_envs: int, asked: int | None, available: int | None) -> int:
+def devices_that_fit(num_envs: int, asked: int | None, available: int | None) -> int:
     """How many devices to use: those asked for, or as many as divide the batch.
 
     Args:

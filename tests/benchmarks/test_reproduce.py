@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.paper import process
 from benchmarks.paper.plan import plan
 from benchmarks.paper.records import COLUMNS
 from jaxrod import __version__
+from jaxrod.cli.sweeps import process
 from jaxrod.training.runs.lock import only_process
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the

@@ -98,7 +98,7 @@ def train(
         chunk_steps=chunk_steps,
     )
     settings = {} if out is None else recorded(config)
-    asked = _describe(env, name, settings, steps, seed, score_window)
+    asked = request(env, name, settings, steps, seed, score_window)
     if out is None and resume:
         raise ValueError("resume needs the folder of a run, got out=None")
     folder = None if out is None else RunFolder(out)
@@ -169,7 +169,7 @@ def _check_sizes(
         raise ValueError(f"chunk_steps must be at least 1, got {chunk_steps}")
 
 
-def _describe(
+def request(
     env: Environment,
     algorithm: str,
     settings: dict[str, Any],
@@ -177,7 +177,7 @@ def _describe(
     seed: int,
     score_window: int,
 ) -> dict[str, Any]:
-    """The request, as `config.json` keeps it."""
+    """What is asked for, as `config.json` keeps it."""
     return {
         **_origin(env),
         "algorithm": algorithm,

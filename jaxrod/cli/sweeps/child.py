@@ -38,6 +38,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    # The package of this checkout, wherever the command was started.
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    # This package, wherever the command was started.
+    sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
     sys.exit(main())

@@ -1,18 +1,19 @@
-"""Training one cell in a process of its own, watched from here.
+"""Training one run in a process of its own, watched from here.
 
-A process per cell, because what JAX compiled and holds for one cell is of no use to
-the next and is given back only by the end of a process; and because a cell that runs
+A process per run, because what JAX compiled and holds for one run is of no use to
+the next and is given back only by the end of a process; and because a run that runs
 out of memory then takes nothing else with it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from jaxrod.training import RunFolder
@@ -20,9 +21,19 @@ from jaxrod.training.runs.lock import FolderInUseError
 
 POLL_SECONDS = 0.5
 WAIT_SECONDS = 300.0
-"""How long to wait for runs whose grid was killed to save and stop [s]."""
+"""How long to wait for runs whose sweep was killed to save and stop [s]."""
 
 LAUNCHER = (sys.executable, "-P", str(Path(__file__).with_name("child.py")))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ended:
+    """How a process ended."""
+
+    code: int
+    """Its exit code, negative for a signal."""
+    said: str
+    """The last line that it said, or what killed it."""
 
 
 def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
@@ -48,17 +59,33 @@ def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
 
 
 class Child:
-    """`jaxrod WORDS` in a process of its own, beside others."""
+    """`jaxrod train` of one run in a process of its own, beside others."""
 
-    def __init__(self, words: Sequence[str], log: Path, cores: Collection[int]) -> None:
-        """Starts it.
+    begun = True
+    """Whether it has started."""
+
+    def __init__(
+        self,
+        words: Sequence[str],
+        folder: RunFolder,
+        cores: Collection[int] = (),
+        *,
+        cwd: str | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Starts it; it goes on with what there is in the folder.
 
         Args:
-            words: the command.
-            log: file that what it says is added to.
+            words: the command, after `jaxrod`.
+            folder: of the run.
             cores: the processor's cores it may use; all if empty.
+            cwd: folder in which it runs, None for this one.
+            environment: its variables, None for those of this process.
         """
-        with log.open("a", encoding="utf-8") as said:
+        self.cores = tuple(cores)
+        self._log = log_of(folder)
+        words = [*words, "--resume"] if folder.exists else words
+        with self._log.open("a", encoding="utf-8") as said:
             said.write(f"$ jaxrod {shlex.join(words)}\n")
             said.flush()
             # A session of its own: the terminal's Ctrl-C must come from here, once.
@@ -68,14 +95,20 @@ class Child:
                 stdout=said,
                 stderr=said,
                 start_new_session=True,
+                cwd=cwd,
+                env=environment,
             )
         if cores:
             # Python takes longer to start than this: JAX will see these cores only.
             os.sched_setaffinity(self._process.pid, cores)
 
-    def code(self) -> int | None:
-        """Its exit code, negative for a signal; None while it runs."""
-        return self._process.poll()
+    def ended(self) -> Ended | None:
+        """How it ended; None while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return None
+        said = last_words(self._log) if code >= 0 else f"killed by signal {-code}"
+        return Ended(code, said)
 
     def stop(self) -> None:
         """Lets it save and stop."""
@@ -90,7 +123,38 @@ class Child:
         self._process.wait()
 
 
-def shares(jobs: int) -> list[tuple[int, ...]]:
+class ThisMachine:
+    """Trains a few runs side by side, each on its share of the cores."""
+
+    def __init__(self, jobs: int) -> None:
+        """Deals out the cores.
+
+        Args:
+            jobs: how many runs are trained side by side.
+
+        Raises:
+            ValueError: there is no room for any.
+        """
+        if jobs < 1:
+            raise ValueError(f"jobs must be at least 1, got {jobs}")
+        self.poll_seconds = POLL_SECONDS
+        self._idle = _shares(jobs)
+
+    @property
+    def room(self) -> bool:
+        """Whether another run may start."""
+        return bool(self._idle)
+
+    def start(self, words: Sequence[str], folder: RunFolder) -> Child:
+        """Starts a run, or goes on with it from wherever it is."""
+        return Child(words, folder, self._idle.pop(0))
+
+    def leave(self, child: Child) -> None:
+        """Takes back the cores of a run that has ended."""
+        self._idle.append(child.cores)
+
+
+def _shares(jobs: int) -> list[tuple[int, ...]]:
     """The cores of this process, dealt out to so many jobs.
 
     One job has them all without being told; so has every job where the system
@@ -101,6 +165,12 @@ def shares(jobs: int) -> list[tuple[int, ...]]:
     cores = sorted(os.sched_getaffinity(0))
     each = len(cores) // jobs
     return [tuple(cores[k * each : (k + 1) * each]) for k in range(jobs)]
+
+
+def log_of(folder: RunFolder) -> Path:
+    """What the process of a run said, beside its folder."""
+    # Not `with_suffix`: names hold numbers such as 0.001.
+    return folder.path.parent / f"{folder.path.name}.log"
 
 
 def last_words(log: Path) -> str:

@@ -1,0 +1,271 @@
+"""Train many policies: every combination of tasks, algorithms, settings and seeds.
+
+Each combination is one run, as of `jaxrod train`, in a process and a folder of its own
+under DIR. They are trained here, one after the other on all cores or with --jobs a few
+side by side, each on its share of them; or with --ray on the machines of a Ray cluster
+(docs/sweeps.md). Ctrl-C saves and stops; the same command goes on, after a kill too,
+and leaves what is finished. A run that fails is told of, others go on, and the next
+call tries it again from its last checkpoint.
+
+`--set NAME=VALUE,VALUE` has alternatives of a setting; those of a tuple are given one
+by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`.
+
+DIR gets results.csv (a row per run), a picture per task (means and spreads over seeds),
+and a folder and a log of every run, which is named after what was chosen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxrod.cli import settings
+from jaxrod.cli.train import STEPS
+
+if TYPE_CHECKING:
+    from jaxrod.cli.sweeps.plan import SweepRun
+    from jaxrod.training import RunFolder
+
+EXAMPLES = """\
+examples:
+  jaxrod sweep tracking reaching --algorithms ppo sac --out runs/grid --dry-run
+  jaxrod sweep tracking --variant clean --seeds 0 1 2 3 4 --steps 5M --out runs/five
+  jaxrod sweep tracking --set learning_rate=1e-3,3e-4 num_envs=64,256 --out runs/rates
+  jaxrod sweep trivial --steps 20k --set num_envs=8 --jobs 2 --out runs/small
+  jaxrod sweep mypackage.mymodule:make_task --option height=0.6 --out runs/mine
+  jaxrod sweep tracking --seeds 0 1 2 --out /shared/grid --ray 10.0.0.1:6379 --cpus 4
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod sweep`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument("tasks", metavar="TASK", nargs="+", help="as of `jaxrod train`")
+    parser.add_argument(
+        "--algorithms",
+        nargs="+",
+        default=["ppo"],
+        metavar="NAME",
+        help="as of `jaxrod train` (default: ppo)",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs="+",
+        default=[0, 1, 2],
+        metavar="N",
+        help="(default: 0 1 2)",
+    )
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE,...",
+        help="alternatives of a setting of all the algorithms",
+    )
+    parser.add_argument("--variant", help="of the tasks (default: the first each has)")
+    parser.add_argument(
+        "--option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an option of all the tasks; may be given several times",
+    )
+    parser.add_argument(
+        "--steps",
+        type=settings.count,
+        default=STEPS,
+        metavar="N",
+        help="control steps of every run, such as 500k or 10M (default: 10M)",
+    )
+    parser.add_argument(
+        "--out",
+        type=settings.path,
+        required=True,
+        metavar="DIR",
+        help="folder of the sweep; with --ray on a file system that all nodes share",
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs",
+        type=settings.count,
+        default=1,
+        metavar="N",
+        help="runs side by side, each on its share of the cores (default: 1)",
+    )
+    where.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="train on the Ray cluster whose head is at HOST:PORT, or auto on one of "
+        'its nodes; needs pip install "jaxrod[ray]" on all',
+    )
+    parser.add_argument(
+        "--cpus",
+        type=settings.count,
+        metavar="N",
+        help="with --ray: processor cores of every run (default: 1)",
+    )
+    parser.add_argument(
+        "--gpus",
+        type=float,
+        metavar="N",
+        help="with --ray: GPUs of every run, such as 1 or 0.25 (default: 0)",
+    )
+    parser.add_argument(
+        "--checkpoint-seconds",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="time between checkpoints of a run (default: 60)",
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="list the runs, and train nothing"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the rows of results.csv as JSON"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Trains what is unfinished, or lists it."""
+    import jax
+
+    from jaxrod.cli.sweeps.plan import plan
+    from jaxrod.cli.sweeps.results import Results
+
+    # Runs are planned here and trained elsewhere: no GPU's memory is to be taken.
+    jax.config.update("jax_platforms", "cpu")
+    if args.ray is None and (args.cpus, args.gpus) != (None, None):
+        raise ValueError("--cpus and --gpus go with --ray")
+    if not args.checkpoint_seconds >= 0:
+        raise ValueError(
+            f"checkpoint-seconds must not be negative, got {args.checkpoint_seconds} s"
+        )
+    cores = None if args.ray is None or args.gpus else args.cpus or 1
+    runs = plan(
+        args.tasks,
+        args.algorithms,
+        args.seeds,
+        steps=args.steps,
+        variant=args.variant,
+        options=args.option,
+        sets=args.set,
+        cores=cores,
+    )
+    out = args.out.resolve()
+    _check_folders(runs, out)
+    if args.dry_run:
+        results, code, drawn = Results(runs, out), 0, []
+    else:
+        with _place(args) as place:
+            words = ["--checkpoint-seconds", str(args.checkpoint_seconds)]
+            code = _train(runs, out, place, [*words, "--no-replay"])
+        results = Results(runs, out)
+        drawn = results.draw()
+    if args.json:
+        rows = [
+            {k: None if v != v else v for k, v in row.items()} for row in results.rows
+        ]
+        print(json.dumps(rows, indent=2))
+    elif args.dry_run:
+        for row in results.rows:
+            print(f"{row['state']:<10}  {row['run']}")
+    else:
+        for file in (out / "results.csv", *drawn):
+            print(file)
+    return code
+
+
+@contextmanager
+def _place(args: argparse.Namespace) -> Iterator[Any]:
+    """Where the runs are trained."""
+    if args.ray is None:
+        from jaxrod.cli.sweeps.process import ThisMachine
+
+        yield ThisMachine(args.jobs)
+    else:
+        from jaxrod.cli.sweeps.on_ray import cluster
+
+        with cluster(args.ray, args.cpus or 1, args.gpus or 0.0) as connected:
+            yield connected
+
+
+def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
+    """Raises ValueError where a run cannot be begun or gone on with."""
+    from jaxrod.cli.sweeps.planned import differs
+
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"out must be a folder, {out} is a file")
+    for run in runs:
+        folder = _folder(run, out)
+        folder.check_replaceable()
+        how = differs(run, folder)
+        if how:
+            raise ValueError(
+                f"{folder.path} was run otherwise: {', '.join(how)}; take it away, or "
+                "choose another folder with --out"
+            )
+
+
+def _train(runs: Sequence[SweepRun], out: Path, place: Any, more: list[str]) -> int:
+    """Trains what is unfinished; returns the exit code.
+
+    Returns:
+        0 all runs came to their ends, 1 some failed, 130 interrupted.
+    """
+    from jaxrod.cli.sweeps.process import last_row, log_of, wait_for
+    from jaxrod.cli.sweeps.results import Results
+    from jaxrod.cli.sweeps.running import train_all
+    from jaxrod.cli.sweeps.view import RunsView
+    from jaxrod.training.runs.interruption import Interruption
+    from jaxrod.training.runs.lock import only_process
+
+    folders = {run.name: _folder(run, out) for run in runs}
+    with only_process(out):
+        view = RunsView(runs, sys.stderr)
+        wait_for(folders.values(), view.say)
+        results = Results(runs, out)
+        results.write()
+        waiting, failed = [], 0
+        for run, row in zip(runs, results.rows, strict=True):
+            if row["state"] == "finished":
+                view.done(run, folders[run.name].summary(), quiet=True)
+            else:
+                waiting.append(run)
+        with Interruption(view.say) as interruption:
+            for run, ended in train_all(
+                waiting,
+                lambda run: folders[run.name],
+                place,
+                view,
+                interruption,
+                more,
+            ):
+                folder = folders[run.name]
+                if folder.finished:
+                    results.update(run)
+                    view.done(run, folder.summary(), quiet=False)
+                elif interruption.asked:
+                    results.update(run)
+                    reached = last_row(folder)
+                    view.stopped(run, int(reached["env_steps"]) if reached else 0)
+                else:
+                    failed += 1
+                    results.update(run, ended.said or f"exit code {ended.code}")
+                    view.failed(run, f"{ended.said} (see {log_of(folder)})")
+    if interruption.asked:
+        view.say("stopped; the same command goes on")
+        return 130
+    return 1 if failed else 0
+
+
+def _folder(run: SweepRun, out: Path) -> RunFolder:
+    from jaxrod.training import RunFolder
+
+    return RunFolder(out / run.name)

@@ -1,0 +1,202 @@
+"""Runs as tasks of a Ray cluster: it finds room for them, and tries again elsewhere.
+
+Each task starts the process of its run and waits for it. All that is kept of a run is
+in its folder, on a file system that the nodes share, so that a task which is tried
+again, on whatever node, goes on from the last checkpoint.
+
+A run has one writer. Its process holds the lock of the folder
+(`jaxrod.training.runs.lock`) and ends when its task does, whose end of a pipe it
+watches; a task that is tried again while the process of the first still lives waits
+until the lock is free.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from jaxrod.cli.sweeps import process
+from jaxrod.cli.sweeps.process import Child, Ended, log_of, wait_for
+from jaxrod.training import RunFolder
+from jaxrod.training.runs.lock import FolderInUseError
+
+RETRIES = 10
+"""How often a run is tried again whose node or worker died."""
+POLL_SECONDS = 2.0
+SEEN_SECONDS = 90.0
+"""How long a network file system may take to show here what a node has written [s]."""
+
+_PASSED_ON = ("PYTHONPATH", "JAX_", "JAXROD_", "XLA_")
+"""Beginnings of the variables of the environment that every run gets from here."""
+
+
+class RayTask:
+    """A run that Ray trains somewhere."""
+
+    def __init__(self, reference: Any, folder: RunFolder) -> None:
+        """Knows the task by its result, which is not there yet."""
+        self._reference, self._folder = reference, folder
+        self._said_before = _size(log_of(folder))
+        self._returned = 0.0
+
+    @property
+    def begun(self) -> bool:
+        """Whether a process trains it by now: its log has grown."""
+        return _size(log_of(self._folder)) > self._said_before
+
+    def ended(self) -> Ended | None:
+        """How it ended; None while it has not, or what it left is not seen here."""
+        import ray
+
+        if not ray.wait([self._reference], timeout=0)[0]:
+            return None
+        self._returned = self._returned or time.monotonic()
+        try:
+            ended: Ended = ray.get(self._reference)
+        except ray.exceptions.TaskCancelledError:
+            return Ended(130, "stopped")
+        except ray.exceptions.RayError as error:
+            return Ended(1, " ".join(str(error).split())[:300])
+        if ended.code == 0 and not self._folder.finished:
+            if time.monotonic() - self._returned < SEEN_SECONDS:
+                return None
+            return Ended(
+                2,
+                f"it ended well, but {self._folder.path} does not show it here: with "
+                "--ray all nodes must share the folder of the sweep",
+            )
+        return ended
+
+    def stop(self) -> None:
+        """Lets it save and stop."""
+        import ray
+
+        ray.cancel(self._reference)
+
+    def end(self) -> None:
+        """Ends its task at once, if it has not ended."""
+        import ray
+
+        ray.cancel(self._reference, force=True)
+
+
+class RayCluster:
+    """Hands all runs to Ray, which trains as many at once as it has room for."""
+
+    poll_seconds = POLL_SECONDS
+    room = True
+
+    def __init__(self, cores: int, gpus: float) -> None:
+        """Describes the tasks of a cluster that is connected.
+
+        Args:
+            cores: processor cores that a run asks for.
+            gpus: GPUs that a run asks for.
+        """
+        import ray
+
+        self._train = ray.remote(num_cpus=cores, num_gpus=gpus, max_retries=RETRIES)(
+            train_here
+        )
+        self._variables = {
+            name: value
+            for name, value in os.environ.items()
+            if name.startswith(_PASSED_ON)
+        }
+        # XLA starts as many threads, on whichever cores the system gives them.
+        self._variables["NPROC"] = str(cores)
+
+    def start(self, words: Sequence[str], folder: RunFolder) -> RayTask:
+        """Takes a run."""
+        place = str(folder.path)
+        reference = self._train.remote(words, place, os.getcwd(), self._variables)
+        return RayTask(reference, folder)
+
+    def leave(self, work: RayTask) -> None:
+        """Ray knows."""
+
+
+@contextmanager
+def cluster(address: str, cores: int, gpus: float) -> Iterator[RayCluster]:
+    """Connects to a cluster for as long as the context lasts.
+
+    Args:
+        address: where its head listens, HOST:PORT, or "auto" on one of its nodes.
+        cores: processor cores that a run asks for.
+        gpus: GPUs that a run asks for.
+
+    Raises:
+        ValueError: no run could ask for so little.
+        ConnectionError: there is no cluster.
+        ModuleNotFoundError: Ray is not installed.
+    """
+    if cores < 1:
+        raise ValueError(f"cpus must be at least 1, got {cores}")
+    if not gpus >= 0:
+        raise ValueError(f"gpus must not be negative, got {gpus}")
+    import ray
+
+    ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+    try:
+        yield RayCluster(cores, gpus)
+    finally:
+        ray.shutdown()
+
+
+def train_here(
+    words: Sequence[str], place: str, cwd: str, variables: Mapping[str, str]
+) -> Ended:
+    """Trains a run on this node, from where it is, and waits for its end.
+
+    Args:
+        words: the command, after `jaxrod`.
+        place: folder of the run.
+        cwd: folder in which to run it, where a task of one's own is looked for.
+        variables: of the environment, beside those of this node.
+    """
+    import ray
+
+    folder = RunFolder(place)
+    for needed in (str(folder.path.parent), cwd):
+        if not os.path.isdir(needed):
+            return Ended(
+                2,
+                f"there is no folder {needed} on {platform.node()}: with --ray all "
+                "nodes must share the folder of the sweep and the current one",
+            )
+    log = log_of(folder)
+    _add(log, f"on {platform.node()}, node {ray.get_runtime_context().get_node_id()}")
+    try:
+        # A task that was taken for dead may have left a process that saves.
+        wait_for([folder], lambda text: _add(log, text))
+    except FolderInUseError as error:
+        return Ended(2, str(error))
+    child = Child(words, folder, cwd=cwd, environment={**os.environ, **variables})
+    try:
+        return _waited_for(child)
+    except KeyboardInterrupt:  # By `ray.cancel`.
+        child.stop()
+        _waited_for(child)
+        raise
+    finally:
+        child.end()
+
+
+def _waited_for(child: Child) -> Ended:
+    while (ended := child.ended()) is None:
+        time.sleep(process.POLL_SECONDS)
+    return ended
+
+
+def _add(log: Path, line: str) -> None:
+    with log.open("a", encoding="utf-8") as said:
+        said.write(line + "\n")
+
+
+def _size(file: Path) -> int:
+    return file.stat().st_size if file.exists() else 0

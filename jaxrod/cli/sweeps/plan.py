@@ -1,0 +1,199 @@
+"""The runs of a sweep: every combination of tasks, algorithms, settings and seeds."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxrod.cli import runs, settings
+from jaxrod.cli.settings import word_of
+from jaxrod.cli.train import devices_that_fit, short_name
+from jaxrod.envs import Environment, check_environment, names
+from jaxrod.envs.importing import spelt_out
+from jaxrod.training.runs.contract import resolve, updates_of
+from jaxrod.training.runs.loop import request
+from jaxrod.training.runs.recorded_settings import recorded
+from jaxrod.training.settings import check_steps
+from jaxrod.validation import check_count, check_seed
+
+_LONGEST = 200
+"""Characters of a name: file systems have 255, with what is put around it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepRun:
+    """One run of a sweep."""
+
+    task: str
+    """Name or import path of the task."""
+    variant: str | None
+    """Variant of the task; None where it has none."""
+    algorithm: str
+    """Name or import path of the learner."""
+    seed: int
+    """Seed of all randomness."""
+    steps: int
+    """Control steps."""
+    chosen: Mapping[str, str]
+    """Settings that were chosen, by name, as words."""
+    config: dict[str, Any]
+    """What decides how it ends, as in `config.json`."""
+    options: tuple[str, ...] = ()
+    """Words of the command that are the same in all runs."""
+    devices: int | None = None
+    """Devices of the processor to spread over; None for as many as fit."""
+
+    beside = ""
+
+    @property
+    def group(self) -> str:
+        """Runs that differ in their seeds alone: the algorithm and its settings."""
+        settings = (f"{name}={word}" for name, word in sorted(self.chosen.items()))
+        return " ".join((self.algorithm, *settings))
+
+    @property
+    def subject(self) -> str:
+        """Runs whose returns compare: the task and its variant."""
+        return _for_files(*filter(None, (short_name(self.task), self.variant)))
+
+    @property
+    def name(self) -> str:
+        """Name of its folder, such as "tracking-clean-ppo-learning_rate=0.001-0"."""
+        return _for_files(self.subject, *self.group.split(" "), str(self.seed))
+
+    def command(self, out: Path) -> list[str]:
+        """The words that run it, after `jaxrod`."""
+        words = ["train", self.task, "--algorithm", self.algorithm, *self.options]
+        words += ["--steps", str(self.steps), "--seed", str(self.seed)]
+        if self.devices is not None:
+            words += ["--devices", str(self.devices)]
+        for name, word in sorted(self.chosen.items()):
+            words += ["--set", f"{name}={word}"]
+        return [*words, "--out", str(out)]
+
+
+def plan(
+    tasks: Sequence[str],
+    algorithms: Sequence[str],
+    seeds: Sequence[int],
+    *,
+    steps: int,
+    variant: str | None = None,
+    options: Sequence[str] = (),
+    sets: Sequence[str] = (),
+    cores: int | None = None,
+) -> list[SweepRun]:
+    """Lays out a sweep, in the order in which it is run: all runs of a seed first.
+
+    Args:
+        tasks: names or import paths of tasks.
+        algorithms: names or import paths of learners.
+        seeds: seeds of every combination.
+        steps: control steps of every run.
+        variant: of the tasks, None for their own.
+        options: of the tasks, as NAME=VALUE.
+        sets: settings as NAME=VALUE,VALUE,...; several of a name are alternatives,
+            too, and of what is a tuple the only way to have any.
+        cores: cores of every run; None for those that its process finds.
+
+    Raises:
+        ValueError: something is not known or makes no sense.
+        ImportError: a task or a learner of one's own cannot be imported.
+    """
+    check_count("steps", steps, 1)
+    seeds = [check_seed(seed, "seeds") for seed in dict.fromkeys(seeds)]
+    made, words = settings.options(options), []
+    for option in options:
+        words += ["--option", option]
+    if variant is not None:
+        made["variant"] = variant
+        words += ["--variant", variant]
+    envs = {spelt_out(task): _env(task, made) for task in tasks}
+    learners = {
+        name: _configurations(name, sets, steps, cores)
+        for name in dict.fromkeys(algorithms)
+    }
+    found = [
+        SweepRun(
+            task=task,
+            variant=getattr(env, "variant", None),
+            algorithm=name,
+            seed=seed,
+            steps=steps,
+            chosen=chosen,
+            config=request(
+                env, name, recorded(config), steps, seed, runs.score_window(task)
+            ),
+            options=tuple(words),
+            devices=devices,
+        )
+        for seed in seeds
+        for task, env in envs.items()
+        for name, configurations in learners.items()
+        for chosen, config, devices in configurations
+    ]
+    _check_names(found)
+    return found
+
+
+def _env(task: str, options: Mapping[str, Any]) -> Environment:
+    env = runs.make_task(task, options)
+    if task not in names():
+        check_environment(env)
+    return env
+
+
+def _configurations(
+    name: str, sets: Sequence[str], steps: int, cores: int | None
+) -> list[tuple[dict[str, str], Any, int | None]]:
+    """What is chosen, the settings that come of it, and the devices, of a learner."""
+    learner, defaults = resolve(name, None)
+    found: list[tuple[dict[str, str], Any, int | None]] = []
+    try:
+        values = _alternatives(defaults, sets)
+        for combination in itertools.product(*values.values()):
+            chosen = dict(zip(values, combination, strict=True))
+            words = [f"{setting}={text}" for setting, text in chosen.items()]
+            config = settings.configure(defaults, {}, words)
+            spread = getattr(config, "num_envs", 1) if learner.partition else 1
+            devices = None if cores is None else devices_that_fit(spread, None, cores)
+            learner.validate(config, devices or 1)
+            check_steps(steps, updates_of(learner, config))
+            found.append((chosen, config, devices))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+    return found
+
+
+def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, None]]:
+    """The values of every setting that is given, as words, each once."""
+    values: dict[str, dict[str, None]] = {}
+    for word in sets:
+        setting, equals, text = word.partition("=")
+        # The commas of a tuple are its own.
+        whole = isinstance(getattr(defaults, setting, None), tuple)
+        for part in [text] if whole or not equals else text.split(","):
+            one = f"{setting}{equals}{part}"
+            value = getattr(settings.configure(defaults, {}, [one]), setting)
+            shown = part if callable(value) or value is None else word_of(value)
+            values.setdefault(setting, {})[shown] = None
+    return values
+
+
+def _check_names(found: Sequence[SweepRun]) -> None:
+    """Raises ValueError unless every run has a folder of its own."""
+    for name, count in Counter(run.name for run in found).items():
+        if count > 1:
+            raise ValueError(f"{count} of the runs would have the same folder, {name}")
+        if len(name) > _LONGEST:
+            raise ValueError(f"{name} is too long for the name of a folder")
+
+
+def _for_files(*words: str) -> str:
+    """Words as one name that every file system takes."""
+    return re.sub(r"[^\w.=,+-]", "-", "-".join(words))
