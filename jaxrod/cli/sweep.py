@@ -143,6 +143,10 @@ def run(args: argparse.Namespace) -> int:
     jax.config.update("jax_platforms", "cpu")
     if args.ray is None and (args.cpus, args.gpus) != (None, None):
         raise ValueError("--cpus and --gpus go with --ray")
+    if args.cpus is not None and args.cpus < 1:
+        raise ValueError(f"cpus must be at least 1, got {args.cpus}")
+    if args.gpus is not None and not args.gpus >= 0:
+        raise ValueError(f"gpus must not be negative, got {args.gpus}")
     if not args.checkpoint_seconds >= 0:
         raise ValueError(
             f"checkpoint-seconds must not be negative, got {args.checkpoint_seconds} s"

@@ -357,7 +357,7 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
 
 
 def short_name(task: str) -> str:
-    """A task in the name of a folder; of one's own the file or module and what of it."""
+    """A task in the name of a folder; of one's own where it is and what makes it."""
     place, colon, name = task.rpartition(":")
     return f"{Path(place.removesuffix('.py')).name}-{name}" if colon else task
 
