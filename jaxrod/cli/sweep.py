@@ -8,7 +8,8 @@ and leaves what is finished. A run that fails is told of, others go on, and the 
 call tries it again from its last checkpoint.
 
 `--set NAME=VALUE,VALUE` has alternatives of a setting; those of a tuple are given one
-by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`.
+by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`. What only one of the algorithms
+has is set with its name: `--set ppo.learning_rate=1e-3,3e-4`.
 
 DIR gets results.csv (a row per run), a picture per task (means and spreads over seeds),
 and a folder and a log of every run, which is named after what was chosen.
@@ -67,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="NAME=VALUE,...",
-        help="alternatives of a setting of all the algorithms",
+        help="alternatives of a setting, of one algorithm as ALGORITHM.NAME=VALUE,...",
     )
     parser.add_argument("--variant", help="of the tasks (default: the first each has)")
     parser.add_argument(

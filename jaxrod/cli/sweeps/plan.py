@@ -97,8 +97,9 @@ def plan(
         steps: control steps of every run.
         variant: of the tasks, None for their own.
         options: of the tasks, as NAME=VALUE.
-        sets: settings as NAME=VALUE,VALUE,...; several of a name are alternatives,
-            too, and of what is a tuple the only way to have any.
+        sets: settings as NAME=VALUE,VALUE,..., of one algorithm as
+            ALGORITHM.NAME=VALUE; several of a name are alternatives, too, and of what
+            is a tuple the only way to have any.
         cores: cores of every run; None for those that its process finds.
 
     Raises:
@@ -115,7 +116,7 @@ def plan(
         words += ["--variant", variant]
     envs = {spelt_out(task): _env(task, made) for task in tasks}
     learners = {
-        name: _configurations(name, sets, steps, cores)
+        name: _configurations(name, _meant(name, sets, algorithms), steps, cores)
         for name in dict.fromkeys(algorithms)
     }
     found = [
@@ -167,6 +168,18 @@ def _configurations(
             found.append((chosen, config, devices))
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
+    return found
+
+
+def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[str]:
+    """The settings of one algorithm: those of all, and its own without its name."""
+    found = []
+    for word in sets:
+        owner, dot, _ = word.partition("=")[0].rpartition(".")
+        if dot and owner not in algorithms:
+            raise ValueError(f"{owner} of {word} must be one of the sweep's algorithms")
+        if not dot or owner == name:
+            found.append(word[len(owner) + 1 :] if dot else word)
     return found
 
 
