@@ -55,12 +55,12 @@ MAZE: dict[str, Any] = {
 """PPO among obstacles, as `jaxrod reproduce --variant clean` has it."""
 RECIPES: dict[str, tuple[Stage, ...]] = {
     "tracking": (
-        ("dagger", 600_000, {"plan_iterations": 2}),
-        ("ppo", 10_000_000, CLIMB),
+        ("dagger", 1_000_000, {"plan_iterations": 2}),
+        ("ppo", 20_000_000, CLIMB),
     ),
     "reaching": (
-        ("dagger", 600_000, {"short_steps": 1.0e9, "short_length": 480.0}),
-        ("ppo", 6_000_000, CLIMB),
+        ("dagger", 1_500_000, {"short_steps": 1.0e9, "short_length": 480.0}),
+        ("ppo", 12_000_000, CLIMB | {"learning_rate": 2e-4}),
     ),
     "structured": (("ppo", 1_200_000, MAZE),),
     "unstructured": (("ppo", 2_400_000, MAZE),),
