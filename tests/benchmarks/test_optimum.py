@@ -26,6 +26,7 @@ def ceiling(task, place):
     return float(optimum.most(dataclasses.replace(state, target=target), params))
 
 
+@pytest.mark.slow
 def test_the_most_there_is():
     # Within reach: the tip is on the target, with its orientation.
     assert ceiling("tracking", (0.5, 0.5, 0.1)) == pytest.approx(2)

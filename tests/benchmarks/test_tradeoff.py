@@ -48,6 +48,7 @@ def test_the_grid_has_every_way_of_simulating(swinging):
     assert driven == {(), ("inertia",), ("compensated",)}
 
 
+@pytest.mark.slow
 def test_the_table_has_every_column_and_pyelastica(swinging, monkeypatch):
     problem, exact = swinging
     some = [

@@ -14,6 +14,7 @@ from jaxrod.envs import make
 from jaxrod.training.trajectory import optimise as solver
 
 
+@pytest.mark.slow
 def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path):
     out = tmp_path / "deep" / "reach"
     words = ["optimise", "tracking", "--out", out, "--json", "--iterations", "2"]

@@ -98,6 +98,7 @@ def test_resuming_takes_over_what_the_run_was_started_with(trained, run_json, tm
     assert (folder / "config.json").read_bytes() == config
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_run_begins_like_another_but_for_what_is_given(trained, run_json, tmp_path):
     folder = tmp_path / "run"
@@ -112,6 +113,7 @@ def test_a_run_begins_like_another_but_for_what_is_given(trained, run_json, tmp_
     assert {n: after[n] for n in same} == {n: before[n] for n in same}
 
 
+@pytest.mark.slow
 def test_overwriting_makes_a_new_run_with_new_pictures(trained, run_json, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)

@@ -70,6 +70,7 @@ def test_standard_deviations_are_those_of_many_draws():
         _ = fits.undetermined
 
 
+@pytest.mark.slow
 def test_what_the_data_do_not_say_is_said_in_words():
     def product(p):
         return p["stiffness"] / p["density"] * TIMES * jnp.exp(-p["rate"] * TIMES)

@@ -73,6 +73,7 @@ def test_an_unhealthy_clean_arm_is_frozen_and_truncated_not_punished(name):
     np.testing.assert_array_equal(after.arm.positions, state.arm.positions)
 
 
+@pytest.mark.slow
 # The arm's radius is 5 cm. In the maze it cannot touch an obstacle it does not look at;
 # in the nest only where it overlaps with five at once, by some two centimetres.
 @pytest.mark.parametrize(
@@ -173,6 +174,7 @@ def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)
 
 
+@pytest.mark.slow
 @NAMES
 def test_the_step_is_a_stable_one_with_every_obstacle_in_view_touching(name):
     env = make(name, variant="clean")

@@ -63,6 +63,7 @@ def moved(arm, state):
     return arm
 
 
+@pytest.mark.slow
 @NAMES
 def test_arm_moves_as_an_independent_implementation_says(name):
     """Among the obstacles, so that contact is there at once."""
@@ -137,6 +138,7 @@ def test_arm_obstacles_and_episode_are_the_published_ones(name):
     np.testing.assert_allclose(values, [0, 0.3, -0.7, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_observation_of_the_maze_is_nodes_tip_target_and_points_of_cylinders():
     env = make("structured")
     states, obs, *_ = play(env, jnp.full((3, 2), 0.5))

@@ -73,6 +73,7 @@ def test_a_prediction_is_a_step_where_nothing_random_falls(name):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", each(ALL))
 def test_an_action_that_is_held_is_so_many_steps(name):
     env = task(name)
@@ -111,6 +112,7 @@ def moved_to(env, state, place):
     return dataclasses.replace(state, target=target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", each(ALL, cheap=tuple(ALL)))
 def test_the_cost_grows_with_the_distance_and_has_a_slope_where_bonuses_have_none(name):
     env = task(name)

@@ -126,6 +126,7 @@ def test_what_a_cylinder_has_taken_up_spares_the_next_element(rod):
     np.testing.assert_allclose(total, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_closest_points_and_boxes_are_pyelasticas(rod):
     from elastica.contact_utils import _find_min_dist, _prune_using_aabbs_rod_cylinder
 
@@ -184,6 +185,7 @@ def test_a_cylinder_with_a_parallel_normal_has_a_box_without_width(rod):
         assert bool(boxes_overlap(proper.cylinders, moving, lengths, radii))
 
 
+@pytest.mark.slow
 def test_crossing_axes_are_finite_with_finite_gradients(rod):
     contact, still, forces = straight_case(-RADIUS - 0.1)
 

@@ -43,6 +43,7 @@ def quaternion(matrix):
     return np.array([w, x, y, z])
 
 
+@pytest.mark.slow
 def test_paper_arm_moves_as_an_independent_implementation_says(paper):
     actions = smooth_actions(60, 18, 1.0)
     # Held actions leave the couples as they are.

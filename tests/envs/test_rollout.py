@@ -25,6 +25,7 @@ def plain(env, start, actions, params, key=KEY):
     return jax.lax.scan(one, start, (jnp.arange(len(actions)), actions))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 37])
 def test_results_and_gradients_are_the_plain_loops(steps):
     env = make("trivial", episode_length=100)
@@ -103,6 +104,7 @@ def test_policies_act_with_and_without_memory():
     np.testing.assert_allclose(far, np.sign(start[1].position) * np.ones(6), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_policy_is_differentiable():
     env = make("trivial", episode_length=100)
     params = env.default_params()

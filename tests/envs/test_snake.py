@@ -63,6 +63,7 @@ def test_the_speed_does_not_hang_on_the_number_of_elements():
     assert abs(ways[1] / ways[0] - 1) < 0.02
 
 
+@pytest.mark.slow
 def test_the_ground_is_that_of_contact_under_the_whole_weight():
     """Friction of nodes that slip alike, along elements that all point one way."""
     angle, speed = 0.3, np.array([0.02, -0.05, 0.0])
@@ -216,6 +217,7 @@ def test_a_body_that_crosses_itself_ends_the_episode():
     assert terminated and not truncated and not info["flagged"]
 
 
+@pytest.mark.slow
 def test_headings_are_drawn_up_to_the_turn():
     env = make("snake", turn=0.5)
     params = env.default_params()
@@ -225,6 +227,7 @@ def test_headings_are_drawn_up_to_the_turn():
     assert angles.min() < -0.4 and angles.max() > 0.4 and np.abs(angles).max() <= 0.5
 
 
+@pytest.mark.slow
 def test_episodes_end_in_time():
     env = make("snake", episode_length=3)
     *_, truncated, info = play(env, jnp.zeros((3, 6)))

@@ -57,6 +57,7 @@ def test_batch_is_that_of_gymnasium_to_the_last_bit():
     assert min(check_same(ours, GymnasiumVectorEnv("trivial", 3), 60)) > 0
 
 
+@pytest.mark.slow
 @EVERY_ID
 def test_batch_of_every_id_is_that_of_gymnasium_to_the_last_bit(name):
     options = {"episode_length": 4, **gymnasium.spec(name).kwargs}

@@ -134,6 +134,7 @@ def test_a_third_of_the_targets_is_frozen_along_some_axis():
     assert abs(frozen.mean() - expected) < 4 * np.sqrt(0.3 * 0.7 / 4000)
 
 
+@pytest.mark.slow
 def test_heading_changes_every_500_control_steps_at_the_same_speed():
     env = make("tracking", variant="clean")
     params = env.default_params()
@@ -191,6 +192,7 @@ def test_a_broken_paper_arm_costs_a_thousand_and_ends_the_episode():
     np.testing.assert_allclose(info["distance"], last, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_unhealthy_clean_arm_is_truncated_not_punished():
     env = make("tracking", variant="clean")
     params = env.default_params()

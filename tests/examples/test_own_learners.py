@@ -116,6 +116,7 @@ def test_an_algorithm_of_ones_own_is_found_by_its_import_path(
     assert json.loads(command(*words)) == summary
 
 
+@pytest.mark.slow
 def test_a_network_of_ones_own_trains_and_resumes_bit_by_bit(
     tmp_path, example, command
 ):

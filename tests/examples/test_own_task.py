@@ -55,6 +55,7 @@ def test_bending_up_lifts_the_tip(monkeypatch):
     assert float(abs(state.rod.positions[2]).max()) == 0
 
 
+@pytest.mark.slow
 def test_it_trains_goes_on_and_is_evaluated_and_drawn(shell, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     monkeypatch.chdir(ROOT)

@@ -98,6 +98,7 @@ def test_the_butterfly_keeps_its_energy(record):
     )
 
 
+@pytest.mark.slow
 def test_the_energy_error_falls_with_the_square_of_the_step(record):
     ratio = energy_drift(8, 0.04)[0] / energy_drift(8, 0.02)[0]
     record(
@@ -108,6 +109,7 @@ def test_the_energy_error_falls_with_the_square_of_the_step(record):
     )
 
 
+@pytest.mark.slow
 def test_pyelastica_s_law_gains_energy(record):
     """What the consistent mode is for."""
     _, final = energy_drift(10, 0.01, "pyelastica")

@@ -210,6 +210,7 @@ def thrown_in_a_plane(plane):
     return scene, replace(state, velocities=falls)
 
 
+@pytest.mark.slow
 def test_in_a_plane_contact_is_what_it_is_in_space():
     scene, state = thrown_in_a_plane(None)
     dt = jaxrod.stable_dt(scene).dt

@@ -42,6 +42,7 @@ def excursion(scene, state, dt):
     return jnp.max(jnp.abs(after.positions - state.positions)[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.01, 1.0, 100.0])
 def test_the_stable_step_knows_of_the_stiffness_of_contact(share, record):
     scene, state = pressed(share)

@@ -96,6 +96,7 @@ def balanced(numbers, ends, tolerance):
     return value, gradient, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_an_equilibrium_depends_on_every_number_as_differences_say(name, record):
     strengths, ends = CASES[name]

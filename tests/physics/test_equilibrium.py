@@ -112,6 +112,7 @@ def test_far_beyond_buckling_a_stable_bent_column_is_found():
     assert 0.6 < abs(float(found.state.tip[0])) < 0.803
 
 
+@pytest.mark.slow
 def test_all_loads_balance_and_dynamics_stays_there():
     rod, state = arm(8, radius=0.03)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity((30.0, 0, 5.0)))

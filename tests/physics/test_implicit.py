@@ -239,6 +239,7 @@ class Belt(Effect):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distant", [False, True])
 def test_the_tangent_is_the_derivative_of_the_residual(distant, record):
     rod, _ = random_rod(3, N)
@@ -290,6 +291,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(distant, record):
     )
 
 
+@pytest.mark.slow
 def test_a_step_that_does_not_converge_is_not_finite():
     scene, _ = loaded(max_iterations=1)
     step = jax.jit(jaxrod.step, compiler_options=HURRY)

@@ -51,6 +51,7 @@ def test_the_swing_is_the_same():
     np.testing.assert_allclose(fast.positions, slow.positions, atol=4e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_the_step_asked_for_is_stable(seed):
     """At the new limit a rod with noise on it stays where it is."""

@@ -83,6 +83,7 @@ def test_a_beam_on_two_pins_sags_as_timoshenko_says(kind, record):
     )
 
 
+@pytest.mark.slow
 def test_its_sag_depends_on_every_number_as_differences_say(record):
     rod, state = beam()
     others = (rod, state, jnp.ones(2), jnp.zeros(3))
@@ -130,6 +131,7 @@ def test_an_arch_on_pins_is_loose_only_where_nothing_turns_it_back():
     assert bool(unloaded.converged) and bool(unloaded.stable) and bool(unloaded.loose)
 
 
+@pytest.mark.slow
 def test_what_something_resists_is_not_loose(dtype):
     """However slender the rod, in single precision too."""
 

@@ -48,6 +48,7 @@ def test_a_uniform_straight_rod_is_the_one_the_factory_makes():
     )
 
 
+@pytest.mark.slow
 def test_it_converges_to_the_rod_of_many_elements():
     """From n elements to 96: every number is right to O(1/n^2)."""
     exact, exact_state = curved(96)

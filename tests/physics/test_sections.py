@@ -110,6 +110,7 @@ def test_a_free_asymmetric_element_tumbles(record):
     )
 
 
+@pytest.mark.slow
 def test_a_free_rod_of_square_section_tumbles(record):
     """Pushed at an end by a force that rises and falls; mass 10 kg, impulse 50 N s."""
     side = np.sqrt(0.6)

@@ -243,6 +243,7 @@ def test_a_step_near_the_bound_is_warned_of_once_the_rod_is_compressed():
     assert jaxrod.health(scene, after, dt).flagged
 
 
+@pytest.mark.slow
 def test_a_safety_factor_of_nine_tenths_covers_compression():
     scene, state, dt = soft_swing(0.9)
     after = jaxrod.advance(scene, state, dt, 8000)
@@ -270,6 +271,7 @@ def test_violent_vibrations_of_single_elements_need_a_smaller_step(safety, sound
     assert sound
 
 
+@pytest.mark.slow
 def test_the_limiting_motion_is_named():
     slender, state = arm(5, radius=0.005)
     assert (
@@ -387,6 +389,7 @@ class Springs(jaxrod.Effect):
         return jaxrod.StabilityBound(nodes=self.stiffness, node_drag=self.drag)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.01, 1.0, 100.0])
 def test_an_effects_own_stiffness_and_drag_are_in_the_bound(share):
     rod, state = random_rod(3, 5)

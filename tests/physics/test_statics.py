@@ -141,6 +141,7 @@ def test_an_end_moment_of_two_pi_ei_over_l_bends_a_rod_into_a_circle(record):
     )
 
 
+@pytest.mark.slow
 def test_a_hanging_rod_stretches_under_its_own_weight(record):
     """Nodes hang exactly where theory says: half weights at the ends make it so."""
     n, gravity = 10, 9.80665

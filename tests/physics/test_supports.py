@@ -48,6 +48,7 @@ def test_a_simply_supported_beam_sags_as_it_should():
         assert float(reaction.power) == 0
 
 
+@pytest.mark.slow
 def test_a_simply_supported_beam_vibrates_as_it_should():
     rod, state = along_x()
     scene = jaxrod.make_scene(
@@ -76,6 +77,7 @@ def test_a_pin_in_the_middle_carries_what_it_should():
     assert float(middle[2]) == pytest.approx(5 / 8 * load * LENGTH, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_cantilever_is_held_by_its_weight_and_its_moment():
     rod, state = along_x()
     scene = jaxrod.make_scene(
@@ -208,6 +210,7 @@ def test_the_work_of_a_driven_end_is_what_the_energy_grows_by(method, turn):
     assert gaps[0] / gaps[1] > 3
 
 
+@pytest.mark.slow
 def test_a_driven_end_is_where_it_is_driven():
     scene, state = pendulum(jaxrod.consistent(), "element")
     after = jaxrod.advance(scene, state, 5e-4, 101)
@@ -389,6 +392,7 @@ def test_supports_that_leave_the_plane_only_later_are_refused():
     jaxrod.advance(upright, state, 1e-5, 1)
 
 
+@pytest.mark.slow
 def test_neither_origin_nor_order_matters_to_what_supports_do():
     shift = jnp.asarray([30.0, -20.0, 50.0])
     shake = jaxrod.sine((0.0, 0.0, 0.01), 0.1, phase=0.25)

@@ -42,6 +42,7 @@ def mean_position(rod, state):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_a_rod_under_a_sine_moves_as_it_should_to_second_order(name, rod_and_state):
     rod, state = rod_and_state
@@ -58,6 +59,7 @@ def test_a_rod_under_a_sine_moves_as_it_should_to_second_order(name, rod_and_sta
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_pieces_that_say_where_they_begin_are_one_run(rod_and_state):
     rod, state = rod_and_state
     scene = shaken(rod)
@@ -101,6 +103,7 @@ def test_gradients_by_a_schedule_are_those_of_differences(rod_and_state):
         assert found[k] == pytest.approx(float(by_differences), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_loop_with_starts_of_their_own(rod_and_state):
     rod, state = rod_and_state
     forces, firsts = jnp.asarray([0.5, 1.0, 2.0]), jnp.asarray([0, 10, 30])
@@ -193,6 +196,7 @@ def test_ones_own_effect_takes_schedules_and_is_bounded_by_the_largest(rod_and_s
     assert float(half.effects[0].stiffness) == 5e5
 
 
+@pytest.mark.slow
 def test_what_asks_about_one_moment_wants_to_know_which(rod_and_state):
     rod, state = rod_and_state
     scene = jaxrod.make_scene(
@@ -290,6 +294,7 @@ def test_bad_schedules_are_refused_in_words(rod_and_state):
             make()
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_sine_stays_a_sine_in_single_precision():
     """After ten million steps a clock of float32 would be lost."""

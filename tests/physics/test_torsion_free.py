@@ -205,6 +205,7 @@ def test_gradients_agree_with_finite_differences(at_rest, record):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ENDS)
 def test_an_end_held_fast_stays(end):
     scene, state = swinging(n=6, end=end, sideways=1.0)

@@ -18,10 +18,12 @@ from physics.rods import arm
 from physics.torsion_free import largest_gap, swinging, with_twist
 
 
+@pytest.mark.slow
 def test_batches_and_numbers_do_not_recompile():
     check_one_program(*swinging(n=5, sideways=1.0), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_it_costs_about_half_the_arithmetic(record):
     record(
         "Arithmetic of a step without twist over that of one with it",

@@ -50,6 +50,7 @@ def test_axial_vibrations(record):
     )
 
 
+@pytest.mark.slow
 def test_torsional_vibrations(record):
     rod, state = arm(N)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state))

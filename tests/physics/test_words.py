@@ -37,6 +37,7 @@ def test_a_rod_says_its_sizes_and_material():
     )
 
 
+@pytest.mark.slow
 def test_a_batch_says_its_shape_and_ranges():
     moduli = jnp.linspace(1e6, 2e6, 6).reshape(2, 3)
     rods, starts = jax.vmap(jax.vmap(made))(moduli)

@@ -87,6 +87,7 @@ def stirred(axes):
     return 0.3 * waves * np.reshape(axes, (3, 1))
 
 
+@pytest.mark.slow
 def test_ends_that_are_twisted_and_pushed_together(record):
     """HelicalBucklingBC, along z: elsewhere theirs turns ends about another axis."""
     turns, slack, speeds = 0.8, 0.06, stirred((1, 1, 1))

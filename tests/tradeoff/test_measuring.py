@@ -86,6 +86,7 @@ def test_a_rod_without_a_plane_is_not_planar():
         prepare(tracking_arm(), Setting(5, reductions=("planar",)))
 
 
+@pytest.mark.slow
 def test_own_scenes_become_problems():
     rod, state = jaxrod.straight_rod(
         8, length=2.0, radius=0.05, density=1000.0, youngs_modulus=1e6

@@ -55,6 +55,7 @@ def test_what_is_recorded_of_an_object_is_the_same_in_every_process():
     assert " at 0x" not in _origin(Plain())["environment"]
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_an_object_that_make_did_not_make_trains_and_cannot_be_made_again(tmp_path):
     result = train(Trivial(7), out=tmp_path, steps=256, config=SMALL, progress=False)

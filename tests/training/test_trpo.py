@@ -102,6 +102,7 @@ def tiny_policy():
     return outputs, start, hessian
 
 
+@pytest.mark.slow
 def test_fisher_product_is_that_of_the_explicit_matrix():
     outputs, start, hessian = tiny_policy()
     matrix = jax.jit(
