@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from systems.guided_rods import BENDING, LENGTH, TORSION, guided, nearest
-from systems.guided_rods import topology as guided_topology
+from benchmarks.plectoneme.guided import BENDING, LENGTH, TORSION, guided, nearest
+from benchmarks.plectoneme.guided import topology as guided_topology
 
 N, RADIUS, YOUNG = 50, 0.025, 1e6
 TURNS, COMING, TIME, DAMPING = 4.5, 0.225, 9.0, 5.0
