@@ -54,6 +54,7 @@ EXTRAS = {
     "gymnasium": "gym",
     "brax": "brax",
     "ray": "ray",
+    "tensorboardX": "tensorboard",
 }
 
 BROKEN = 70

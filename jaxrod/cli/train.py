@@ -48,6 +48,7 @@ examples:
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
+  jaxrod train tracking --log tensorboard && tensorboard --logdir runs
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm, their defaults and what they mean.
@@ -156,6 +157,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=60.0,
         metavar="S",
         help="time between checkpoints (default: 60)",
+    )
+    parser.add_argument(
+        "--log",
+        choices=("tensorboard", "none"),
+        help="tensorboard: keep the rows of progress.csv in DIR/tensorboard, too, where "
+        'TensorBoard shows them as they come; needs pip install "jaxrod[tensorboard]"; '
+        "--resume goes on with what is there (default: none)",
     )
     parser.add_argument(
         "--no-replay", action="store_true", help="do not write replay.html"
@@ -267,6 +275,7 @@ def run(args: argparse.Namespace) -> int:
             overwrite=args.overwrite,
             checkpoint_seconds=args.checkpoint_seconds,
             devices=devices,
+            log="tensorboard" if _logs(args, out) else None,
         )
     except FloatingPointError as error:
         print(f"jaxrod train: {error}", file=sys.stderr)
@@ -297,6 +306,15 @@ def run(args: argparse.Namespace) -> int:
 
     print_paths(*pictures)
     return 0
+
+
+def _logs(args: argparse.Namespace, out: Path) -> bool:
+    """Whether to keep an event file: as asked for, else as the run that goes on."""
+    from jaxrod.training import RunFolder
+
+    if args.log is None and args.resume:
+        return RunFolder(out).tensorboard.is_dir()
+    return bool(args.log == "tensorboard")
 
 
 def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
