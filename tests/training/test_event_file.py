@@ -5,12 +5,12 @@ import struct
 
 import numpy as np
 import pytest
-from commands import run, run_json  # noqa: F401
-from missing import pretend_missing
 
+from commands import run, run_json  # noqa: F401
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import PPOConfig, train
 from jaxrod.training.runs.event_file import EventFile
+from missing import pretend_missing
 
 event_pb2 = pytest.importorskip("tensorboardX.proto.event_pb2")
 

@@ -1,9 +1,9 @@
 """The rows of a run as an event file, which TensorBoard shows while training goes on.
 
-The file repeats `progress.csv`: one event for each row, at its `env_steps`, with every
-other number of the row as a scalar but `wall_s`, which is the event's time. It is begun anew from that table whenever a run
-goes on, so that no step is there twice or missing, whenever the run was killed and
-whether or not it had an event file before.
+The file repeats `progress.csv`: one event for each row, at its `env_steps` and the time
+of its `wall_s`, with every other number as a scalar. It is begun anew from that table
+whenever a run goes on, so that no step is there twice or missing, whenever the run was
+killed and whether or not it had an event file before.
 
 The messages are those of tensorboardX. Its writer is not used: that one hands events to
 a thread, which a full disk ends without a word, and puts the machine's name into the
