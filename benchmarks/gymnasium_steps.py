@@ -6,7 +6,8 @@
 Each id made by `gymnasium.make`, with Gymnasium's usual wrappers, under random actions,
 on one core and with `configure_cpu(1)`. Ids of other packages are `module:id`. Best and
 median of many short bursts: other work on the machine is no property of an environment.
-Compiling is not counted.
+Compiling is not counted. A burst that is longer than the system's slices of time is
+interrupted where the machine is busy; the steps in a second of processor time are not.
 
 `--softrobot` names a Python that has gym-softrobot, of an environment of its own, say
 (`python -m venv x; x/bin/pip install gym-softrobot`). Its `SoftArmTracking-v0`,
@@ -52,9 +53,10 @@ def bursts(name: str, seconds: float) -> dict[str, Any]:
     if any(env.step(actions[0])[2:4]):  # compiles
         env.reset()
     speeds: list[float] = []
+    busy = 0.0
     end = time.perf_counter() + seconds
     while len(speeds) < BURSTS and (len(speeds) < 2 or time.perf_counter() < end):
-        start = time.perf_counter()
+        start, began = time.perf_counter(), time.process_time()
         ended = False
         for action in actions:
             ended = any(env.step(action)[2:4])
@@ -62,9 +64,10 @@ def bursts(name: str, seconds: float) -> dict[str, Any]:
                 break
         else:
             speeds.append(BURST / (time.perf_counter() - start))
+            busy += time.process_time() - began
         if ended:
             env.reset()
-    return {"speeds": speeds, **_content(env.unwrapped)}
+    return {"speeds": speeds, "busy": busy, **_content(env.unwrapped)}
 
 
 def _content(env: Any) -> dict[str, Any]:
@@ -101,15 +104,19 @@ def in_other_python(python: str, seconds: float) -> dict[str, Any]:
 def line(name: str, measured: dict[str, Any]) -> str:
     """What was measured of an id, in words."""
     best, median = max(measured["speeds"]), statistics.median(measured["speeds"])
-    words = f"{name}: best {best:,.0f}, median {median:,.0f} control steps/s"
+    busy = BURST * len(measured["speeds"]) / measured["busy"]
+    words = (
+        f"{name}: best {best:,.0f}, median {median:,.0f} control steps/s, {busy:,.0f} "
+        "in a second of processor time"
+    )
     steps = measured["steps"]
     if steps:
         words += (
-            f"; of {steps} steps of {measured['elements']} elements: best "
-            f"{best * steps:,.0f}, median {median * steps:,.0f} rod-steps/s"
+            f"; of {steps} steps of {measured['elements']} elements: "
+            f"{busy * steps:,.0f} rod-steps in it"
         )
     if measured["seconds"]:
-        words += f"; {median * measured['seconds']:.2f} s of motion a second"
+        words += f", {busy * measured['seconds']:.2f} s of motion"
     return words
 
 
@@ -136,7 +143,8 @@ def main(words: list[str]) -> int:
         print(line(name, bursts(name, SECONDS)))
     if args.softrobot:
         again = in_other_python(python, half)
-        theirs["speeds"] = [*theirs["speeds"], *again["speeds"]]
+        theirs["speeds"] += again["speeds"]
+        theirs["busy"] += again["busy"]
         print(line(THEIRS, theirs))
     return 0
 

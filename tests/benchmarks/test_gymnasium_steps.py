@@ -8,15 +8,16 @@ from benchmarks import gymnasium_steps
 
 
 def test_rod_steps_and_motion_follow_from_control_steps():
-    measured = {"speeds": [100.0, 300.0, 200.0], "steps": 5, "elements": 30}
-    words = gymnasium_steps.line("arm", {**measured, "seconds": 0.01})
+    measured = {"speeds": [100.0, 300.0, 200.0], "busy": 0.24}
+    known = {"steps": 5, "elements": 30, "seconds": 0.01}
+    words = gymnasium_steps.line("arm", {**measured, **known})
     assert words == (
-        "arm: best 300, median 200 control steps/s; of 5 steps of 30 elements: best "
-        "1,500, median 1,000 rod-steps/s; 2.00 s of motion a second"
+        "arm: best 300, median 200 control steps/s, 250 in a second of processor time; "
+        "of 5 steps of 30 elements: 1,250 rod-steps in it, 2.50 s of motion"
     )
     unknown = {"steps": None, "elements": None, "seconds": None}
     words = gymnasium_steps.line("arm", {**measured, **unknown})
-    assert words == "arm: best 300, median 200 control steps/s"
+    assert words.endswith("200 control steps/s, 250 in a second of processor time")
 
 
 def test_the_arm_says_what_its_control_step_is():
