@@ -19,6 +19,7 @@ dynamics and the damping are this library's (docs/tasks.md). Observed, in this o
 | 10 | angles of the segments about d1, then about d2 [rad] |
 | 3 | the target's position [m] |
 | 3 | its velocity [m/s] |
+| 3 | the way from the tip to the target [m] |
 
 When a numerical health flag rises the arm is frozen at its last sound state and the
 episode is truncated. There is no contact of the arm with itself.
@@ -29,6 +30,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -104,8 +106,8 @@ class Following(CostOfResiduals):
 
     @property
     def observation_size(self) -> int:
-        """Five points of the arm and their velocities, angles, target: 46 numbers."""
-        return 6 * N_SEGMENTS + 2 * N_SEGMENTS + 6
+        """Five points of the arm and their velocities, angles, target: 49 numbers."""
+        return 6 * N_SEGMENTS + 2 * N_SEGMENTS + 9
 
     @property
     def action_size(self) -> int:
@@ -194,9 +196,11 @@ class Following(CostOfResiduals):
             params: Numbers of the task.
             control_steps: For how many the action is held: angles change in each.
         """
-        for _ in range(control_steps):
-            state, _ = self._moved(None, state, action, params)
-        return state
+
+        def one(state: FollowingState, _: None) -> tuple[FollowingState, None]:
+            return self._moved(None, state, action, params)[0], None
+
+        return jax.lax.scan(one, state, length=control_steps)[0]
 
     def residuals(
         self,
@@ -240,7 +244,7 @@ class Following(CostOfResiduals):
 
     def observe(self, state: FollowingState) -> Float[Array, " observation"]:
         """What the module's table lists."""
-        ends = jnp.asarray(self._ends(), state.angles.dtype)
+        ends = jnp.asarray(self._ends()[None], state.angles.dtype)
         return jnp.concatenate(
             [
                 jnp.ravel(jnp.sum(state.arm.positions[:, None] * ends, axis=-1)),
@@ -248,6 +252,7 @@ class Following(CostOfResiduals):
                 jnp.ravel(state.angles),
                 state.target.position,
                 state.target.velocity,
+                state.target.position - state.arm.tip,
             ]
         )
 

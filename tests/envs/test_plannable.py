@@ -17,7 +17,7 @@ ARMS = {
     "structured": {"n_elements": 10},
     "unstructured": {"n_elements": 10},
 }
-ALL = {**ARMS, "trivial": {}}
+ALL = {**ARMS, "following": {"n_elements": 6}, "trivial": {}}
 CHEAP = ("trivial", "reaching")
 
 
