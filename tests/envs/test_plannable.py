@@ -35,6 +35,8 @@ def task(name):
 
 def begun(env, seed=0):
     params = env.default_params()
+    if hasattr(params, "chance"):
+        params = dataclasses.replace(params, chance=jnp.asarray(0.0))
     return params, env.reset(jax.random.key(seed), params)[1]
 
 
