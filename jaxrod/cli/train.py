@@ -2,8 +2,9 @@
 
 TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
-nest), `snake` or `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or
-`trivial` (solved in seconds, to try things out). The arms' variants are `paper`, whose
+nest), `following` (a moving target, by curvatures, ten times a second), `snake` or
+`octopus` (they crawl along a heading), `gripper` (it lifts a ball) or `trivial` (solved
+in seconds, to try things out). The arms' variants are `paper`, whose
 scores compare with the published ones, and `clean`; the others' is `clean`. Or it is
 one of your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names what
 makes it, and modules are looked for in the current folder, too (docs/extending.md).
