@@ -409,9 +409,7 @@ def _chosen(
     return stored.get(name, default) if stored else default
 
 
-def first_of_each(
-    devices: Sequence[jax.Device], asked: int | None
-) -> Sequence[jax.Device]:
+def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.Device]:
     """The first devices of each process, in their order.
 
     Args:
@@ -422,7 +420,7 @@ def first_of_each(
         ValueError: a process has fewer.
     """
     if asked is None:
-        return devices
+        return list(devices)
     owned: dict[int, list[jax.Device]] = {}
     for device in devices:
         owned.setdefault(device.process_index, []).append(device)

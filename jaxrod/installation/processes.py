@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-
-from jaxrod.installation.last_words import LastWords
+from collections.abc import Callable
 
 JOINED_WITHIN = 30
 """Processes wait for each other for so long when they begin [s]."""
@@ -21,7 +20,7 @@ GO_ON = (
 )
 """What to do after a process was lost."""
 
-_last_words: list[LastWords] = []
+_last_words: list[Callable[[str], None]] = []
 
 
 def join_processes(
@@ -48,6 +47,8 @@ def join_processes(
         RuntimeError: they cannot be reached.
     """
     import jax
+
+    from jaxrod.installation.last_words import LastWords
 
     given = (coordinator, count, index)
     if any(one is None for one in given) and any(one is not None for one in given):

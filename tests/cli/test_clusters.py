@@ -191,6 +191,29 @@ def test_ray_reads_the_file_of_a_cluster():
     validate_config(prepare_config(config))
 
 
+ALONE = """
+import os, sys
+from jaxrod import cli
+assert cli.main(["train", *sys.argv[1:]]) == 0
+import jax
+assert not jax.distributed.is_initialized()
+for name in ("ray", "mpi4py", "kubernetes", "jaxrod.installation.last_words"):
+    assert name not in sys.modules, name
+"""
+
+
+@pytest.mark.slow
+def test_a_run_in_one_process_has_nothing_to_do_with_clusters(tmp_path):
+    said = {**slurm(1, 0), **open_mpi(1, 0)}  # As if within a job, yet not asked for.
+    subprocess.run(
+        [sys.executable, "-c", ALONE, *TRAIN, "--out", str(tmp_path / "run")],
+        env=os.environ | said,
+        check=True,
+        timeout=300,
+        stdout=subprocess.DEVNULL,
+    )
+
+
 class Device:
     def __init__(self, process, number):
         self.process_index, self.number = process, number
@@ -201,7 +224,7 @@ class Device:
 
 def test_as_many_devices_of_each_process_as_asked_for():
     devices = [Device(process, number) for process in (0, 1) for number in range(4)]
-    assert first_of_each(devices, None) is devices
+    assert first_of_each(devices, None) == devices
     assert repr(first_of_each(devices, 2)) == "[0.0, 0.1, 1.0, 1.1]"
     with pytest.raises(ValueError, match="1 to 3"):
         first_of_each(devices[:-1], 4)
