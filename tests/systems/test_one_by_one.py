@@ -1,4 +1,4 @@
-"""A batch that goes one after the other: the same as a loop, under every transformation."""
+"""A batch that goes one after the other is a loop, under every transformation."""
 
 import jax
 import jax.numpy as jnp
