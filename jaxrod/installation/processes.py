@@ -8,6 +8,9 @@ from collections.abc import Callable
 JOINED_WITHIN = 30
 """Processes wait for each other for so long when they begin [s]."""
 
+LONGEST_WAIT = 604_800
+"""They wait no longer than a week [s]."""
+
 LOST_AFTER = 20
 """A process that was not heard of for so long is taken for lost [s]."""
 
@@ -40,7 +43,8 @@ def join_processes(
         coordinator: address and port of the first process, such as "10.0.0.1:1234".
         count: number of processes.
         index: number of this one, from 0.
-        within: time in which all have to come [s]; after it this process is aborted.
+        within: time in which all have to come, a whole number [s]; after it this
+            process is aborted.
 
     Raises:
         ValueError: an argument makes no sense, or nothing says what the others are.
@@ -70,8 +74,11 @@ def join_processes(
         if "KUBERNETES_SERVICE_HOST" in os.environ:
             # It has nothing to add, and would want a package and permissions.
             detection = "deactivate"
-    if not within >= 1:
-        raise ValueError(f"within must be at least 1 s, got {within} s")
+    whole = isinstance(within, int) and not isinstance(within, bool)
+    if not whole or not 1 <= within <= LONGEST_WAIT:
+        raise ValueError(
+            f"within must be a whole number of 1 to {LONGEST_WAIT} s, got {within} s"
+        )
     if not _last_words:
         _last_words.append(LastWords())
     _last_words[0](

@@ -230,7 +230,9 @@ def test_as_many_devices_of_each_process_as_asked_for():
         first_of_each(devices[:-1], 4)
 
 
-def test_a_time_to_join_in_that_makes_no_sense_is_refused():
-    with pytest.raises(ValueError, match=r"at least 1 s, got 0 s"):
-        join_processes("127.0.0.1:1", 2, 0, within=0)
+@pytest.mark.parametrize("within", [0, -3, 1.5, float("nan"), True, 10**14])
+def test_a_time_to_join_in_that_makes_no_sense_is_refused(within):
+    said = f"within must be a whole number of 1 to 604800 s, got {within} s"
+    with pytest.raises(ValueError, match=said):
+        join_processes("127.0.0.1:1", 1, 0, within=within)
     assert not jax.distributed.is_initialized()
