@@ -123,6 +123,24 @@ def test_what_is_no_folder_is_refused_in_words(cache):
         jaxrod.configure_cpu(1, cache=cache)
 
 
+@pytest.mark.parametrize("inside", [(), ("below",)])
+def test_a_file_in_the_place_of_the_folder_is_refused_by_its_name(
+    as_before, inside, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
+    taken = tmp_path / "taken"
+    taken.write_text("something else")
+    with pytest.raises(ValueError, match=r"must be a folder.*taken"):
+        program_cache.keep_programs(taken.joinpath(*inside))
+    assert taken.read_text() == "something else"
+
+
+def test_a_home_folder_may_be_short(as_before, tmp_path, monkeypatch):
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert program_cache.keep_programs("~/kept") == tmp_path / "kept"
+
+
 def test_xla_is_silenced_only_where_it_raises_false_alarms(monkeypatch):
     level = "TF_CPP_MIN_LOG_LEVEL"
     monkeypatch.setenv(level, "")

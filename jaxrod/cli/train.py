@@ -167,7 +167,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--join-seconds",
         type=int,
-        default=JOINED_WITHIN,
         metavar="S",
         help="with --distributed: time in which all processes have to come "
         f"(default: {JOINED_WITHIN})",
@@ -247,10 +246,12 @@ def run(args: argparse.Namespace) -> int:
     jaxrod.configure_cpu(devices_that_fit(wanted, args.devices, available=None))
     processes = (args.coordinator, args.processes, args.process_id)
     if args.distributed:
-        join_processes(*processes, within=args.join_seconds)
-    elif any(one is not None for one in processes):
+        within = JOINED_WITHIN if args.join_seconds is None else args.join_seconds
+        join_processes(*processes, within=within)
+    elif any(one is not None for one in (*processes, args.join_seconds)):
         raise ValueError(
-            "--coordinator, --processes and --process-id go with --distributed"
+            "--coordinator, --processes, --process-id and --join-seconds go with "
+            "--distributed"
         )
     if source:
         runs.open_run(source)

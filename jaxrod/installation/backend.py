@@ -46,7 +46,8 @@ def configure_cpu(
             `JAXROD_CACHE` says (1 or a folder), and not if it says nothing.
 
     Raises:
-        ValueError: If `devices` is not a positive integer, or `cache` an empty name.
+        ValueError: If `devices` is not a positive integer, or `cache` is no
+            folder that can be made.
     """
     if devices is None:
         devices = available_cores()

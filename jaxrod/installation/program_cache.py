@@ -60,6 +60,9 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
     Returns:
         The folder; None where nothing is kept.
 
+    Raises:
+        ValueError: the folder is none, and cannot be made.
+
     Warns:
         UncheckedCacheWarning: JAX would keep programs without a checksum.
     """
@@ -78,7 +81,16 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
             stacklevel=3,
         )
         return None
-    chosen = (default_folder() if folder is None else Path(folder)).absolute()
+    chosen = default_folder() if folder is None else Path(folder)
+    chosen = chosen.expanduser().absolute()
+    try:
+        chosen.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        # From the environment or an argument: either way a folder was meant.
+        raise ValueError(
+            f"the cache of compiled programs must be a folder that can be made, got "
+            f"{str(chosen)!r}: {getattr(error, 'strerror', None) or error}"
+        ) from error
     jax.config.update("jax_compilation_cache_dir", str(chosen))
     name = "jax_persistent_cache_min_compile_time_secs"
     if getattr(jax.config, name) == _JAX_SHORTEST:
