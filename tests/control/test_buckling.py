@@ -1,0 +1,47 @@
+"""Identification across a fork: starts of windows, and four parameters at once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from benchmarks.buckling import LENGTH, PERIOD, PRESSED, SD, TRUTH, Buckling
+from benchmarks.fit_rows import noisy, scaled
+
+TIME = 0.7
+
+
+@pytest.fixture(scope="module")
+def small():
+    return Buckling(n=6, modes=3, frames=12)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return {"amplitudes": jnp.array([0.6, -0.1, 0.05]), "rates": jnp.array([1.0, 2.0, -1.0])}
+
+
+def test_a_start_meets_the_walls_under_one_axial_force(small, bent):
+    nodes, angle = small.shape(bent["amplitudes"], TIME)
+    gap = LENGTH - 0.5 * PRESSED * (1 - np.cos(2 * np.pi * TIME / PERIOD))
+    np.testing.assert_allclose(nodes[:, -1], [0, gap], atol=1e-9)
+    edges = np.diff(np.asarray(nodes), axis=1)
+    np.testing.assert_allclose(np.arctan2(*edges), angle, atol=1e-12)
+    strain = np.hypot(*edges) / (LENGTH / small.n) - 1
+    # Of a force F along z the axial part is F cos(angle).
+    np.testing.assert_allclose(strain / np.cos(angle), strain[0] / np.cos(angle[0]))
+
+
+def test_a_start_moves_as_its_rates_say(small, bent):
+    state = small.state(TRUTH, bent, jnp.asarray(TIME))
+    h = 1e-6
+    ends = []
+    for side in (-h, h):
+        amplitudes = bent["amplitudes"] + side * bent["rates"]
+        ends.append(small.shape(amplitudes, TIME + side))
+    velocity, spin = ((b - a) / (2 * h) for a, b in zip(*ends, strict=True))
+    np.testing.assert_allclose(state.velocities[::2], velocity, atol=1e-6)
+    scene, _ = small.scene(TRUTH)
+    found = jaxrod.angular_velocities(scene.rod, state)[1]
+    np.testing.assert_allclose(found, spin, atol=1e-5)
