@@ -27,9 +27,9 @@ TRUTH = {
     "damping": 10.0,
 }
 """Of a soft rubber [N m^2, N, kg/m^3, 1/s]."""
-LOWER = {"density": 280.0, "axial_stiffness": 75.0, "damping": 0.5}
+LOWER = {"density": 300.0, "axial_stiffness": 75.0, "damping": 0.5}
 UPPER = {
-    "axial_stiffness": 1300.0,
+    "axial_stiffness": 1000.0,
     "bending_stiffness": 0.033,
     "density": 4500.0,
     "damping": 60.0,
@@ -40,6 +40,9 @@ PRESSED, PERIOD = 0.05, 4.0
 """How far the wall comes [m], and how long it takes there and back [s]."""
 SD = {"film": 1e-3, "force": 0.05}
 """Of the noise: every coordinate of every node [m], and the sensor [N]."""
+TRUST = ((1.0, 1.0), (0.2, 1.0), (SD["force"], 0.1))
+"""Noise of the sensor as searches have it one after the other [N], and the damping of
+their first step; the last is the true one."""
 UNEVEN = 5e-3
 """Of each mode at time zero [rad], and of its rate [rad/s]."""
 
@@ -189,8 +192,12 @@ class Buckling:
         """Films of rods that are straight but for what cannot be seen, by keys."""
         return jax.vmap(lambda key: self.film(TRUTH, key))(keys)
 
-    def fit(self, seen: Any, start: Any, every: int, damping: float) -> Any:
-        """Parameters from films, stacked in front, in windows of so many frames."""
+    def fit(self, seen: Any, start: Any, every: int, iterations: int = 40) -> Any:
+        """Parameters from films, stacked in front, in windows of so many frames.
+
+        Weights of the force rise from one search to the next, `TRUST`: of a start that
+        only the film shows it is wrong by many times its noise.
+        """
         starts = jax.vmap(lambda film: self.starts(film, every))(seen["film"])
         parts = jax.vmap(lambda one: windows(one, every, with_starts=True))(seen)
         firsts = jnp.arange(0, self.frames - every + 1, every)
@@ -198,17 +205,23 @@ class Buckling:
         def run(p: Any, start: Any, first: Any) -> Any:
             return self.window(p, start, first, every)
 
-        return identify_shots(
-            run,
-            jax.tree.map(_joined, parts),
-            start,
-            jax.tree.map(_joined, starts),
-            known=jnp.tile(firsts, len(seen["force"])),
-            sd=SD,
-            lower=LOWER,
-            upper=UPPER,
-            damping=damping,
-        )[0]
+        def search(begin: Any, trust: Array) -> Any:
+            fit, found = identify_shots(
+                run,
+                jax.tree.map(_joined, parts),
+                *begin,
+                known=jnp.tile(firsts, len(seen["force"])),
+                sd={"film": SD["film"], "force": trust[0]},
+                lower=LOWER,
+                upper=UPPER,
+                damping=trust[1],
+                iterations=iterations,
+            )
+            return (fit.values, found), fit
+
+        begin = (jax.tree.map(jnp.asarray, start), jax.tree.map(_joined, starts))
+        _, fits = jax.lax.scan(search, begin, jnp.asarray(TRUST))
+        return jax.tree.map(lambda leaf: leaf[-1], fits)
 
 
 def _joined(leaf: Array) -> Array:

@@ -42,9 +42,16 @@ def scaled(truth: dict[str, float], factors: Iterable[float]) -> dict[str, float
 
 
 def fit_row(
-    words: str, truth: dict[str, float], fit: Fit, first: float, run: float
+    words: str,
+    truth: dict[str, float],
+    fit: Fit,
+    first: float | None,
+    run: float | None,
 ) -> str:
-    """One row of a fit, its printed table above it on the terminal."""
+    """One row of a fit, its printed table above it on the terminal.
+
+    Seconds that were not measured are left out.
+    """
     print(fit, file=sys.stderr, flush=True)
     values, sds = fit.values, fit.standard_deviations
     unsure = {
@@ -61,7 +68,11 @@ def fit_row(
         for k in truth
     )
     words += "" if bool(fit.converged) else " (not converged)"
+    seconds = (
+        "" if first is None else f"{first:.1f}",
+        "" if run is None else f"{run:.2f}",
+    )
     return (
         f"| {words} | {found} | {errors} | {stated} | {int(fit.iterations)} | "
-        f"{first:.1f} | {run:.2f} |"
+        f"{' | '.join(seconds)} |"
     )

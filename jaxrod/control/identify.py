@@ -112,7 +112,7 @@ class Sought(NamedTuple):
     low: Array
     """Bounds of the search variables."""
     high: Array
-    count: Array
+    observations: Array
     """Number of observations."""
     noise_is_given: bool
 
@@ -155,7 +155,7 @@ def fit_of(sought: Sought, found: Any, others: int = 0) -> Fit:
     parameters, seen, noise = sought.parameters, sought.seen, sought.noise
     given, bounds = sought.noise_is_given, (sought.low, sought.high)
     point = found.solution
-    freedoms = sought.count - point.size - others
+    freedoms = sought.observations - point.size - others
     squares = jnp.sum(found.residuals**2)
     misfit = squares / jnp.maximum(freedoms, 1)
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)

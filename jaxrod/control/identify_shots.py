@@ -42,7 +42,7 @@ def identify_shots(
     lower: Mapping[str, Any] | None = None,
     upper: Mapping[str, Any] | None = None,
     iterations: int = 50,
-    damping: float = 1e-3,
+    damping: Any = 1e-3,
     tolerance: float | None = None,
 ) -> tuple[Fit, Any]:
     """Parameters that explain windows best, each from the start that is best for it.

@@ -72,7 +72,7 @@ def local_least_squares(
     *,
     lower: Array,
     upper: Array,
-    damping: float = 1e-3,
+    damping: Any = 1e-3,
     iterations: int = 50,
     tolerance: float | None = None,
 ) -> LocalLeastSquares:

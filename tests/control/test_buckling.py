@@ -19,7 +19,10 @@ def small():
 
 @pytest.fixture(scope="module")
 def bent():
-    return {"amplitudes": jnp.array([0.6, -0.1, 0.05]), "rates": jnp.array([1.0, 2.0, -1.0])}
+    return {
+        "amplitudes": jnp.array([0.6, -0.1, 0.05]),
+        "rates": jnp.array([1.0, 2.0, -1.0]),
+    }
 
 
 def test_a_start_meets_the_walls_under_one_axial_force(small, bent):
@@ -45,3 +48,23 @@ def test_a_start_moves_as_its_rates_say(small, bent):
     scene, _ = small.scene(TRUTH)
     found = jaxrod.angular_velocities(scene.rod, state)[1]
     np.testing.assert_allclose(found, spin, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_four_parameters_are_found_across_the_fork_from_three_times_off():
+    buckling = Buckling(n=8, modes=4, frames=90)
+    clean = jax.jit(buckling.films)(jax.random.split(jax.random.key(1), 12))
+    start = scaled(TRUTH, (3.5, 1 / 3, 3.0, 0.25))
+
+    @jax.jit
+    def fit(key):
+        return buckling.fit(noisy(clean, SD, key), start, 6)
+
+    fits = [fit(key) for key in jax.random.split(jax.random.key(2), 6)]
+    for name, value in TRUTH.items():
+        assert float(fits[0].values[name]) == pytest.approx(value, rel=0.05), name
+    assert np.mean([float(fit.misfit) for fit in fits]) == pytest.approx(1, abs=0.03)
+    z = np.array([[float(leaf) for leaf in fit.z(TRUTH).values()] for fit in fits])
+    # 24 scores, of which those of one fit depend on each other.
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.6
+    assert np.max(np.abs(z)) < 4
