@@ -53,18 +53,12 @@ def test_a_start_moves_as_its_rates_say(small, bent):
 @pytest.mark.slow
 def test_four_parameters_are_found_across_the_fork_from_three_times_off():
     buckling = Buckling(n=8, modes=4, frames=90)
-    clean = jax.jit(buckling.films)(jax.random.split(jax.random.key(1), 12))
+    clean = jax.jit(buckling.films)(jax.random.split(jax.random.key(1), 8))
+    seen = noisy(clean, SD, jax.random.key(2))
     start = scaled(TRUTH, (3.5, 1 / 3, 3.0, 0.25))
-
-    @jax.jit
-    def fit(key):
-        return buckling.fit(noisy(clean, SD, key), start, 6)
-
-    fits = [fit(key) for key in jax.random.split(jax.random.key(2), 6)]
+    fit = jax.jit(lambda seen, start: buckling.fit(seen, start, 6))(seen, start)
     for name, value in TRUTH.items():
-        assert float(fits[0].values[name]) == pytest.approx(value, rel=0.05), name
-    assert np.mean([float(fit.misfit) for fit in fits]) == pytest.approx(1, abs=0.03)
-    z = np.array([[float(leaf) for leaf in fit.z(TRUTH).values()] for fit in fits])
-    # 24 scores, of which those of one fit depend on each other.
-    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.6
-    assert np.max(np.abs(z)) < 4
+        assert float(fit.values[name]) == pytest.approx(value, rel=0.05), name
+    assert float(fit.misfit) == pytest.approx(1, abs=0.05)
+    for name, z in fit.z(TRUTH).items():
+        assert abs(float(z)) < 4, name
