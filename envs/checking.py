@@ -94,10 +94,34 @@ def _called(
     try:
         return method(*given)
     except Exception as error:
-        said = str(error).strip().partition("\n")[0]
+        said = str(error).strip().partition("\n")[0].rstrip(".")
         raise ValueError(
             f"{name} of {env.name} raised {type(error).__name__}: {said}"
+            f"{_remedy(error)}"
         ) from error
+
+
+def _remedy(error: Exception) -> str:
+    """What to write instead, where JAX's words alone do not tell."""
+    if isinstance(error, jax.errors.TracerBoolConversionError):
+        # JAX says where, in lines that follow the first.
+        return (
+            ". What `if`, `while`, `and` or `or` decides by must be known before the "
+            "program runs: jnp.where and jax.lax.cond decide while it runs"
+        )
+    if isinstance(error, jax.errors.TracerArrayConversionError):
+        return ". NumPy cannot compute here: jax.numpy has the same functions"
+    if isinstance(error, jax.errors.ConcretizationTypeError):
+        return (
+            ". float(), int() and shapes need a number known before the program runs: "
+            "keep it an array"
+        )
+    if "not a valid JAX type" in str(error):
+        return (
+            ". Return arrays, and a state as a pytree of them: `@jaxrod.pytree` makes "
+            "one of a class"
+        )
+    return ""
 
 
 def _traced(

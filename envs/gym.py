@@ -30,6 +30,7 @@ VARIANTS = {
     "snake": ("clean",),
     "octopus": ("clean",),
     "gripper": ("clean",),
+    "following": ("clean",),
 }
 """The tasks, and what variants each has."""
 

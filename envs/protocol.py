@@ -121,8 +121,9 @@ class Drawable(Environment, Protocol):
 class Plannable(Environment, Protocol):
     """An environment that can be planned with; the others train and evaluate as well.
 
-    The four tasks of the arm are. `predict` and `cost` are pure and differentiable;
-    what is random is not foreseen, so a plan knows no more than an agent could.
+    The four tasks of the arm are, and `following`. `predict` and `cost` are pure and
+    differentiable; what is random is not foreseen, so a plan knows no more than an
+    agent could.
     `jaxrod.control.mpc` takes it; `residuals` only where it plans by Gauss-Newton.
     """
 

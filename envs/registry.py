@@ -13,6 +13,7 @@ from jaxrod.envs.importing import callable_at, spelt_out
 from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
+    "following": "jaxrod.envs.tasks.following:following",
     "gripper": "jaxrod.envs.tasks.gripper:gripper",
     "octopus": "jaxrod.envs.tasks.octopus:octopus",
     "reaching": "jaxrod.envs.tasks.reaching:reaching",

@@ -35,6 +35,16 @@ def run(program, tmp_path):
     return done.stdout
 
 
+def test_no_program_is_left_out():
+    fences = re.compile(r"^\s*(?:```|~~~)\s*\{?(?:i?py|code)", re.M)
+    pages = [ROOT / "CONTRIBUTING.md", *(ROOT / "benchmarks").rglob("*.md"), *PAGES]
+    left_out = {}
+    for page in pages:
+        run = len(BLOCK.findall(page.read_text())) if page in PAGES else 0
+        left_out[str(page)] = len(fences.findall(page.read_text())) - run
+    assert not {name: count for name, count in left_out.items() if count}
+
+
 def test_readme_runs_as_printed(tmp_path):
     ((program, _),) = programs(PAGES[0])
     printed = run(program, tmp_path)

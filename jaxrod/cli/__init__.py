@@ -33,6 +33,7 @@ from jaxrod import __version__
 from jaxrod.cli import checkout
 from jaxrod.cli.text import printable
 from jaxrod.installation.jax_version import UnsoundJaxError
+from jaxrod.installation.program_cache import asked_for, silence_false_alarms
 
 COMMANDS = {
     "train": "train a policy on a task",
@@ -54,6 +55,7 @@ EXTRAS = {
     "gymnasium": "gym",
     "brax": "brax",
     "ray": "ray",
+    "tensorboardX": "tensorboard",
 }
 
 BROKEN = 70
@@ -69,7 +71,8 @@ a first run:
   jaxrod render runs/first
 
 `jaxrod COMMAND --help` explains each command with examples.
-JAXROD_TRACEBACK=1 shows where an error was raised.
+JAXROD_TRACEBACK=1 shows where an error was raised, JAXROD_CACHE=1 keeps compiled
+programs for the next call (docs/compiling.md).
 """
 
 
@@ -84,6 +87,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = "jaxrod"
+    if asked_for():
+        silence_false_alarms()
     try:
         parser, chosen = _parser(arguments)
         command = parser.prog if chosen is None else f"jaxrod {chosen}"

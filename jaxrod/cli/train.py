@@ -2,8 +2,9 @@
 
 TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
-nest), `snake` or `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or
-`trivial` (solved in seconds, to try things out). The arms' variants are `paper`, whose
+nest), `following` (a moving target, by curvatures, ten times a second), `snake` or
+`octopus` (they crawl along a heading), `gripper` (it lifts a ball) or `trivial` (solved
+in seconds, to try things out). The arms' variants are `paper`, whose
 scores compare with the published ones, and `clean`; the others' is `clean`. Or it is
 one of your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names what
 makes it, and modules are looked for in the current folder, too (docs/extending.md).
@@ -27,6 +28,7 @@ from typing import Any
 
 from jaxrod.cli import settings
 from jaxrod.files import reading
+from jaxrod.installation import program_cache
 
 STEPS = 10_000_000
 """Control steps by default: the published budget."""
@@ -48,6 +50,7 @@ examples:
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
+  jaxrod train tracking --log tensorboard                  and: tensorboard --logdir .
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm, their defaults and what they mean.
@@ -151,11 +154,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--process-id", type=int, metavar="I", help="number of this one, from 0"
     )
     parser.add_argument(
+        "--cache",
+        action="store_true",
+        help="keep compiled programs on disk for the next run, as JAXROD_CACHE=1 does "
+        "(docs/compiling.md)",
+    )
+    parser.add_argument(
         "--checkpoint-seconds",
         type=float,
         default=60.0,
         metavar="S",
         help="time between checkpoints (default: 60)",
+    )
+    parser.add_argument(
+        "--log",
+        choices=("tensorboard", "none"),
+        help="tensorboard: keep the rows of progress.csv in DIR/tensorboard, too, "
+        "where TensorBoard shows them as they come (default: none; with --resume as "
+        'it was); needs pip install "jaxrod[tensorboard]"',
     )
     parser.add_argument(
         "--no-replay", action="store_true", help="do not write replay.html"
@@ -167,6 +183,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Trains, draws, and prints the result."""
+    if args.cache and not program_cache.asked_for():
+        os.environ[program_cache.VARIABLE] = "1"
+        program_cache.silence_false_alarms()
     import jaxrod
     from jaxrod.cli import runs
     from jaxrod.envs import check_environment, names
@@ -267,6 +286,7 @@ def run(args: argparse.Namespace) -> int:
             overwrite=args.overwrite,
             checkpoint_seconds=args.checkpoint_seconds,
             devices=devices,
+            log="tensorboard" if _logs(args, out) else None,
         )
     except FloatingPointError as error:
         print(f"jaxrod train: {error}", file=sys.stderr)
@@ -297,6 +317,15 @@ def run(args: argparse.Namespace) -> int:
 
     print_paths(*pictures)
     return 0
+
+
+def _logs(args: argparse.Namespace, out: Path) -> bool:
+    """Whether to keep an event file: as asked for, else as the run that goes on."""
+    from jaxrod.training import RunFolder
+
+    if args.log is None and args.resume:
+        return RunFolder(out).tensorboard.is_dir()
+    return bool(args.log == "tensorboard")
 
 
 def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:

@@ -13,6 +13,7 @@ import warnings
 
 import jax
 
+from jaxrod.installation.program_cache import asked_for, keep_programs
 from jaxrod.validation import check_count
 
 MOST_DEVICES = 1024
@@ -26,7 +27,11 @@ _BACKEND_OPTIONS = {
 }
 
 
-def configure_cpu(devices: int | None = None) -> None:
+def configure_cpu(
+    devices: int | None = None,
+    *,
+    cache: bool | str | os.PathLike[str] | None = None,
+) -> None:
     """Applies the CPU settings jaxrod is measured with. Call it before using JAX.
 
     Sets `XLA_FLAGS` for this process (options you set yourself are left as they
@@ -36,13 +41,19 @@ def configure_cpu(devices: int | None = None) -> None:
     Args:
         devices: Number of CPU devices; by default the number of cores this process
             may use.
+        cache: Whether compiled programs are kept on disk for the next process, or the
+            folder to keep them in; by default what the environment variable
+            `JAXROD_CACHE` says (1 or a folder), and not if it says nothing.
 
     Raises:
-        ValueError: If `devices` is not a positive integer.
+        ValueError: If `devices` is not a positive integer, or `cache` an empty name.
     """
     if devices is None:
         devices = available_cores()
     devices = check_count("devices", devices, 1, MOST_DEVICES)
+    kept = asked_for() if cache is None else cache
+    if not isinstance(kept, bool | str | os.PathLike) or kept == "":
+        raise ValueError(f"cache must be True, False or a folder, got {cache!r}")
     if _backend_is_running():
         warnings.warn(
             "jaxrod.configure_cpu() came after the first JAX computation and has no "
@@ -52,6 +63,8 @@ def configure_cpu(devices: int | None = None) -> None:
         return
     os.environ["XLA_FLAGS"] = with_backend_options(os.environ.get("XLA_FLAGS", ""))
     jax.config.update("jax_num_cpu_devices", devices)
+    if kept:
+        keep_programs(None if kept is True else kept)
 
 
 def compile_for_rods() -> None:

@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array
 
 from jaxrod.lanes.steps import stepped
+from jaxrod.stepping.one_by_one import one_by_one
 
 Carry = TypeVar("Carry")
 
@@ -19,13 +20,23 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
     """What an integrator makes of a state: its beginning, its cycles, its end.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`.
+        integrator: A pytree with methods `begin`, `cycle` and `end`; one that says
+            `one_by_one` does not go into lanes, nor together with others on a CPU.
         state: What it begins with.
         n_cycles: How many cycles; an `int` if it is to be differentiated in reverse.
     """
+    if getattr(integrator, "one_by_one", False):
+        if isinstance(n_cycles, int):
+            whole = lambda own, state: _looped(own, state, n_cycles)
+            return one_by_one(whole, integrator, state)
+        return one_by_one(_looped, integrator, state, n_cycles)
     by_lanes = stepped(integrator, state, n_cycles)
     if by_lanes is not None:
         return by_lanes
+    return _looped(integrator, state, n_cycles)
+
+
+def _looped(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
     begun = integrator.begin(state)
     if isinstance(n_cycles, int):
         return integrator.end(repeat(integrator.cycle, begun, n_cycles))

@@ -70,6 +70,8 @@ class ListingSystem:
     """Position Verlet of a system with lists of neighbours."""
 
     steps_of_end: ClassVar[int] = 1
+    one_by_one: ClassVar[bool] = True
+    """A batch goes one after the other: branches by what lists hold stay branches."""
     stepper: SystemStepper | EvolvingSystem
     """The system's stepper, with couplings without lists."""
     every: int = static()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from jaxrod.envs.adapters import gymnasium_batch
 from jaxrod.envs.adapters.packing import layout
 from jaxrod.envs.gym import GymnasiumEnv
 
@@ -58,7 +57,7 @@ def test_a_control_step_takes_and_gives_few_arrays():
     env.step(np.zeros(1, np.float32))
     batch = env._batch
     taken = jax.tree.leaves(batch.packed())
-    program = gymnasium_batch._program(*batch._made_of, False)
+    program = batch._programs[0]
     given = program.outcome.dtypes
     # One for each type of numbers: the state has eight leaves, the results eleven.
     assert len(taken) == 4 and len(given) <= 3

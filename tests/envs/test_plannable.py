@@ -17,7 +17,7 @@ ARMS = {
     "structured": {"n_elements": 10},
     "unstructured": {"n_elements": 10},
 }
-ALL = {**ARMS, "trivial": {}}
+ALL = {**ARMS, "following": {"n_elements": 6}, "trivial": {}}
 CHEAP = ("trivial", "reaching")
 
 
@@ -35,6 +35,8 @@ def task(name):
 
 def begun(env, seed=0):
     params = env.default_params()
+    if hasattr(params, "chance"):
+        params = dataclasses.replace(params, chance=jnp.asarray(0.0))
     return params, env.reset(jax.random.key(seed), params)[1]
 
 

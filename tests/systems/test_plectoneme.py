@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import jaxrod
+from benchmarks.plectoneme.guided import BENDING, LENGTH, TORSION, guided, nearest
+from benchmarks.plectoneme.guided import topology as guided_topology
 
 N, RADIUS, YOUNG = 50, 0.025, 1e6
 TURNS, COMING, TIME, DAMPING = 4.5, 0.225, 9.0, 5.0
@@ -92,4 +94,58 @@ def test_link_of_a_plectoneme_is_what_its_end_is_turned_by(record):
         "0, but for shear at the ends of the ribbon",
         max(balances),
         at_most=1e-4,
+    )
+
+
+GUIDED, WINDING, TEN = 10, 40.0, 10.0
+"""Elements in each guide; the time in which the end is turned [s], by so many turns."""
+BUCKLING = 8.9868
+"""Couple that buckles a twisted rod whose ends are held, times length over EI [1]."""
+
+
+@pytest.mark.slow
+def test_link_of_ten_turns_stays_in_a_rod_that_winds_up(record):
+    """Its end slides freely; the rod is straight until Greenhill's twist."""
+    made = guided(
+        N,
+        GUIDED,
+        jaxrod.ramp(0.0, 2 * np.pi * TEN, WINDING),
+        stiffness=6e6,
+        dashpot=4500.0,
+        damping=(2.0, 12800.0),
+        across=0.01,
+    )
+    system, now = made.system, made.state
+    radii = system.members["rod"].rod.radii
+    dt = float(jaxrod.stable_dt(system, 0.9).dt)
+    each = int((WINDING + 2.0) / dt / 14)
+    advance = jax.jit(jaxrod.advance)
+    # The couple that buckles the length between the guides twists the guides too.
+    critical = BUCKLING * BENDING / LENGTH * made.whole / TORSION / (2 * np.pi)
+    balances, missing, straight = [], [], []
+    for k in range(14):
+        first = jnp.asarray(k * each)
+        now = advance(system, now, dt, jnp.asarray(each), first=first)
+        turned = TEN * min(1.0, (k + 1) * each * dt / WINDING)
+        twist, writhe, link = map(float, guided_topology(now["rod"], radii))
+        balances.append(abs(link - twist - writhe))
+        missing.append(abs(link - turned))
+        if turned < 0.9 * critical:
+            straight.append(abs(writhe))
+    assert writhe > 3 and twist > 6 and straight
+    assert not jaxrod.health(system.at(WINDING + 2.0), now, dt).flagged
+    name = f"rod wound up by {TEN:g} turns between guides, at 14 moments"
+    record(f"{name}: link", "turns of its end", max(missing), at_most=1e-3)
+    record(f"{name}: link less twist and writhe", "0", max(balances), at_most=1e-10)
+    record(
+        f"{name}: writhe below 0.9 of the twist that buckles it, {critical:.3f} turns",
+        "0 (Greenhill)",
+        max(straight),
+        at_most=1e-4,
+    )
+    record(
+        f"{name}: nearest axes at the end, over the diameter",
+        "1, less what contact yields",
+        nearest(now["rod"]),
+        between=(0.9, 1.0),
     )

@@ -61,6 +61,7 @@ ARMS = ("tracking", "reaching", "structured", "unstructured")
     ("name", "variant"),
     [
         *((name, variant) for name in ARMS for variant in ("paper", "clean")),
+        pytest.param("following", "clean", marks=pytest.mark.slow),
         pytest.param("snake", "clean", marks=pytest.mark.slow),
         pytest.param("octopus", "clean", marks=pytest.mark.slow),
         pytest.param("gripper", "clean", marks=pytest.mark.slow),

@@ -6,6 +6,7 @@ episodes.csv    one row per complete training episode, in order of completion
 summary.json    the result
 checkpoints/    to continue from, see `jaxrod.training.runs.checkpoint`
 policy/         the trained policy, see `jaxrod.training.load_policy`
+tensorboard/    the rows of progress.csv as an event file, where asked for
 
 The command line draws learning_curve.png and replay.html beside them. While a process
 trains here there is a lock, see `jaxrod.training.runs.lock`. What else lies in the
@@ -30,7 +31,7 @@ from jaxrod.files import (
     whole,
     write_atomically,
 )
-from jaxrod.training.runs import checkpoint
+from jaxrod.training.runs import checkpoint, event_file
 from jaxrod.training.runs.owned_folder import CONFIG, OwnedFolder, as_json
 from jaxrod.training.runs.table import Table
 from jaxrod.validation import LARGEST_SEED
@@ -86,6 +87,7 @@ class RunFolder(OwnedFolder):
             {
                 "checkpoints": checkpoint.NAMES,
                 "policy": r"policy\.(json|npz)",
+                "tensorboard": event_file.NAMES,
             },
         )
         self.progress = Table(self.path / "progress.csv")
@@ -93,6 +95,7 @@ class RunFolder(OwnedFolder):
         self.summary_file = self.path / SUMMARY
         self.checkpoints = self.path / "checkpoints"
         self.policy = self.path / "policy"
+        self.tensorboard = self.path / "tensorboard"
 
     @property
     def finished(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -17,11 +17,12 @@ from jaxrod.envs.registry import made
 from jaxrod.training.algorithm import Algorithm, recorded_name
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
+from jaxrod.training.runs.event_file import check_installed
 from jaxrod.training.runs.folder import RunFolder, differences
 from jaxrod.training.runs.hosts import Hosts
 from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.recorded_settings import plain, recorded
-from jaxrod.training.runs.run import Result, Run
+from jaxrod.training.runs.run import TENSORBOARD, Log, Result, Run
 from jaxrod.training.settings import check_steps
 from jaxrod.validation import check_count, check_seed
 
@@ -43,7 +44,7 @@ def train(
     chunk_steps: int = 16_384,
     devices: Sequence[jax.Device] | None = None,
     progress: bool = True,
-    log: Callable[[dict[str, Any]], None] | None = None,
+    log: Log | None = None,
 ) -> Result:
     """Trains a policy.
 
@@ -75,9 +76,11 @@ def train(
         devices: devices to spread the environments over, None for all; one for an
             algorithm without a `partition`.
         progress: show a progress bar on stderr.
-        log: called with every row of the progress table.
+        log: called with every row of the progress table; or "tensorboard", which
+            keeps an event file of them in `out` (`docs/learning.md`).
 
     Raises:
+        ModuleNotFoundError: what `log` needs is not installed.
         ValueError: an argument or a setting makes no sense; `out` holds a run
             that was not asked to be resumed or overwritten, or files that are not
             of a run; another process trains there; or what is to be resumed is
@@ -99,6 +102,12 @@ def train(
     )
     settings = {} if out is None else recorded(config)
     asked = request(env, name, settings, steps, seed, score_window)
+    if log == TENSORBOARD:
+        if out is None:
+            raise ValueError("log='tensorboard' needs a folder, got out=None")
+        check_installed()
+    elif log is not None and not callable(log):
+        raise ValueError(f"log must be a function or 'tensorboard', got {log!r:.60}")
     if out is None and resume:
         raise ValueError("resume needs the folder of a run, got out=None")
     folder = None if out is None else RunFolder(out)

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -32,6 +32,7 @@ from jaxrod.training.runs.devices import (
     partition_of,
     place,
 )
+from jaxrod.training.runs.event_file import EventFile
 from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.hosts import Hosts, packed, unpacked
 from jaxrod.training.runs.interruption import Interruption
@@ -40,6 +41,12 @@ from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
 
 _STORED = "stored"
+
+TENSORBOARD: Literal["tensorboard"] = "tensorboard"
+"""The word for an event file in the folder of the run, see `EventFile`."""
+
+Log = Callable[[dict[str, Any]], None] | Literal["tensorboard"]
+"""What is done with every row of the progress table."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +87,7 @@ class Run:
         devices: Sequence[jax.Device],
         hosts: Hosts,
         show: bool,
-        log: Callable[[dict[str, Any]], None] | None,
+        log: Log | None,
     ) -> None:
         """Makes the first train state, or restores the last; see `train`."""
         self.began = time.monotonic()
@@ -90,7 +97,7 @@ class Run:
         self.folder = folder if hosts.writes else None
         self.saves = folder is not None
         self.checkpoint_seconds = checkpoint_seconds
-        self.show, self.log = show and hosts.writes, log if hosts.writes else None
+        self.show = show and hosts.writes
         self.per_update = updates_of(learner, config)
         self.total = check_steps(asked["steps"], self.per_update)
         self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
@@ -114,6 +121,11 @@ class Run:
             # Not before the state could be made: what fails here costs nothing.
             hosts.from_writer(partial(_begin, folder, asked))
         self.state = place(state, partition_of(learner, state), self.mesh)
+        self.log = log if hosts.writes and log != TENSORBOARD else None
+        self.events: EventFile | None = None
+        if own and log == TENSORBOARD:
+            known = own.progress.read()
+            self.events = EventFile(own.tensorboard, known, self.wall_before)
 
     @property
     def env_steps(self) -> int:
@@ -136,6 +148,10 @@ class Run:
         evaluation = None
         if finished and evaluation_episodes:
             evaluation, report = self._evaluate(policy, evaluation_episodes)
+            if self.events:
+                at = {"env_steps": self.env_steps, "wall_s": self.wall_s}
+                score = {"evaluation_score": evaluation.mean}
+                self.events.append({**at, **score})
             summary |= report
         if ended and self.folder and self.folder.finished:
             summary = self.folder.summary()
@@ -216,6 +232,8 @@ class Run:
         if self.folder:
             self.folder.progress.append([row])
             self.folder.episodes.append(new)
+        if self.events:
+            self.events.append(row)
         if self.log:
             self.log(row)
         bar.update(self.env_steps, _reached(row))

@@ -1,0 +1,174 @@
+r"""A soft arm that takes the curvature it is told to, segment by segment.
+
+The arm is the benchmark's (1 m, 5 cm, 10 MPa, 1000 kg/m^3), it stands upright on the
+ground and feels its weight. Five equal segments of it have an angle each about both
+transverse axes, by which the segment would be bent if it were free: their rest
+curvature (`jaxrod.ActiveShape`). Within a control step it goes in a straight line from
+what it was to what is commanded.
+
+Damping is exponential, at 4/s: the lowest mode, of 8.8 rad/s without the weight, has a
+damping ratio of 0.23, about that of backward Euler steps of 50 ms at this frequency
+(0.21). Transverse rotary inertia is enlarged (`jaxrod.scale_inertia`), up to twice,
+which leaves the tip where it is within 1 mm.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxrod import (
+    ActiveShape,
+    Clamp,
+    ExponentialDamping,
+    Gravity,
+    HealthLimits,
+    Ramp,
+    Rod,
+    RodState,
+    Scene,
+    advance,
+    clamp,
+    consistent,
+    exponential_damping,
+    freeze,
+    gravity,
+    health,
+    scale_inertia,
+)
+from jaxrod.actuation.section_load import walls_of
+from jaxrod.envs.arm.soft_arm import LENGTH, clean_rod
+from jaxrod.structure import pytree
+
+N_SEGMENTS = 5
+"""Segments of the arm with an angle of their own about each transverse axis."""
+GRAVITY = 9.8
+"""[m/s^2]"""
+DAMPING = 4.0
+"""Of translation and rotation [1/s]."""
+MOST_ANGLE = 2.0
+"""By which a segment is bent at most about an axis [rad]."""
+
+
+@pytree
+class CurvedArm:
+    """Parameters of the arm and of all that acts on it."""
+
+    rod: Rod
+    """The arm; transverse rotary inertia enlarged."""
+    rest: RodState
+    """Upright, straight and at rest."""
+    held: Clamp
+    """The ground it grows from."""
+    weight: Gravity
+    """Gravity along the arm, downwards."""
+    damping: ExponentialDamping
+    """Damping of translation and rotation."""
+    shares: Float[Array, "n+1 segments"]
+    """Curvature of the joint at each node for an angle of one of each segment [1/m]."""
+    most_angle: Float[Array, ""]
+    """Largest angle of a segment about an axis, either way [rad]."""
+    largest_change: Float[Array, ""]
+    """Change of an angle in a control step for a control value of one [rad]."""
+    limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
+    """Limits of health beyond which the arm is frozen."""
+
+    def advance(
+        self,
+        state: RodState,
+        before: Float[Array, "2 segments"],
+        after: Float[Array, "2 segments"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[RodState, Bool[Array, ""]]:
+        """Simulation steps of one control step.
+
+        Args:
+            state: The arm.
+            before: Angles of the segments about d1 and d2 at the beginning [rad].
+            after: Angles at the end; between them they go in a straight line [rad].
+            dt: Step [s].
+            n_steps: Number of steps, at least 1.
+
+        Returns:
+            The arm, and whether a health flag rose; then it is what it was.
+        """
+        curvature = Ramp(
+            first=self.curvatures(before),
+            last=self.curvatures(after),
+            start=jnp.zeros_like(dt),
+            duration=n_steps * dt,
+        )
+        moved = advance(self._acting(curvature), state, dt, n_steps)
+        flagged = health(self.scene(after), moved, dt, limits=self.limits).flagged
+        return freeze(flagged, state, moved), flagged
+
+    def turned(
+        self, angles: Float[Array, "2 segments"], action: Float[Array, " action"]
+    ) -> Float[Array, "2 segments"]:
+        """Angles after an action that changes them [rad].
+
+        Args:
+            angles: Angles before it [rad].
+            action: Changes about d1, then about d2, of the largest; clipped to [-1, 1].
+        """
+        change = self.largest_change * jnp.reshape(jnp.clip(action, -1, 1), (2, -1))
+        return jnp.clip(angles + change, -self.most_angle, self.most_angle)
+
+    def curvatures(self, angles: Float[Array, "2 segments"]) -> Float[Array, "3 n+1"]:
+        """Rest curvature of the joint at each node: no twist [1/m]."""
+        about = jnp.sum(self.shares[None] * angles[:, None, :], axis=-1)
+        return jnp.concatenate([about, jnp.zeros_like(about[:1])])
+
+    def scene(self, angles: Float[Array, "2 segments"]) -> Scene:
+        """Scene of the arm whose segments keep these angles [rad]."""
+        return self._acting(self.curvatures(angles))
+
+    def _acting(self, curvature: Array | Ramp) -> Scene:
+        shape = ActiveShape(curvature, None, walls_of(self.held))
+        effects = (self.held, self.weight, self.damping, shape)
+        return Scene(self.rod, effects, consistent())
+
+
+def curved_arm(n_elements: int, largest_change: float) -> CurvedArm:
+    """The arm at rest, in JAX's default precision.
+
+    Args:
+        n_elements: Elements.
+        largest_change: Of an angle in a control step [rad].
+    """
+    rod, rest = clean_rod(n_elements, (0.0, 0.0, 0.0), "z")
+
+    def number(value: float) -> Array:
+        return jnp.asarray(value, rod.radii.dtype)
+
+    arm = CurvedArm(
+        rod=rod,
+        rest=rest,
+        held=clamp(rest),
+        weight=gravity((0.0, 0.0, -GRAVITY)),
+        damping=exponential_damping(DAMPING),
+        shares=jnp.asarray(_shares(n_elements), rod.radii.dtype),
+        most_angle=number(MOST_ANGLE),
+        largest_change=number(largest_change),
+        limits=jax.tree.map(number, HealthLimits()),
+    )
+    straight = arm.scene(jnp.zeros((2, N_SEGMENTS), rod.radii.dtype))
+    return dataclasses.replace(arm, rod=scale_inertia(straight).scene.rod)
+
+
+def _shares(n_elements: int) -> np.ndarray:
+    """Mean over the joint of each node of a curvature that bends one segment by one."""
+    nodes = np.linspace(0.0, 1.0, n_elements + 1)
+    middles = 0.5 * (nodes[1:] + nodes[:-1])
+    starts, ends = np.append(0.0, middles), np.append(middles, 1.0)
+    edges = np.linspace(0.0, 1.0, N_SEGMENTS + 1)
+    overlap = np.minimum(ends[:, None], edges[1:]) - np.maximum(
+        starts[:, None], edges[:-1]
+    )
+    size = LENGTH / N_SEGMENTS
+    return np.maximum(overlap, 0.0) / (ends - starts)[:, None] / size

@@ -1,0 +1,289 @@
+r"""A soft arm's tip follows a target, ten times a second, by curvatures of the arm.
+
+Five segments of the arm have an angle each about both transverse axes, by which they
+would be bent if they were free. An action changes these ten angles by 0.05 rad at most,
+up to 2 rad either way, in a straight line during the control step of 0.1 s. The target
+flies at 0.5 m/s through a box and takes a new heading with a chance of 0.025 in every
+control step. Reward per control step, at distance $d$ of the tip from the target:
+$-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. An episode lasts 500 control
+steps (50 s).
+
+It is the task "follow" of Choi and Tong (arXiv 2511.06667), whose reward and box are
+those of `tracking`; arm, angles and their limits, target and duration are theirs, the
+dynamics and the damping are this library's (docs/tasks.md). Observed, in this order:
+
+| numbers | what |
+|---:|---|
+| 15 | ends of the segments: x of each, then y, then z [m] |
+| 15 | their velocities [m/s] |
+| 10 | angles of the segments about d1, then about d2 [rad] |
+| 3 | the target's position [m] |
+| 3 | its velocity [m/s] |
+| 3 | the way from the tip to the target [m] |
+
+When a numerical health flag rises the arm is frozen at its last sound state and the
+episode is truncated. There is no contact of the arm with itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod import RodState
+from jaxrod.envs.arm import moving_target
+from jaxrod.envs.arm.arm_task import (
+    Bonus,
+    check_variant,
+    distance_reward,
+    shown_distance,
+)
+from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
+from jaxrod.envs.arm.moving_target import Target, TargetParams
+from jaxrod.envs.arm.scenery import arm_and_target
+from jaxrod.envs.arm.wandering_target import wander
+from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.soft_bodies.curved_arm import N_SEGMENTS, CurvedArm, curved_arm
+from jaxrod.structure import pytree
+from jaxrod.validation import check_count
+
+Variant = Literal["clean"]
+VARIANTS: tuple[Variant, ...] = ("clean",)
+
+CONTROL_PERIOD = 0.1
+"""Time between actions [s]."""
+LARGEST_CHANGE = 0.05
+"""Of an angle in a control step [rad]."""
+STEPS_PER_ELEMENT = 15
+"""Simulation steps of a control step, per element: 0.74 of the stability bound of the
+straight arm, 0.84 of that with all segments bent as far as they go."""
+
+
+@pytree
+class FollowingParams:
+    """Numbers of the task; every one a traced leaf."""
+
+    arm: CurvedArm
+    """The arm and all that acts on it."""
+    dt: Float[Array, ""]
+    """Step of the simulation [s]."""
+    target: TargetParams
+    """How the target moves."""
+    chance: Float[Array, ""]
+    """Of a new heading in a control step [1]."""
+    bonus: Bonus
+    """Where the bonuses are paid."""
+
+
+@pytree
+class FollowingState:
+    """State of an episode."""
+
+    arm: RodState
+    """The arm."""
+    angles: Float[Array, "2 segments"]
+    """By which the segments are bent, if they are free [rad]."""
+    target: Target
+    """The target."""
+    steps: Int[Array, ""]
+    """Control steps since reset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Following(CostOfResiduals):
+    """The following task; see the module. Make one with `following`."""
+
+    n_elements: int
+    substeps: int
+    episode_length: int = 500
+    variant: Variant = "clean"
+    name: str = "following"
+
+    @property
+    def observation_size(self) -> int:
+        """Five points of the arm and their velocities, angles, target: 49 numbers."""
+        return 6 * N_SEGMENTS + 2 * N_SEGMENTS + 9
+
+    @property
+    def action_size(self) -> int:
+        """Changes of five angles about d1, then of five about d2."""
+        return 2 * N_SEGMENTS
+
+    @property
+    def control_period(self) -> float:
+        """Time between actions [s]."""
+        return CONTROL_PERIOD
+
+    def default_params(self) -> FollowingParams:
+        """The task's numbers; in JAX's default precision."""
+        arm = curved_arm(self.n_elements, LARGEST_CHANGE)
+
+        def numbers(value: float | list[float]) -> Array:
+            return jnp.asarray(value, arm.rod.radii.dtype)
+
+        return FollowingParams(
+            arm=arm,
+            dt=numbers(CONTROL_PERIOD / self.substeps),
+            target=TargetParams(
+                lower=numbers([-0.6, -0.6, 0.3]),
+                upper=numbers([0.6, 0.6, 0.9]),
+                radius=numbers(0.0),
+                speed=numbers(0.5),
+            ),
+            chance=numbers(0.025),
+            bonus=Bonus(near=numbers(0.10), touching=numbers(0.05)),
+        )
+
+    def reset(
+        self, key: Key[Array, ""], params: FollowingParams
+    ) -> tuple[Float[Array, " observation"], FollowingState]:
+        """The arm upright and at rest, the target anywhere in its box."""
+        state = FollowingState(
+            arm=params.arm.rest,
+            angles=jnp.zeros((2, N_SEGMENTS), params.dt.dtype),
+            target=moving_target.start(key, params.target),
+            steps=jnp.zeros((), jnp.int32),
+        )
+        return self.observe(state), state
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: FollowingState,
+        action: Float[Array, " action"],
+        params: FollowingParams,
+    ) -> tuple[
+        Float[Array, " observation"],
+        FollowingState,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """One control period: the segments go to their new angles."""
+        state, flagged = self._moved(key, state, action, params)
+        distance_squared = jnp.sum((state.arm.tip - state.target.position) ** 2)
+        info = {
+            "distance": shown_distance(state.arm, state.target.position),
+            "flagged": flagged,
+        }
+        return (
+            self.observe(state),
+            state,
+            distance_reward(distance_squared, params.bonus),
+            jnp.zeros((), bool),
+            (state.steps >= self.episode_length) | flagged,
+            info,
+        )
+
+    def predict(
+        self,
+        state: FollowingState,
+        action: Float[Array, " action"],
+        params: FollowingParams,
+        control_steps: int = 1,
+    ) -> FollowingState:
+        """The state later, under one action: the target flies on as it does now.
+
+        Args:
+            state: Of the moment.
+            action: In [-1, 1].
+            params: Numbers of the task.
+            control_steps: For how many the action is held: angles change in each.
+        """
+
+        def one(state: FollowingState, _: None) -> tuple[FollowingState, None]:
+            return self._moved(None, state, action, params)[0], None
+
+        return jax.lax.scan(one, state, length=control_steps)[0]
+
+    def residuals(
+        self,
+        state: FollowingState,
+        action: Float[Array, " action"],
+        params: FollowingParams,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, "3"]:
+        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        del action
+        return tip_residuals(
+            state.arm.tip - state.target.position, params.bonus.touching, width
+        )
+
+    def _moved(
+        self,
+        key: Key[Array, ""] | None,
+        state: FollowingState,
+        action: Float[Array, " action"],
+        params: FollowingParams,
+    ) -> tuple[FollowingState, Bool[Array, ""]]:
+        """A control step later, and whether a flag rose; no new heading without key."""
+        angles = params.arm.turned(state.angles, action)
+        arm, flagged = params.arm.advance(
+            state.arm, state.angles, angles, params.dt, self.substeps
+        )
+        target = wander(
+            key,
+            state.target,
+            params.target,
+            params.chance,
+            self.substeps * params.dt,
+        )
+        return FollowingState(arm, angles, target, state.steps + 1), flagged
+
+    def snapshot(self, state: FollowingState, params: FollowingParams) -> Snapshot:
+        """The arm and the target."""
+        target, radius = state.target.position, params.bonus.touching
+        drawn = arm_and_target(params.arm.rod, state.arm, target, radius)
+        return dataclasses.replace(drawn, up="z")
+
+    def observe(self, state: FollowingState) -> Float[Array, " observation"]:
+        """What the module's table lists."""
+        ends = jnp.asarray(self._ends()[None], state.angles.dtype)
+        return jnp.concatenate(
+            [
+                jnp.ravel(jnp.sum(state.arm.positions[:, None] * ends, axis=-1)),
+                jnp.ravel(jnp.sum(state.arm.velocities[:, None] * ends, axis=-1)),
+                jnp.ravel(state.angles),
+                state.target.position,
+                state.target.velocity,
+                state.target.position - state.arm.tip,
+            ]
+        )
+
+    def _ends(self) -> np.ndarray:
+        """Shares of the nodes in the ends of the segments, (segments, n + 1)."""
+        nodes = np.linspace(0.0, 1.0, self.n_elements + 1)
+        ends = np.arange(1, N_SEGMENTS + 1) / N_SEGMENTS
+        return np.maximum(1 - self.n_elements * np.abs(ends[:, None] - nodes), 0)
+
+
+def following(
+    variant: Variant = "clean",
+    *,
+    n_elements: int = 12,
+    substeps: int | None = None,
+    episode_length: int = 500,
+) -> Following:
+    """Makes the following task.
+
+    Args:
+        variant: "clean", the only one: the library's own physics.
+        n_elements: Elements of the arm, at least 5.
+        substeps: Simulation steps per control step of 0.1 s; by default 15 per element.
+        episode_length: Control steps per episode.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, VARIANTS)
+    check_count("n_elements", n_elements, N_SEGMENTS)
+    steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
+    check_count("substeps", steps, 1)
+    check_count("episode_length", episode_length, 1)
+    return Following(n_elements, steps, episode_length)

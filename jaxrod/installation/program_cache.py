@@ -1,0 +1,125 @@
+"""Compiled programs kept on disk, so that a second process need not compile them.
+
+JAX keeps them (its persistent compilation cache); here is said where, and for which
+processor. JAX names a file after the program, XLA's options and the releases; what a
+processor can do is not known to be among them, and a home directory may be shared by
+several machines. So there is a folder for every processor.
+
+JAX does not write whole files at once. Compressed by zlib each has a checksum: one that
+is damaged or half written is told and compiled anew. By zstandard it has none, and a
+process that takes a damaged one can die or worse. Then nothing is kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import platform
+import sys
+import warnings
+from contextlib import suppress
+from importlib import metadata
+from pathlib import Path
+
+VARIABLE = "JAXROD_CACHE"
+"""Environment variable that asks for the cache: 1, or a folder."""
+
+SHORTEST_COMPILATION = 0.3
+"""Programs that take less time to compile are not kept [s]; where nobody said so."""
+
+_JAX_SHORTEST = 1.0
+
+_LOUD = "0.10.1"
+_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
+
+
+class UncheckedCacheWarning(UserWarning):
+    """JAX would keep compiled programs without a checksum; they are not kept."""
+
+
+def without_checksum() -> bool:
+    """Whether JAX would compress what it keeps by zstandard."""
+    return sys.version_info >= (3, 14) or bool(importlib.util.find_spec("zstandard"))
+
+
+def asked_for() -> bool | str:
+    """What the environment variable says: no, yes, or a folder."""
+    value = os.environ.get(VARIABLE, "").strip()
+    if value in ("", "0"):
+        return False
+    return True if value == "1" else value
+
+
+def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
+    """Has JAX keep what it compiles from now on, and take what is there.
+
+    Args:
+        folder: where; by default `default_folder()`, or where JAX does so already.
+
+    Returns:
+        The folder; None where nothing is kept.
+
+    Warns:
+        UncheckedCacheWarning: JAX would keep programs without a checksum.
+    """
+    import jax
+
+    # JAX defines its settings when it runs: their types are not known before.
+    already = getattr(jax.config, "jax_compilation_cache_dir", None)
+    if folder is None and already:
+        return Path(already)
+    if without_checksum():
+        warnings.warn(
+            "compiled programs are not kept: JAX compresses them by zstandard here, "
+            "without a checksum, and one that is damaged on the disk would be run. "
+            "Without the package zstandard, and with Python before 3.14, they are kept",
+            UncheckedCacheWarning,
+            stacklevel=3,
+        )
+        return None
+    chosen = (default_folder() if folder is None else Path(folder)).absolute()
+    jax.config.update("jax_compilation_cache_dir", str(chosen))
+    name = "jax_persistent_cache_min_compile_time_secs"
+    if getattr(jax.config, name) == _JAX_SHORTEST:
+        jax.config.update(name, SHORTEST_COMPILATION)
+    return chosen
+
+
+def default_folder() -> Path:
+    """`$XDG_CACHE_HOME/jaxrod/PROCESSOR`, under `~/.cache` where that is not set."""
+    home = os.environ.get("XDG_CACHE_HOME", "").strip()
+    caches = Path(home) if home else Path.home() / ".cache"
+    digest = hashlib.sha256(processor_features().encode()).hexdigest()
+    return caches / "jaxrod" / digest[:16]
+
+
+def processor_features() -> str:
+    """The processor's name and instruction sets, as the system tells them."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    # Those of the first core: x86 says "flags", ARM says "Features".
+    wanted = ("model name", "flags", "Features", "CPU part")
+    facts = [line for line in lines if line.partition(":")[0].strip() in wanted]
+    first = dict(reversed([line.partition(":")[::2] for line in facts]))
+    words = [
+        f"{name.strip()}: {value.strip()}" for name, value in sorted(first.items())
+    ]
+    return "\n".join([platform.machine(), platform.processor(), *words])
+
+
+def silence_false_alarms() -> None:
+    """Hides XLA's lines about every program taken from the cache. Call before JAX.
+
+    JAX 0.10.1 writes two error lines for each on an AMD EPYC: it compares what LLVM was
+    told to prefer (no gathers, no scatters) with what the processor can do. Nothing is
+    hidden with other releases, or where `TF_CPP_MIN_LOG_LEVEL` says something; what
+    ends the process is shown in any case.
+    """
+    if "jaxlib" in sys.modules or os.environ.get(_LEVEL):
+        return
+    with suppress(metadata.PackageNotFoundError):
+        if metadata.version("jaxlib") == _LOUD:
+            os.environ[_LEVEL] = "3"

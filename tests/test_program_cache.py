@@ -1,0 +1,215 @@
+"""Compiled programs kept on disk: the same numbers, whatever becomes of the files."""
+
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+import jaxrod
+from jaxrod import cli
+from jaxrod.installation import program_cache
+
+REFUSED = "Error reading persistent compilation cache entry"
+
+# The tip of a swinging rod, to the last bit; programs from the cache, and compiled.
+PROGRAM = """
+import os, sys
+import jax
+import numpy as np
+import jaxrod
+jaxrod.configure_cpu(1)
+counted = {"hits": 0, "misses": 0}
+def count(name, **_):
+    kind = name.rpartition("cache_")[2]
+    if name.startswith("/jax/compilation_cache/cache_") and kind in counted:
+        counted[kind] += 1
+jax.monitoring.register_event_listener(count)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+rod, start = jaxrod.straight_rod(
+    8, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
+)
+scene = jaxrod.make_scene(rod, jaxrod.clamp(start), jaxrod.gravity())
+state = jaxrod.advance(scene, start, 1e-4, 200)
+print(np.asarray(state.tip).tobytes().hex(), counted["hits"], counted["misses"])
+"""
+
+
+def started(folder):
+    kept = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+    environment = {name: os.environ[name] for name in os.environ if name not in kept}
+    environment |= {"JAXROD_CACHE": str(folder), "TF_CPP_MIN_LOG_LEVEL": "3"}
+    return subprocess.Popen(
+        [sys.executable, "-W", "always", "-c", PROGRAM],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process):
+    """The tip, hits, misses, and what was said."""
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    tip, hits, misses = out.split()
+    return tip, int(hits), int(misses), err
+
+
+@pytest.fixture
+def as_before():
+    """Leaves JAX's settings as they are."""
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in names}
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def test_each_processor_has_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    here = program_cache.default_folder()
+    assert here.parent == tmp_path / "jaxrod"
+    assert here == program_cache.default_folder()
+    monkeypatch.setattr(program_cache, "processor_features", lambda: "another")
+    assert program_cache.default_folder() not in (here, here.parent)
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert program_cache.default_folder().parent == Path.home() / ".cache" / "jaxrod"
+
+
+def test_the_features_are_those_of_one_core(monkeypatch):
+    core = "processor : {}\nmodel name : Quick\ncpu MHz : {}\nflags : fpu vme\n\n"
+    text = core.format(0, 1234.5) + core.format(1, 2345.6)
+    monkeypatch.setattr(Path, "read_text", lambda self: text)
+    found = program_cache.processor_features()
+    assert found.count("Quick") == found.count("flags: fpu vme") == 1
+    assert "MHz" not in found
+
+
+@pytest.mark.parametrize(
+    ("word", "asked"),
+    [("", False), ("0", False), ("1", True), (" 1 ", True), ("here", "here")],
+)
+def test_the_variable_says_no_yes_or_where(word, asked, monkeypatch):
+    monkeypatch.setenv("JAXROD_CACHE", word)
+    assert program_cache.asked_for() == asked
+
+
+def test_a_folder_that_jax_was_given_stays(as_before, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "given"))
+    assert program_cache.keep_programs() == tmp_path / "given"
+    assert program_cache.keep_programs(tmp_path / "other") == tmp_path / "other"
+    jax.config.update("jax_compilation_cache_dir", None)
+    assert program_cache.keep_programs() == program_cache.default_folder()
+    assert jax.config.jax_compilation_cache_dir == str(program_cache.default_folder())
+
+
+def test_nothing_is_kept_without_a_checksum(as_before, tmp_path, monkeypatch):
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: True)
+    with pytest.warns(program_cache.UncheckedCacheWarning, match="zstandard"):
+        assert program_cache.keep_programs(tmp_path) is None
+    assert jax.config.jax_compilation_cache_dir is None
+
+
+@pytest.mark.parametrize("cache", ["", 3, 1.5, [True]])
+def test_what_is_no_folder_is_refused_in_words(cache):
+    with pytest.raises(ValueError, match="cache must be True, False or a folder"):
+        jaxrod.configure_cpu(1, cache=cache)
+
+
+def test_xla_is_silenced_only_where_it_raises_false_alarms(monkeypatch):
+    level = "TF_CPP_MIN_LOG_LEVEL"
+    monkeypatch.setenv(level, "")
+    program_cache.silence_false_alarms()
+    assert os.environ[level] == "", "too late: JAX is loaded"
+    monkeypatch.delitem(sys.modules, "jaxlib")
+    for release, said in (("0.12.0.1", ""), ("0.10.1", "3")):
+        monkeypatch.setattr(
+            program_cache.metadata, "version", lambda name, said=release: said
+        )
+        program_cache.silence_false_alarms()
+        assert os.environ[level] == said
+    monkeypatch.setenv(level, "1")
+    program_cache.silence_false_alarms()
+    assert os.environ[level] == "1"
+
+
+checked = pytest.mark.skipif(
+    program_cache.without_checksum(), reason="nothing is kept without a checksum"
+)
+
+
+@checked
+@pytest.mark.slow
+def test_a_second_process_compiles_nothing_and_computes_the_same(tmp_path):
+    first = ended(started(tmp_path))
+    second = ended(started(tmp_path))
+    assert first[1] == 0 < first[2]
+    assert second[1:3] == (first[2], 0)
+    assert first[0] == second[0] == ended(started(0))[0]
+    assert REFUSED not in second[3]
+
+
+@checked
+@pytest.mark.slow
+def test_damaged_files_are_told_and_cost_time_only(tmp_path):
+    tip, _, misses, _ = ended(started(tmp_path))
+    files = sorted(file for file in tmp_path.rglob("*-cache"))
+    assert len(files) == misses
+    rng = random.Random(0)
+    for k, file in enumerate(files):
+        content = bytearray(file.read_bytes())
+        at = rng.randrange(len(content))
+        if k % 3 == 0:
+            content[at] ^= 1 << rng.randrange(8)
+        else:  # As a process leaves it that is killed while it writes.
+            content = content[: at if k % 3 == 1 else 0]
+        file.write_bytes(content)
+    again, _, _, said = ended(started(tmp_path))
+    assert again == tip
+    assert said.count(REFUSED) == misses
+
+
+@checked
+@pytest.mark.slow
+def test_processes_that_fill_one_folder_at_once_compute_the_same(tmp_path):
+    both = [started(tmp_path), started(tmp_path)]
+    tips = {ended(process)[0] for process in both}
+    tip, _, misses, said = ended(started(tmp_path))
+    assert tips == {tip}
+    assert misses == 0
+    assert REFUSED not in said
+
+
+@checked
+@pytest.mark.slow
+def test_the_command_keeps_what_it_compiled(tmp_path):
+    words = ["train", "trivial", "--steps", "2k", "--num-envs", "8", "--cache"]
+    words += ["--set", "rollout_steps=32", "--no-replay", "--json", "--out"]
+    kept = ("JAX_COMPILATION_CACHE_DIR", "JAXROD_CACHE", "TF_CPP_MIN_LOG_LEVEL")
+    environment = {name: os.environ[name] for name in os.environ if name not in kept}
+    environment["XDG_CACHE_HOME"] = str(tmp_path / "caches")
+    policies, said = [], []
+    for name in ("first", "second"):
+        done = subprocess.run(
+            [sys.executable, "-m", "jaxrod", *words, str(tmp_path / name)],
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        policies.append((tmp_path / name / "policy" / "policy.npz").read_bytes())
+        said.append(done.stderr)
+    assert policies[0] == policies[1]
+    assert list((tmp_path / "caches" / "jaxrod").rglob("*-cache"))
+    assert "AOT" not in said[1]
+
+
+def test_the_help_names_the_variable():
+    assert "JAXROD_CACHE=1" in cli.EPILOG

@@ -1,0 +1,132 @@
+"""The rows of a run as an event file, which TensorBoard shows while training goes on.
+
+The file repeats `progress.csv`: one event for each row, at its `env_steps` and the time
+of its `wall_s`, with every other number as a scalar. It is begun anew from that table
+whenever a run goes on, so that no step is there twice or missing, whenever the run was
+killed and whether or not it had an event file before.
+
+The messages are those of tensorboardX. Its writer is not used: that one hands events to
+a thread, which a full disk ends without a word, and puts the machine's name into the
+file's.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxrod.files import naming
+
+if TYPE_CHECKING:
+    from tensorboardX.proto.event_pb2 import Event
+
+NAMES = r"events\.out\.tfevents\.\d+\.jaxrod"
+"""Regular expression of the names of these files."""
+
+_VERSION = "brain.Event:2"
+"""Version of the format, by which TensorBoard knows how to take a restart."""
+
+
+def check_installed() -> None:
+    """Raises ModuleNotFoundError, in words, where tensorboardX is not installed."""
+    try:
+        import tensorboardX.proto.event_pb2  # noqa: F401
+    except ModuleNotFoundError as missing:
+        if (missing.name or "").partition(".")[0] not in ("tensorboardX", "google"):
+            raise
+        raise ModuleNotFoundError(
+            f"log='tensorboard' needs {missing.name}; install it with: "
+            'pip install "jaxrod[tensorboard]"',
+            name=missing.name,
+        ) from missing
+
+
+class EventFile:
+    """The event file of a run."""
+
+    def __init__(
+        self, folder: Path, rows: Iterable[Mapping[str, Any]], wall_s: float
+    ) -> None:
+        """Begins the file, with what is known of the run so far.
+
+        Args:
+            folder: folder of the file; made if it is not there. Other files of the
+                same kind in it are removed.
+            rows: rows of the table of progress, as numbers or as it keeps them.
+            wall_s: seconds the run has taken so far [s].
+
+        Raises:
+            ModuleNotFoundError: tensorboardX is not installed.
+            OSError: the file cannot be written; with its name.
+        """
+        from tensorboardX.proto.event_pb2 import Event, SessionLog
+
+        check_installed()
+        now = time.time()
+        self._began = now - wall_s
+        with naming(folder):
+            folder.mkdir(exist_ok=True)
+            earlier = [
+                file for file in folder.iterdir() if re.fullmatch(NAMES, file.name)
+            ]
+        # TensorBoard reads files in the order of their names, and a restart at step 0
+        # makes it forget what it has read in others.
+        self.path = folder / f"events.out.tfevents.{time.time_ns()}.jaxrod"
+        start = SessionLog(status=SessionLog.START)
+        self._append(
+            [
+                Event(wall_time=now, file_version=_VERSION),
+                Event(wall_time=now, step=0, session_log=start),
+                *(event for row in rows if (event := self._event(row))),
+            ]
+        )
+        for file in earlier:
+            with naming(file):
+                file.unlink(missing_ok=True)
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Adds a row, with its `env_steps` and `wall_s`.
+
+        Raises:
+            OSError: it cannot be written; with its name.
+        """
+        event = self._event(row)
+        if event:
+            self._append([event])
+
+    def _event(self, row: Mapping[str, Any]) -> Event | None:
+        """An event of all scalars of a row; None where it has none."""
+        from tensorboardX.proto.event_pb2 import Event
+        from tensorboardX.proto.summary_pb2 import Summary
+
+        values = [
+            Summary.Value(tag=name, simple_value=float(value))
+            for name, value in row.items()
+            # What has no value yet is None in a row, and empty in the table.
+            if name not in ("env_steps", "wall_s") and value not in (None, "")
+        ]
+        if not values:
+            return None
+        return Event(
+            wall_time=self._began + float(row["wall_s"]),
+            step=int(row["env_steps"]),
+            summary=Summary(value=values),
+        )
+
+    def _append(self, events: Iterable[Event]) -> None:
+        with naming(self.path), self.path.open("ab") as stream:
+            stream.write(b"".join(map(_record, events)))
+
+
+def _record(event: Event) -> bytes:
+    """An event as the file keeps it: length, message, and a checksum of each."""
+    from tensorboardX.record_writer import masked_crc32c
+
+    content = event.SerializeToString()
+    length = struct.pack("<Q", len(content))
+    sums = [struct.pack("<I", masked_crc32c(part)) for part in (length, content)]
+    return length + sums[0] + content + sums[1]
