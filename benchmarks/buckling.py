@@ -40,9 +40,9 @@ PRESSED, PERIOD = 0.05, 4.0
 """How far the wall comes [m], and how long it takes there and back [s]."""
 SD = {"film": 1e-3, "force": 0.05}
 """Of the noise: every coordinate of every node [m], and the sensor [N]."""
-TRUST = ((1.0, 1.0), (0.2, 1.0), (SD["force"], 0.1))
-"""Noise of the sensor as searches have it one after the other [N], and the damping of
-their first step; the last is the true one."""
+TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
+"""Noise of the sensor as searches have it one after the other [N], the last the true
+one; the damping of their first step; the relative change that ends them."""
 UNEVEN = 5e-3
 """Of each mode at time zero [rad], and of its rate [rad/s]."""
 
@@ -50,15 +50,17 @@ UNEVEN = 5e-3
 class Buckling:
     """The scene, and windows of it."""
 
-    def __init__(self, n: int = 24, modes: int = 8, frames: int = 90) -> None:
+    def __init__(self, n: int = 16, modes: int = 8, frames: int = 90) -> None:
         """Of so many elements and modes of a start, for so many frames."""
         self.n, self.modes, self.frames = n, modes, frames
-        s = (np.arange(n) + 0.5) / n
-        k = np.arange(1, modes + 2)
+        s = np.pi * (np.arange(n) + 0.5) / n
+        dtype = jnp.result_type(1.0)
         # The first makes ends meet, the others are free.
-        self.shapes = jnp.asarray(np.sin(np.pi * np.outer(k, s)), jnp.result_type(1.0))
+        self.shapes = jnp.asarray(np.sin(np.outer(np.arange(1, modes + 2), s)), dtype)
         worst = TRUTH | UPPER | {"density": LOWER["density"]}
         scene, _ = self.scene(worst)
+        stiffness = scene.rod.shear_stretch_stiffness[:, 0]
+        self.shear = float(stiffness[2] / stiffness[0])
         stable = 0.9 * float(jaxrod.stable_dt(scene).dt)
         self.per = int(np.ceil(1 / RATE / stable))
         self.dt = 1 / RATE / self.per
@@ -94,8 +96,8 @@ class Buckling:
     def shape(self, amplitudes: Array, time: Any) -> tuple[Array, Array]:
         """Places of nodes (x, z) and angles of elements, from modes of the angle.
 
-        Lengths are those of one axial force, and the first mode's amplitude is such
-        that the ends meet the walls.
+        Strain and shear are those of one force along z; it and the first mode's
+        amplitude are such that the ends meet the walls.
         """
         gap = LENGTH - 0.5 * PRESSED * (1 - jnp.cos(2 * jnp.pi * time / PERIOD))
         length = LENGTH / self.n
@@ -103,9 +105,10 @@ class Buckling:
         def closed(first: Array) -> tuple[Array, Array, Array]:
             angle = first * self.shapes[0] + amplitudes @ self.shapes[1:]
             sine, cosine = jnp.sin(angle), jnp.cos(angle)
-            strain = (jnp.sum(cosine) - gap / length) / jnp.sum(cosine**2)
-            lengths = length * (1 - strain * cosine)
-            edges = jnp.stack([lengths * sine, lengths * cosine])
+            yields = cosine**2 + self.shear * sine**2
+            force = (jnp.sum(cosine) - gap / length) / jnp.sum(yields)
+            aside = sine * (1 + force * (self.shear - 1) * cosine)
+            edges = length * jnp.stack([aside, cosine - force * yields])
             return jnp.sum(edges[0]), edges, angle
 
         first = jnp.zeros(())
@@ -192,7 +195,7 @@ class Buckling:
         """Films of rods that are straight but for what cannot be seen, by keys."""
         return jax.vmap(lambda key: self.film(TRUTH, key))(keys)
 
-    def fit(self, seen: Any, start: Any, every: int, iterations: int = 40) -> Any:
+    def fit(self, seen: Any, start: Any, every: int, iterations: int = 30) -> Any:
         """Parameters from films, stacked in front, in windows of so many frames.
 
         Weights of the force rise from one search to the next, `TRUST`: of a start that
@@ -205,16 +208,19 @@ class Buckling:
         def run(p: Any, start: Any, first: Any) -> Any:
             return self.window(p, start, first, every)
 
+        observed = jax.tree.map(_joined, parts)
+
         def search(begin: Any, trust: Array) -> Any:
             fit, found = identify_shots(
                 run,
-                jax.tree.map(_joined, parts),
+                observed,
                 *begin,
                 known=jnp.tile(firsts, len(seen["force"])),
                 sd={"film": SD["film"], "force": trust[0]},
                 lower=LOWER,
                 upper=UPPER,
                 damping=trust[1],
+                tolerance=trust[2],
                 iterations=iterations,
             )
             return (fit.values, found), fit

@@ -43,7 +43,7 @@ def identify_shots(
     upper: Mapping[str, Any] | None = None,
     iterations: int = 50,
     damping: Any = 1e-3,
-    tolerance: float | None = None,
+    tolerance: Any = None,
 ) -> tuple[Fit, Any]:
     """Parameters that explain windows best, each from the start that is best for it.
 

@@ -33,6 +33,9 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
 from jaxrod.structure import pytree
 
+LEAST_DAMPING = 1e-6
+"""Below it nothing is won, and too small a one costs rejected steps to raise again."""
+
 
 @pytree
 class LocalLeastSquares:
@@ -74,7 +77,7 @@ def local_least_squares(
     upper: Array,
     damping: Any = 1e-3,
     iterations: int = 50,
-    tolerance: float | None = None,
+    tolerance: Any = None,
 ) -> LocalLeastSquares:
     """Unknowns that make the sum of squares of all parts least. Pure; traceable.
 
@@ -135,6 +138,7 @@ def local_least_squares(
         jacobian = best(slopes, search.jacobian)
         change = jnp.where(better, 1 / FASTER, SLOWER)
         mu = jnp.where(begun, search.damping * change, search.damping)
+        mu = jnp.maximum(mu, LEAST_DAMPING)
         step, own_steps = _step(jacobian, now, mu, shared, lower, upper)
         return _Search(
             shared=shared,

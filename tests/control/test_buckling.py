@@ -25,15 +25,20 @@ def bent():
     }
 
 
-def test_a_start_meets_the_walls_under_one_axial_force(small, bent):
+def test_a_start_meets_the_walls_under_one_force_along_the_rod(small, bent):
     nodes, angle = small.shape(bent["amplitudes"], TIME)
     gap = LENGTH - 0.5 * PRESSED * (1 - np.cos(2 * np.pi * TIME / PERIOD))
     np.testing.assert_allclose(nodes[:, -1], [0, gap], atol=1e-9)
-    edges = np.diff(np.asarray(nodes), axis=1)
-    np.testing.assert_allclose(np.arctan2(*edges), angle, atol=1e-12)
-    strain = np.hypot(*edges) / (LENGTH / small.n) - 1
-    # Of a force F along z the axial part is F cos(angle).
-    np.testing.assert_allclose(strain / np.cos(angle), strain[0] / np.cos(angle[0]))
+    edges = np.diff(np.asarray(nodes), axis=1) * small.n / LENGTH
+    along = np.array([np.sin(angle), np.cos(angle)])
+    across = np.array([np.cos(angle), -np.sin(angle)])
+    scene, _ = small.scene(TRUTH)
+    shear, _, stretch = np.asarray(scene.rod.shear_stretch_stiffness)
+    force = stretch * (np.sum(edges * along, axis=0) - 1) * along
+    force += shear * np.sum(edges * across, axis=0) * across
+    np.testing.assert_allclose(force[0], 0, atol=1e-9)
+    np.testing.assert_allclose(force[1], force[1, 0])
+    assert abs(force[1, 0]) > 1
 
 
 def test_a_start_moves_as_its_rates_say(small, bent):
@@ -60,3 +65,6 @@ def test_four_parameters_are_found_across_the_fork_from_three_times_off():
     for name, value in TRUTH.items():
         assert float(fit.values[name]) == pytest.approx(value, rel=0.05), name
     assert float(fit.misfit) == pytest.approx(1, abs=0.05)
+    # Of starts without shear, density was 4.4 stated standard deviations off.
+    for name, z in fit.z(TRUTH).items():
+        assert abs(float(z)) < 4, (name, fit.z(TRUTH), float(fit.remaining))

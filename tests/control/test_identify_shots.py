@@ -40,6 +40,7 @@ def guessed(observed):
     }
 
 
+@pytest.mark.slow
 def test_it_is_what_identify_finds_with_all_starts_among_the_parameters():
     observed = drawn(0)
     begin = guessed(observed)
@@ -113,6 +114,7 @@ def test_kinds_and_what_was_not_seen():
     assert fit.residual_sd["x"].shape == fit.residual_sd["twice"].shape == ()
 
 
+@pytest.mark.slow
 def test_a_start_that_nothing_shows_takes_nothing():
     observed = drawn(1)
     begin = guessed(observed)
