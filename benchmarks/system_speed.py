@@ -1,9 +1,10 @@
 """Measures systems and scenes with contact on one core, and PyElastica's beside them.
 
-    python -m benchmarks.system_speed [--seconds 2] [snake joint plectoneme muscular]
+    python -m benchmarks.system_speed [--seconds 2] [--float32]
+                                      [snake joint plectoneme muscular]
 
 Each scene is built in both libraries with the same rods and equally many elements, in
-float64. Printed for both: processor time of a step; the step that each is run with
+float64; ours in float32 where that is asked for. Printed for both: processor time of a step; the step that each is run with
 (PyElastica's as its examples have it, ours `stable_dt`); and seconds of motion per
 second of processor time. Ours alone and as one of 64 under `jax.vmap`, on one core.
 Processor time is what counts on a machine that does other things too: windows of all
@@ -360,11 +361,11 @@ def measure(name: str, seconds: float) -> None:
         )
 
 
-def on_one_core() -> None:
-    """Keeps this process on one core, in float64."""
+def on_one_core(*, double: bool = True) -> None:
+    """Keeps this process on one core, in float64 or float32."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_x64", double)
     jaxrod.configure_cpu(devices=1)
 
 
@@ -373,8 +374,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=list(SCENES))
     parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--float32", action="store_true", help="ours in float32")
     options = parser.parse_args()
-    on_one_core()
+    on_one_core(double=not options.float32)
     for name in options.scenes:
         measure(name, options.seconds)
 

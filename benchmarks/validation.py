@@ -3,9 +3,11 @@
     python benchmarks/validation.py                   all tests, the slow ones included
     python benchmarks/validation.py -m "not slow"     in some ten minutes
     python benchmarks/validation.py --from a.xml ...  of runs with --junitxml=a.xml
+    python benchmarks/validation.py --update a.xml ...  the same, for their files alone
 
 Runs the tests of the physics and of the comparison with PyElastica and tabulates the
 values they recorded, so that the table cannot say anything the tests do not assert.
+With `--update` sections of files that the runs have no rows of stay as they are.
 """
 
 from __future__ import annotations
@@ -54,6 +56,8 @@ class Rows:
         self.passed = 0
         self.failed: list[str] = []
         self.read_from_files = False
+        self.kept: dict[str, str] = {}
+        """Text of sections of earlier runs, by title."""
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Takes the rows of one test."""
@@ -78,6 +82,10 @@ class Rows:
         outcome = f"All {self.passed} tests passed."
         if self.failed:
             outcome = f"**{len(self.failed)} tests failed**: {', '.join(self.failed)}."
+        if self.kept:
+            new = {title_of(section) for section in self.rows}
+            earlier = set(in_order(self.kept)) - new
+            outcome += f" Sections of earlier runs: {len(earlier)}."
         python = ".".join(platform.python_version_tuple()[:2])
         here = f"Python {python} and JAX {jax.__version__}"
         # What is read from files may have run elsewhere.
@@ -87,13 +95,16 @@ class Rows:
             machine=f"{platform.system()} on {platform.machine()}",
             software=software if self.read_from_files else here,
         )
-        for section, rows in self.rows.items():
-            words = section.removeprefix("test_").replace("_", " ")
-            title = words.replace("side by side", "beside PyElastica")
-            yield f"## {title[0].upper()}{title[1:]}\n"
+        made = {title_of(section): rows for section, rows in self.rows.items()}
+        left = {title: text for title, text in self.kept.items() if title not in made}
+        for title in in_order(made.keys() | left.keys()):
+            yield f"## {title}\n"
+            if title in left:
+                yield left[title]
+                continue
             yield f"| {' | '.join(COLUMNS)} |"
             yield "|---|---|---:|---:|"
-            yield from (f"| {' | '.join(row)} |" for row in rows)
+            yield from (f"| {' | '.join(row)} |" for row in made[title])
             yield ""
 
     def read(self, runs: Iterable[Path]) -> None:
@@ -125,6 +136,32 @@ class Rows:
                     self.add(Path(file).stem, value)
 
 
+def title_of(section: str) -> str:
+    """The title of a test file's section, by the file's name."""
+    words = section.removeprefix("test_").replace("_", " ")
+    title = words.replace("side by side", "beside PyElastica")
+    return title[0].upper() + title[1:]
+
+
+def in_order(titles: Iterable[str]) -> list[str]:
+    """Titles in the order of the test files; those of files that are gone are not."""
+    files = [
+        file
+        for folder in FOLDERS
+        for file in sorted([ROOT / folder, *(ROOT / folder).glob("test_*.py")])
+        if file.suffix == ".py"
+    ]
+    known = dict.fromkeys(title_of(file.stem) for file in files)
+    return [title for title in known if title in set(titles)]
+
+
+def sections(document: str) -> dict[str, str]:
+    """The text below each title of a document."""
+    _, *found = document.split("\n## ")
+    parted = (section.partition("\n\n") for section in found)
+    return {title: text.rstrip("\n") + "\n" for title, _, text in parted}
+
+
 def place_of(case: ElementTree.Element) -> tuple[int, str, int] | None:
     """Folder, file and line of a test in a JUnit XML file; None if it is not ours."""
     file = case.get("file", "")
@@ -140,8 +177,10 @@ def main(arguments: list[str]) -> int:
     Returns:
         pytest's exit code, or 1 if a test of the given run had failed.
     """
-    rows = Rows()
-    if arguments[:1] == ["--from"]:
+    rows, target = Rows(), ROOT / "docs" / "validation.md"
+    if arguments[:1] in (["--from"], ["--update"]):
+        if arguments[0] == "--update":
+            rows.kept = sections(target.read_text())
         rows.read(map(Path, arguments[1:]))
         code = int(bool(rows.failed))
     else:
@@ -151,7 +190,6 @@ def main(arguments: list[str]) -> int:
     if not rows.passed:
         print("docs/validation.md is left as it is: no test passed", file=sys.stderr)
         return code or 1
-    target = ROOT / "docs" / "validation.md"
     target.parent.mkdir(exist_ok=True)
     write_atomically(target, "\n".join(rows.text()).encode())
     return code

@@ -57,6 +57,10 @@ def test_requirements_and_run_time_refuse_the_same_releases():
     assert refused == set(jax_version.UNSOUND)
     assert f">={'.'.join(map(str, jax_version.OLDEST))}" in need
     assert need in jax_version.remedy()
+    extras = PROJECT["project"]["optional-dependencies"]
+    for name in ("cuda12", "cuda13"):
+        assert extras[name] == [need.replace("jax>", f"jax[{name}]>")]
+        assert name not in extras["all"][0]
 
 
 def test_constraints_pin_one_version_for_each_supported_python():

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
-    ActiveShape,
     Clamp,
     ExponentialDamping,
     Gravity,
@@ -31,6 +30,7 @@ from jaxrod import (
     Rod,
     RodState,
     Scene,
+    active_shape,
     advance,
     clamp,
     consistent,
@@ -40,7 +40,6 @@ from jaxrod import (
     health,
     scale_inertia,
 )
-from jaxrod.actuation.section_load import walls_of
 from jaxrod.envs.arm.soft_arm import LENGTH, clean_rod
 from jaxrod.structure import pytree
 
@@ -129,7 +128,7 @@ class CurvedArm:
         return self._acting(self.curvatures(angles))
 
     def _acting(self, curvature: Array | Ramp) -> Scene:
-        shape = ActiveShape(curvature, None, walls_of(self.held))
+        shape = active_shape(self.rod, curvature=curvature, into=self.held)
         effects = (self.held, self.weight, self.damping, shape)
         return Scene(self.rod, effects, consistent())
 

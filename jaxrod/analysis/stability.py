@@ -138,12 +138,14 @@ def compression(
     """Factor by which a state's compression lowers the bound, and its smallest extent.
 
     Frequencies grow as one over the stretch of compressed elements in PyElastica mode.
-    In consistent mode it is the bound of the compressed elements that counts.
+    In consistent mode it is the bound of the compressed elements that counts,
+    under the largest values of schedules, as for `stable_dt`.
 
     Returns:
         A factor of at most one, and the smallest extent of an element along d3 over
         its rest length [1].
     """
+    scene = scene.at_largest
     rod = scene.rod
     edges = vectors.inner_difference(vectors.split(state.positions))
     edges = vectors.scale(1 / rod.rest_lengths, edges)

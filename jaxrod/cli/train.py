@@ -22,13 +22,16 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxrod.cli import settings
 from jaxrod.files import reading
 from jaxrod.installation import program_cache
+
+if TYPE_CHECKING:
+    import jax
 
 STEPS = 10_000_000
 """Control steps by default: the published budget."""
@@ -59,6 +62,8 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod train`."""
+    from jaxrod.installation.processes import JOINED_WITHIN
+
     parser.epilog = EXAMPLES
     parser.add_argument("task", metavar="TASK", help="see above")
     parser.add_argument(
@@ -160,6 +165,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(docs/compiling.md)",
     )
     parser.add_argument(
+        "--join-seconds",
+        type=int,
+        default=JOINED_WITHIN,
+        metavar="S",
+        help="with --distributed: time in which all processes have to come "
+        f"(default: {JOINED_WITHIN})",
+    )
+    parser.add_argument(
         "--checkpoint-seconds",
         type=float,
         default=60.0,
@@ -234,7 +247,7 @@ def run(args: argparse.Namespace) -> int:
     jaxrod.configure_cpu(devices_that_fit(wanted, args.devices, available=None))
     processes = (args.coordinator, args.processes, args.process_id)
     if args.distributed:
-        join_processes(*processes)
+        join_processes(*processes, within=args.join_seconds)
     elif any(one is not None for one in processes):
         raise ValueError(
             "--coordinator, --processes and --process-id go with --distributed"
@@ -264,7 +277,9 @@ def run(args: argparse.Namespace) -> int:
     if args.task not in names():
         check_environment(env)
     devices = jax.devices()
-    if not args.distributed:
+    if args.distributed:
+        devices = first_of_each(devices, args.devices)
+    else:
         share = devices_that_fit(wanted, args.devices, len(devices))
         if share > len(devices):
             raise ValueError(
@@ -297,7 +312,14 @@ def run(args: argparse.Namespace) -> int:
         os._exit(1)
     if args.distributed:
         # Here, where all are: what follows only the first does.
-        jax.distributed.shutdown()
+        try:
+            jax.distributed.shutdown()
+        except jax.errors.JaxRuntimeError:
+            print(
+                "jaxrod train: another process was lost at the very end; "
+                "the result is complete",
+                file=sys.stderr,
+            )
     summary = result.summary
     if result.folder is None:
         return 130 if summary["status"] == "interrupted" else 0
@@ -414,6 +436,29 @@ def _chosen(
     if given is not None:
         return given
     return stored.get(name, default) if stored else default
+
+
+def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.Device]:
+    """The first devices of each process, in their order.
+
+    Args:
+        devices: those of all processes.
+        asked: what --devices said of each process; None: all.
+
+    Raises:
+        ValueError: a process has fewer.
+    """
+    if asked is None:
+        return list(devices)
+    owned: dict[int, list[jax.Device]] = {}
+    for device in devices:
+        owned.setdefault(device.process_index, []).append(device)
+    fewest = min(len(own) for own in owned.values())
+    if not 1 <= asked <= fewest:
+        raise ValueError(
+            f"devices must be 1 to {fewest}, which each process has, got {asked}"
+        )
+    return [device for own in owned.values() for device in own[:asked]]
 
 
 def devices_that_fit(num_envs: int, asked: int | None, available: int | None) -> int:

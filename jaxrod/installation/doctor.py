@@ -12,7 +12,6 @@ import os
 import platform
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING
@@ -20,24 +19,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxrod.installation import jax_version
+from jaxrod.installation.accelerators import check_memory, check_repeatability
+from jaxrod.installation.check import Check
 from jaxrod.installation.machine import processor
 
 if TYPE_CHECKING:
     import jax
-
-
-@dataclass(frozen=True)
-class Check:
-    """Result of one check."""
-
-    name: str
-    """Name of the check."""
-    ok: bool
-    """False when results computed here cannot be trusted."""
-    detail: str
-    """Findings, with numbers."""
-    advice: str = ""
-    """Advice on a mend; empty when nothing is wrong."""
 
 
 def run_checks() -> list[Check]:
@@ -65,6 +52,11 @@ def check_device(device: jax.Device) -> Iterator[Check]:
         yield _guard(name, partial(check_batched_products, device, dtype))
     yield _guard("compensated sum" + where, partial(check_compensated_sum, device))
     yield _guard("matrix products" + where, partial(check_matrix_products, device))
+    yield _guard("equal bits" + where, partial(check_repeatability, device))
+    fraction = os.environ.get("XLA_PYTHON_CLIENT_MEM_FRACTION", "")
+    memory = check_memory(device.platform, device.memory_stats(), fraction)
+    if memory is not None:
+        yield memory
 
 
 def check_versions() -> Check:

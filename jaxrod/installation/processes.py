@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-import jax
+import os
+from collections.abc import Callable
+
+JOINED_WITHIN = 30
+"""Processes wait for each other for so long when they begin [s]."""
+
+LONGEST_WAIT = 604_800
+"""They wait no longer than a week [s]."""
 
 LOST_AFTER = 20
 """A process that was not heard of for so long is taken for lost [s]."""
@@ -10,30 +17,50 @@ LOST_AFTER = 20
 PATIENCE = 60
 """Processes wait for each other for so long when they end [s]."""
 
+GO_ON = (
+    "a run goes on from its last checkpoint with resume, in as many processes as there "
+    "are then"
+)
+"""What to do after a process was lost."""
+
+_last_words: list[Callable[[str], None]] = []
+
 
 def join_processes(
-    coordinator: str | None = None, count: int | None = None, index: int | None = None
+    coordinator: str | None = None,
+    count: int | None = None,
+    index: int | None = None,
+    within: int = JOINED_WITHIN,
 ) -> None:
     """Joins the processes of one program; call it before JAX computes anything.
 
     `jax.distributed.initialize`, which knows SLURM, Open MPI and Kubernetes, with times
-    after which a lost process shows. Without arguments it asks these.
+    after which a lost process shows. Without arguments it asks these. JAX ends a
+    process whose others are lost by aborting it, after lines of its own; a sentence
+    after them, on the standard error, then says what that means.
 
     Args:
         coordinator: address and port of the first process, such as "10.0.0.1:1234".
         count: number of processes.
         index: number of this one, from 0.
+        within: time in which all have to come, a whole number [s]; after it this
+            process is aborted.
 
     Raises:
         ValueError: an argument makes no sense, or nothing says what the others are.
         RuntimeError: they cannot be reached.
     """
+    import jax
+
+    from jaxrod.installation.last_words import LastWords
+
     given = (coordinator, count, index)
     if any(one is None for one in given) and any(one is not None for one in given):
         raise ValueError(
             "coordinator, count and index must be given together or not at all, got "
             f"{coordinator!r}, {count!r} and {index!r}"
         )
+    detection = None
     if coordinator is not None and count is not None and index is not None:
         host, _, port = coordinator.rpartition(":")
         if not host or not port.isdecimal():
@@ -44,6 +71,20 @@ def join_processes(
             raise ValueError(
                 f"index must be 0 to {count - 1} of {count} processes, got {index}"
             )
+        if "KUBERNETES_SERVICE_HOST" in os.environ:
+            # It has nothing to add, and would want a package and permissions.
+            detection = "deactivate"
+    whole = isinstance(within, int) and not isinstance(within, bool)
+    if not whole or not 1 <= within <= LONGEST_WAIT:
+        raise ValueError(
+            f"within must be a whole number of 1 to {LONGEST_WAIT} s, got {within} s"
+        )
+    if not _last_words:
+        _last_words.append(LastWords())
+    _last_words[0](
+        f"jaxrod: not all processes of the program came within {within} s, or the "
+        f"first was lost meanwhile; start all of them anew: {GO_ON}"
+    )
     # Its handler takes SIGTERM away from whoever wants to save first.
     jax.config.update("jax_enable_preemption_service", False)
     try:
@@ -51,6 +92,8 @@ def join_processes(
             coordinator,
             count,
             index,
+            cluster_detection_method=detection,
+            initialization_timeout=within,
             heartbeat_timeout_seconds=LOST_AFTER,
             shutdown_timeout_seconds=PATIENCE,
         )
@@ -59,3 +102,7 @@ def join_processes(
             "nothing that JAX knows (SLURM, Open MPI, Kubernetes) says which processes "
             f"there are: give coordinator, count and index ({error})"
         ) from error
+    _last_words[0](
+        "jaxrod: JAX ended this process, as it does when another of the program is "
+        f"lost or cannot be reached: {GO_ON}"
+    )

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import Primitive, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 _apart = Primitive("jaxrod_one_by_one")
@@ -28,7 +28,8 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
     before it is batched, it is a function like any other.
 
     Args:
-        function: Of pytrees of arrays, to such a pytree.
+        function: Of pytrees of arrays, to such a pytree. Arrays that it holds without
+            being given them are batched and differentiated as well.
         *arguments: What it is given.
     """
     leaves, structure = jax.tree.flatten(arguments)
@@ -40,8 +41,17 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
         results.append(made_structure)
         return made_leaves
 
-    closed = jax.make_jaxpr(flat)(*leaves)
-    made = _apart.bind(*(jnp.asarray(leaf) for leaf in leaves), closed=closed)
+    traced = jax.make_jaxpr(flat)(*leaves)
+    # What the function holds may be of another transformation: it is given, too.
+    held = traced.consts
+    given = [*held, *(jnp.asarray(leaf) for leaf in leaves)]
+
+    def complete(*arrays: Any) -> list[Any]:
+        own = ClosedJaxpr(traced.jaxpr, arrays[: len(held)])
+        return list(jaxpr_as_fun(own)(*arrays[len(held) :]))
+
+    closed = jax.make_jaxpr(complete)(*given) if held else traced
+    made = _apart.bind(*given, closed=closed)
     return jax.tree.unflatten(results[0], made)
 
 

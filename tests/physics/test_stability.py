@@ -221,6 +221,25 @@ def test_compression_raises_the_highest_frequency_as_the_guard_says(record):
     assert max(slopes) < 0.6
 
 
+@pytest.mark.slow
+def test_a_shape_that_changes_in_time_is_checked_near_the_bound():
+    """A ramp of curvature is what its larger end is, with a warning above the bound."""
+    rod, state = arm(n_elements=4)
+    ends = jnp.zeros(3), jnp.asarray([3.0, 0.0, 0.0])
+    ramp = jaxrod.Ramp(*ends, start=jnp.asarray(0.0), duration=jnp.asarray(1.0))
+    made = [
+        jaxrod.make_scene(rod, jaxrod.active_shape(rod, curvature=c))
+        for c in (ramp, ends[1])
+    ]
+    near = 0.98 * jaxrod.stable_dt(made[0], 1.0).dt
+    after = jaxrod.advance(made[0], state, near, 2)
+    assert jnp.all(jnp.isfinite(after.positions))
+    found, expected = (compression(scene, state) for scene in made)
+    np.testing.assert_array_equal(found, expected)
+    with pytest.warns(jaxrod.UnstableStepWarning):
+        jaxrod.advance(made[0], state, 1.1 * near, 2)
+
+
 def soft_swing(safety):
     """A soft arm that swings under its weight, compressed by 5 % now and then."""
     rod, state = arm(10, youngs_modulus=1e6, direction=(1.0, 0.0, 0.0))

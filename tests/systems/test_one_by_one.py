@@ -1,4 +1,4 @@
-"""A batch that goes one after the other: the same as a loop, under every transformation."""
+"""A batch that goes one after the other is a loop, under every transformation."""
 
 import jax
 import jax.numpy as jnp
@@ -73,3 +73,17 @@ def test_derivatives_are_those_of_the_function(order):
 def test_whole_numbers_have_no_slope():
     slope = jax.grad(lambda x: jnp.sum(one_by_one(lambda x, k: x * k, x, 3)))(ROWS[0])
     np.testing.assert_array_equal(slope, 3.0)
+
+
+def test_what_the_function_holds_is_batched_and_differentiated_too():
+    def held(y, k):
+        return one_by_one(lambda x: {"x": x * y, "k": k}, ROWS[0])
+
+    counts = jnp.arange(4)
+    made = jax.jit(jax.vmap(held))(ROWS, counts)
+    np.testing.assert_array_equal(made["x"], ROWS * ROWS[:1])
+    np.testing.assert_array_equal(made["k"], counts)
+    slopes = jax.grad(lambda y: jnp.sum(jax.vmap(held)(y, counts)["x"]))(ROWS)
+    np.testing.assert_array_equal(slopes, jnp.tile(ROWS[0], (4, 1)))
+    alone = jax.grad(lambda y: jnp.sum(held(y, 0)["x"]))(ROWS[1])
+    np.testing.assert_array_equal(alone, ROWS[0])

@@ -19,9 +19,12 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxrod.installation.processes import GO_ON
 from jaxrod.training.leaves import is_key
 
 _DONE, _REFUSED = b"+", b"-"
+# How JAX's errors begin that are not about an exchange.
+_OWN_FAULTS = ("RESOURCE_EXHAUSTED", "INVALID_ARGUMENT", "UNIMPLEMENTED")
 
 
 class LostProcessError(RuntimeError):
@@ -67,7 +70,8 @@ class Hosts:
                 said = _DONE + make()
             except (ValueError, OSError) as error:
                 said, refusal = _REFUSED + str(error).encode(), error
-        said = _told(said)
+        with self.losing_none(0):
+            said = _told(said)
         if refusal:
             raise refusal
         if said.startswith(_REFUSED):
@@ -116,13 +120,12 @@ class Hosts:
         try:
             yield
         except (ValueError, jax.errors.JaxRuntimeError) as error:
-            if not self.several:
+            reason = (str(error).splitlines() or [""])[0]
+            if not self.several or reason.startswith(_OWN_FAULTS):
                 raise
-            reason = str(error).splitlines()[0]
             raise LostProcessError(
                 f"another of the {self.count} processes was lost after {steps:,} "
-                f"steps ({reason}); the run goes on from its last checkpoint with "
-                "resume, in as many processes as there are then"
+                f"steps ({reason}); {GO_ON}"
             ) from error
 
 
