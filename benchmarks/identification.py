@@ -1,9 +1,10 @@
 """Measures identification and inverse design, for docs/identification.md.
 
-    python -m benchmarks.identification [dropped forced poses shapes] [--dry]
+    python -m benchmarks.identification [dropped forced buckling poses shapes] [--dry]
 
 `dropped`: an arm that is let go, from noisy positions; 100 draws of the noise; what
 positions alone do not say. `forced`: the same with a force sensor at the clamp.
+`buckling`: four parameters of a rod that buckles, in windows whose starts are sought.
 `poses`: eight poses at rest. `shapes`: rest curvatures that make an arm take a shape.
 All by default; what is not measured keeps its rows.
 
@@ -17,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from benchmarks.buckling_rows import buckling_rows
+from benchmarks.fit_rows import fit_row, noisy, scaled, timed
 from benchmarks.page_tables import measured_table
-from jaxrod.control import Fit, identify, match_shape
+from jaxrod.control import identify, match_shape
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
 from jaxrod.rods.motion import motion_of
@@ -42,6 +44,10 @@ HEADS = {
     ),
     "forced": (
         "| dropped arm with a force sensor | found | errors | stated sd "
+        "| iterations | first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
+    ),
+    "buckling": (
+        "| pressed rod | found | errors | stated sd "
         "| iterations | first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
     ),
     "poses": (
@@ -114,19 +120,6 @@ class Drop:
         return scene, jax.tree.map(lambda leaf: leaf[1:], states)
 
 
-def noisy(clean: Any, sd: Any, key: Any) -> Any:
-    """Observations with noise."""
-    leaves, tree = jax.tree.flatten(clean)
-    keys = jax.random.split(key, len(leaves))
-    return jax.tree.unflatten(
-        tree,
-        [
-            leaf + s * jax.random.normal(k, leaf.shape, leaf.dtype)
-            for leaf, s, k in zip(leaves, jax.tree.leaves(sd), keys, strict=True)
-        ],
-    )
-
-
 def dropped_rows() -> Iterable[str]:
     """Identification from a film, with and without a force sensor."""
     drop = Drop()
@@ -144,12 +137,12 @@ def dropped_rows() -> Iterable[str]:
         ("4 times too stiff, damping a fourth", (4, 0.25)),
         ("a fourth of the stiffness, damping 4 times", (0.25, 4)),
     ):
-        start = _scaled(two, factors)
-        yield _row(f"film; from {words}", two, *timed(fit, film, start))
+        start = scaled(two, factors)
+        yield fit_row(f"film; from {words}", two, *timed(fit, film, start))
     draws = jax.vmap(lambda key: noisy(clean, sd, key))(
         jax.random.split(jax.random.key(1), 100)
     )
-    start = _scaled(two, (4, 0.25))
+    start = scaled(two, (4, 0.25))
     many = jax.jit(
         jax.vmap(lambda o: identify(drop.film, o, start, sd=sd, upper=upper))
     )
@@ -162,8 +155,8 @@ def dropped_rows() -> Iterable[str]:
         f"z-scores: {shown} | | {int(np.max(fits.iterations))} | {first:.1f} | "
         f"{run:.2f} |"
     )
-    start = _scaled(DROPPED, (2, 0.5, 0.7))
-    yield _row(
+    start = scaled(DROPPED, (2, 0.5, 0.7))
+    yield fit_row(
         "film; density too: not determined",
         DROPPED,
         *timed(fitter(drop.film, sd), film, start),
@@ -176,10 +169,10 @@ def forced_rows() -> Iterable[str]:
     sd = {"film": FILM_SD, "force": FORCE_SD}
     clean = jax.jit(drop.film_and_force)(DROPPED)
     both = noisy(clean, sd, jax.random.key(2))
-    start = _scaled(DROPPED, (2, 0.5, 0.7))
+    start = scaled(DROPPED, (2, 0.5, 0.7))
     upper = {"youngs_modulus": MOST_STIFF}
     fit = jax.jit(lambda o, s: identify(drop.film_and_force, o, s, sd=sd, upper=upper))
-    yield _row(
+    yield fit_row(
         f"film, and force with {FORCE_SD:g} N of noise",
         DROPPED,
         *timed(fit, both, start),
@@ -252,8 +245,8 @@ def poses_rows() -> Iterable[str]:
         ("3 times too stiff, ν 0.2, half the density", (3, 0.5, 0.5)),
         ("a half of the stiffness, ν 0.1, twice the density", (0.5, 0.25, 2)),
     ):
-        start = _scaled(MATERIAL, factors)
-        yield _row(f"from {words}", MATERIAL, *timed(fit, seen, start))
+        start = scaled(MATERIAL, factors)
+        yield fit_row(f"from {words}", MATERIAL, *timed(fit, seen, start))
 
 
 # Shapes.
@@ -320,50 +313,10 @@ def shapes_rows() -> Iterable[str]:
 TABLES: dict[str, Callable[[], Iterable[str]]] = {
     "dropped": dropped_rows,
     "forced": forced_rows,
+    "buckling": buckling_rows,
     "poses": poses_rows,
     "shapes": shapes_rows,
 }
-
-
-def timed(program: Callable[..., Any], *given: Any) -> tuple[Any, float, float]:
-    """What a program gives, and the processor time of its first call and of another."""
-    taken = []
-    for _ in range(2):
-        begin = time.process_time()
-        made = jax.block_until_ready(program(*given))
-        taken.append(time.process_time() - begin)
-    return made, taken[0], taken[1]
-
-
-def _scaled(truth: dict[str, float], factors: Iterable[float]) -> dict[str, float]:
-    """Parameters off by factors, in the order in which they are written above."""
-    return {k: f * truth[k] for k, f in zip(truth, factors, strict=True)}
-
-
-def _row(
-    words: str, truth: dict[str, float], fit: Fit, first: float, run: float
-) -> str:
-    """One row of a fit, its printed table above it on the terminal."""
-    print(fit, file=sys.stderr, flush=True)
-    values, sds = fit.values, fit.standard_deviations
-    unsure = {
-        name
-        for name, row in zip(fit.names, np.asarray(fit.covariance), strict=True)
-        if row[fit.names.index(name)] > 1
-    }
-    found = ", ".join(f"{k} {float(values[k]):.5g}" for k in truth)
-    errors = ", ".join(
-        f"{100 * (float(values[k]) / truth[k] - 1):+.2f} %" for k in truth
-    )
-    stated = ", ".join(
-        "not known" if k in unsure else f"{100 * float(sds[k]) / truth[k]:.2f} %"
-        for k in truth
-    )
-    words += "" if bool(fit.converged) else " (not converged)"
-    return (
-        f"| {words} | {found} | {errors} | {stated} | {int(fit.iterations)} | "
-        f"{first:.1f} | {run:.2f} |"
-    )
 
 
 def main(arguments: list[str]) -> int:

@@ -5,6 +5,7 @@ from jaxrod.control.arm import ActuatedArm
 from jaxrod.control.codesign import codesign
 from jaxrod.control.fit import Fit, Forecast
 from jaxrod.control.identify import identify
+from jaxrod.control.identify_shots import identify_shots
 from jaxrod.control.ilqr import ilqr
 from jaxrod.control.least_squares import LeastSquares, least_squares
 from jaxrod.control.levenberg_marquardt import levenberg_marquardt
@@ -36,6 +37,7 @@ __all__ = [
     "codesign",
     "cross_entropy",
     "identify",
+    "identify_shots",
     "ilqr",
     "least_squares",
     "levenberg_marquardt",

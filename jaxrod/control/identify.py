@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -73,6 +73,64 @@ def identify(
         ValueError: Names or shapes do not fit, a number is out of range, nothing was
             observed, or several kinds are observed and `sd` is not given.
     """
+    sought = make_sought(simulate, observed, start, sd, log, lower, upper)
+
+    def residuals(point: Array) -> Any:
+        made = simulate(sought.parameters.values(point))
+        return jax.tree.map(
+            lambda y, t, s, n: jnp.where(s, y - t, 0) / n,
+            made,
+            sought.target,
+            sought.seen,
+            sought.noise,
+        )
+
+    found = least_squares(
+        residuals,
+        jnp.zeros_like(sought.low),
+        lower=sought.low,
+        upper=sought.high,
+        iterations=iterations,
+        damping=damping,
+        tolerance=tolerance,
+        mode=mode,
+    )
+    return fit_of(sought, found)
+
+
+class Sought(NamedTuple):
+    """What is sought, and from what, in arrays."""
+
+    parameters: Parameters
+    """Names and scales."""
+    target: Any
+    """Observations; zero where there is none."""
+    seen: Any
+    """Which were made."""
+    noise: Any
+    """Their standard deviations."""
+    low: Array
+    """Bounds of the search variables."""
+    high: Array
+    observations: Array
+    """Number of observations."""
+    noise_is_given: bool
+
+
+def make_sought(
+    simulate: Simulate,
+    observed: Any,
+    start: Mapping[str, Any],
+    sd: Any,
+    log: bool | Iterable[str],
+    lower: Mapping[str, Any] | None,
+    upper: Mapping[str, Any] | None,
+) -> Sought:
+    """Arguments of `identify`, checked.
+
+    Raises:
+        ValueError: As `identify` does.
+    """
     parameters = make_parameters(start, log)
     _check_names("lower", lower, parameters)
     _check_names("upper", upper, parameters)
@@ -83,39 +141,21 @@ def identify(
         raise ValueError(f"lower must be below upper, got {lower!r} and {upper!r}")
     count = sum((jnp.sum(s) for s in jax.tree.leaves(seen)), jnp.zeros((), jnp.int32))
     target = jax.tree.map(lambda o, s: jnp.where(s, o, 0), observed, seen)
-
-    def residuals(point: Array) -> Any:
-        made = simulate(parameters.values(point))
-        return jax.tree.map(
-            lambda y, t, s, n: jnp.where(s, y - t, 0) / n, made, target, seen, noise
-        )
-
-    zero = jnp.zeros((len(parameters.names),), low.dtype)
-    found = least_squares(
-        residuals,
-        zero,
-        lower=low,
-        upper=high,
-        iterations=iterations,
-        damping=damping,
-        tolerance=tolerance,
-        mode=mode,
-    )
-    return _fit(parameters, found, seen, noise, count, sd is not None, (low, high))
+    return Sought(parameters, target, seen, noise, low, high, count, sd is not None)
 
 
-def _fit(
-    parameters: Parameters,
-    found: Any,
-    seen: Any,
-    noise: Any,
-    count: Array,
-    given: bool,
-    bounds: tuple[Array, Array],
-) -> Fit:
-    """What the end of a search says."""
+def fit_of(sought: Sought, found: Any, others: int = 0) -> Fit:
+    """What the end of a search says.
+
+    Args:
+        sought: What was sought.
+        found: `solution`, `residuals`, `jacobian` and `iterations` of the search.
+        others: How many unknowns were sought besides.
+    """
+    parameters, seen, noise = sought.parameters, sought.seen, sought.noise
+    given, bounds = sought.noise_is_given, (sought.low, sought.high)
     point = found.solution
-    freedoms = count - point.size
+    freedoms = sought.observations - point.size - others
     squares = jnp.sum(found.residuals**2)
     misfit = squares / jnp.maximum(freedoms, 1)
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)

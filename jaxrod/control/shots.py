@@ -36,12 +36,7 @@ def shots(
     Raises:
         ValueError: If the leaves of `starts` are not of equally many windows.
     """
-    sizes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(starts)}
-    if len(sizes) != 1 or () in sizes:
-        raise ValueError(
-            "starts must be states stacked in front, equally many in every leaf, got "
-            f"{sorted(sizes)}"
-        )
+    count_windows(starts)
 
     def simulate(parameters: dict[str, Any]) -> Any:
         return jax.vmap(lambda start: run(parameters, start))(starts)
@@ -49,7 +44,28 @@ def shots(
     return simulate
 
 
-def windows(observed: Any, frames: int, every: int | None = None) -> Any:
+def count_windows(starts: Any) -> int:
+    """How many windows starts are stacked for.
+
+    Raises:
+        ValueError: They are not equally many in every leaf.
+    """
+    sizes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(starts)}
+    if len(sizes) != 1 or () in sizes:
+        raise ValueError(
+            "starts must be states stacked in front, equally many in every leaf, got "
+            f"{sorted(sizes)}"
+        )
+    return sizes.pop()[0]
+
+
+def windows(
+    observed: Any,
+    frames: int,
+    every: int | None = None,
+    *,
+    with_starts: bool = False,
+) -> Any:
     """Windows of a film, stacked in front, as `shots` makes them.
 
     Window `k` holds the frames after its start: those from `k * every + 1`, the start
@@ -59,6 +75,8 @@ def windows(observed: Any, frames: int, every: int | None = None) -> Any:
         observed: A tree of records with frames in front, the first at the first start.
         frames: Frames of a window.
         every: Frames from one start to the next; `frames` by default.
+        with_starts: Whether a window begins with the frame of its start instead, for
+            starts that are sought (`identify_shots`).
 
     Raises:
         ValueError: If a count is out of range or the film is shorter than a window.
@@ -66,12 +84,13 @@ def windows(observed: Any, frames: int, every: int | None = None) -> Any:
     frames = check_count("frames", frames, 1)
     every = check_count("every", frames if every is None else every, 1)
     lengths = {len(leaf) for leaf in jax.tree.leaves(observed)}
-    if len(lengths) != 1 or min(lengths) <= frames:
+    skipped = 0 if with_starts else 1
+    if len(lengths) != 1 or min(lengths) < frames + skipped:
         raise ValueError(
-            f"observed must have more than {frames} frames, equally many in every "
-            f"leaf, got {sorted(lengths)}"
+            f"observed must have at least {frames + skipped} frames, equally many in "
+            f"every leaf, got {sorted(lengths)}"
         )
-    first = range(0, min(lengths) - frames, every)
+    first = range(skipped, min(lengths) - frames + 1, every)
     return jax.tree.map(
-        lambda leaf: jnp.stack([leaf[k + 1 : k + 1 + frames] for k in first]), observed
+        lambda leaf: jnp.stack([leaf[k : k + frames] for k in first]), observed
     )

@@ -15,6 +15,8 @@ def test_windows_hold_the_frames_after_their_starts():
     assert cut["y"].shape == (3, 3, 2)
     cut = windows(film, 2, every=4)
     np.testing.assert_array_equal(cut["x"], [[1, 2], [5, 6]])
+    cut = windows(film, 5, with_starts=True)
+    np.testing.assert_array_equal(cut["x"], [np.arange(5), np.arange(5, 10)])
 
 
 def forked(rate, start, frames, dt=0.05):
@@ -53,7 +55,7 @@ def test_a_fork_that_a_single_run_gets_wrong_is_followed_in_windows():
 def test_bad_arguments_are_refused():
     with pytest.raises(ValueError, match="equally many"):
         shots(lambda p, s: s, (np.zeros(3), np.zeros(4)))
-    with pytest.raises(ValueError, match="more than 5 frames"):
+    with pytest.raises(ValueError, match="at least 6 frames"):
         windows(np.zeros(5), 5)
     with pytest.raises(ValueError, match="every must be at least 1"):
         windows(np.zeros(9), 5, every=0)

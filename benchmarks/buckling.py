@@ -1,0 +1,235 @@
+"""A rod that is pressed until it buckles: scene, film, and starts of windows.
+
+A straight rod of 0.5 m is clamped at one end; the wall of the other is driven towards
+it and back. It buckles to a side that depends on nothing but what is left of an earlier
+motion, too small to be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+import jaxrod
+from jaxrod.control import identify_shots, least_squares, windows
+
+LENGTH, RADIUS = 0.5, 0.01
+MODULUS = 1e6
+TRUTH = {
+    "bending_stiffness": MODULUS * np.pi * RADIUS**4 / 4,
+    "axial_stiffness": MODULUS * np.pi * RADIUS**2,
+    "density": 1000.0,
+    "damping": 10.0,
+}
+"""Of a soft rubber [N m^2, N, kg/m^3, 1/s]."""
+LOWER = {"density": 300.0, "axial_stiffness": 75.0, "damping": 0.5}
+UPPER = {
+    "axial_stiffness": 1000.0,
+    "bending_stiffness": 0.033,
+    "density": 4500.0,
+    "damping": 60.0,
+}
+"""Up to these the step is stable."""
+RATE = 30
+PRESSED, PERIOD = 0.05, 4.0
+"""How far the wall comes [m], and how long it takes there and back [s]."""
+SD = {"film": 1e-3, "force": 0.05}
+"""Of the noise: every coordinate of every node [m], and the sensor [N]."""
+TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
+"""Noise of the sensor as searches have it one after the other [N], the last the true
+one; the damping of their first step; the relative change that ends them."""
+UNEVEN = 5e-3
+"""Of each mode at time zero [rad], and of its rate [rad/s]."""
+
+
+class Buckling:
+    """The scene, and windows of it."""
+
+    def __init__(self, n: int = 16, modes: int = 8, frames: int = 90) -> None:
+        """Of so many elements and modes of a start, for so many frames."""
+        self.n, self.modes, self.frames = n, modes, frames
+        s = np.pi * (np.arange(n) + 0.5) / n
+        dtype = jnp.result_type(1.0)
+        # The first makes ends meet, the others are free.
+        self.shapes = jnp.asarray(np.sin(np.outer(np.arange(1, modes + 2), s)), dtype)
+        worst = TRUTH | UPPER | {"density": LOWER["density"]}
+        scene, _ = self.scene(worst)
+        stiffness = scene.rod.shear_stretch_stiffness[:, 0]
+        self.shear = float(stiffness[2] / stiffness[0])
+        stable = 0.9 * float(jaxrod.stable_dt(scene).dt)
+        self.per = int(np.ceil(1 / RATE / stable))
+        self.dt = 1 / RATE / self.per
+
+    def scene(self, p: dict[str, Any]) -> tuple[Any, Any]:
+        """The scene for parameters, and the straight rod."""
+        rod, state = jaxrod.straight_rod(
+            self.n,
+            length=LENGTH,
+            radius=RADIUS,
+            density=p["density"],
+            youngs_modulus=MODULUS,
+            poisson_ratio=0.5,
+            normal=(1.0, 0.0, 0.0),
+        )
+        axial = p["axial_stiffness"] / TRUTH["axial_stiffness"]
+        bending = p["bending_stiffness"] / TRUTH["bending_stiffness"]
+        rod = replace(
+            rod,
+            shear_stretch_stiffness=axial * rod.shear_stretch_stiffness,
+            bend_twist_stiffness=bending * rod.bend_twist_stiffness,
+        )
+        half = 0.5 * PRESSED
+        wall = jaxrod.sine((0.0, 0.0, half), PERIOD, mean=(0.0, 0.0, -half), phase=0.25)
+        effects = (
+            jaxrod.clamp(state),
+            jaxrod.driven(state, "finish", displacement=wall, axes="zx"),
+            jaxrod.exponential_damping(p["damping"]),
+        )
+        scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
+        return scene, state
+
+    def shape(self, amplitudes: Array, time: Any) -> tuple[Array, Array]:
+        """Places of nodes (x, z) and angles of elements, from modes of the angle.
+
+        Strain and shear are those of one force along z; it and the first mode's
+        amplitude are such that the ends meet the walls.
+        """
+        gap = LENGTH - 0.5 * PRESSED * (1 - jnp.cos(2 * jnp.pi * time / PERIOD))
+        length = LENGTH / self.n
+
+        def closed(first: Array) -> tuple[Array, Array, Array]:
+            angle = first * self.shapes[0] + amplitudes @ self.shapes[1:]
+            sine, cosine = jnp.sin(angle), jnp.cos(angle)
+            yields = cosine**2 + self.shear * sine**2
+            force = (jnp.sum(cosine) - gap / length) / jnp.sum(yields)
+            aside = sine * (1 + force * (self.shear - 1) * cosine)
+            edges = length * jnp.stack([aside, cosine - force * yields])
+            return jnp.sum(edges[0]), edges, angle
+
+        first = jnp.zeros(())
+        for _ in range(4):
+            aside, slope = jax.jvp(lambda a: closed(a)[0], (first,), (jnp.ones(()),))
+            first = first - aside / slope
+        _, edges, angle = closed(first)
+        nodes = jnp.concatenate([jnp.zeros((2, 1)), jnp.cumsum(edges, axis=1)], axis=1)
+        return nodes, angle
+
+    def state(self, p: dict[str, Any], start: dict[str, Any], time: Any) -> Any:
+        """The state of amplitudes and their rates: axial waves are not in it."""
+        scene, straight = self.scene(p)
+        (nodes, angle), (velocity, spin) = jax.jvp(
+            self.shape,
+            (start["amplitudes"], time),
+            (start["rates"], jnp.ones_like(time)),
+        )
+        none = jnp.zeros(self.n + 1)
+        zero = none[1:]
+        half = 0.5 * angle
+        state = replace(
+            straight,
+            positions=jnp.stack([nodes[0], none, nodes[1]]),
+            velocities=jnp.stack([velocity[0], none, velocity[1]]),
+            orientations=jnp.stack([jnp.cos(half), zero, jnp.sin(half), zero]),
+        )
+        spins = jnp.stack([zero, spin, zero])
+        return jaxrod.with_angular_velocities(scene.rod, state, spins)
+
+    def window(self, p: dict[str, Any], start: Any, first: Any, frames: int) -> Any:
+        """Frames from one on, the first with the start itself."""
+        time = first / RATE
+        state = self.state(p, start, time)
+        scene, _ = self.scene(p)
+        steps = self.per * (frames - 1)
+        states = jaxrod.rollout(
+            scene, state, self.dt, steps, self.per, first=first * self.per
+        )
+        times = time + jnp.arange(frames) / RATE
+
+        def force(time: Any, state: Any) -> Array:
+            return jaxrod.reactions(scene.at(time), state)[0].force[2]
+
+        return {
+            "film": states.positions[:, ::2, 1:-1],
+            "force": jax.vmap(force)(times, states),
+        }
+
+    def film(self, p: dict[str, Any], key: Any) -> Any:
+        """All frames, of a rod that is straight but for what cannot be seen."""
+        a, b = UNEVEN * jax.random.normal(key, (2, self.modes))
+        start = {"amplitudes": a, "rates": b}
+        return self.window(p, start, jnp.asarray(0), self.frames)
+
+    def starts(self, film: Array, every: int) -> Any:
+        """Starts of windows as a film shows them.
+
+        Amplitudes of every frame by least squares, and of their parabola through
+        neighbouring frames value and slope.
+        """
+        times = jnp.arange(self.frames) / RATE
+
+        def seen(frame: Array, time: Array) -> Array:
+            def apart(amplitudes: Array) -> Array:
+                return self.shape(amplitudes, time)[0][:, 1:-1] - frame
+
+            zero = jnp.zeros(self.modes)
+            return least_squares(apart, zero, iterations=15).solution
+
+        amplitudes = jax.vmap(seen)(film, times)
+        made = []
+        for first in range(0, self.frames - every + 1, every):
+            low = max(0, min(first - 3, self.frames - 7))
+            near = slice(low, low + 7)
+            design = np.vander((np.arange(self.frames)[near] - first) / RATE, 3)
+            parabola = jnp.asarray(np.linalg.pinv(design), film.dtype)
+            _, slope, value = parabola @ amplitudes[near]
+            made.append((value, slope))
+        values, slopes = map(jnp.stack, zip(*made, strict=True))
+        return {"amplitudes": values, "rates": slopes}
+
+    def films(self, keys: Any) -> Any:
+        """Films of rods that are straight but for what cannot be seen, by keys."""
+        return jax.vmap(lambda key: self.film(TRUTH, key))(keys)
+
+    def fit(self, seen: Any, start: Any, every: int, iterations: int = 30) -> Any:
+        """Parameters from films, stacked in front, in windows of so many frames.
+
+        Weights of the force rise from one search to the next, `TRUST`: of a start that
+        only the film shows it is wrong by many times its noise.
+        """
+        starts = jax.vmap(lambda film: self.starts(film, every))(seen["film"])
+        parts = jax.vmap(lambda one: windows(one, every, with_starts=True))(seen)
+        firsts = jnp.arange(0, self.frames - every + 1, every)
+
+        def run(p: Any, start: Any, first: Any) -> Any:
+            return self.window(p, start, first, every)
+
+        observed = jax.tree.map(_joined, parts)
+
+        def search(begin: Any, trust: Array) -> Any:
+            fit, found = identify_shots(
+                run,
+                observed,
+                *begin,
+                known=jnp.tile(firsts, len(seen["force"])),
+                sd={"film": SD["film"], "force": trust[0]},
+                lower=LOWER,
+                upper=UPPER,
+                damping=trust[1],
+                tolerance=trust[2],
+                iterations=iterations,
+            )
+            return (fit.values, found), fit
+
+        begin = (jax.tree.map(jnp.asarray, start), jax.tree.map(_joined, starts))
+        _, fits = jax.lax.scan(search, begin, jnp.asarray(TRUST))
+        return jax.tree.map(lambda leaf: leaf[-1], fits)
+
+
+def _joined(leaf: Array) -> Array:
+    """Windows of all films, one after the other."""
+    return jnp.reshape(leaf, (-1, *leaf.shape[2:]))

@@ -1,0 +1,70 @@
+"""Measures the identification of a rod that buckles, for docs/identification.md."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.buckling import SD, TRUTH, Buckling
+from benchmarks.fit_rows import fit_row, noisy, scaled
+
+FILMS, FRAMES = 4, 6
+"""Of a draw; of a window."""
+DRAWS = ((101, 102), (103, 104), (105, 106))
+"""Seeds of films and of their noise, that served for no choice."""
+STIFF = (3.5, 1 / 3, 3.0, 0.25)
+
+
+def buckling_rows() -> Iterable[str]:
+    """Four parameters at once, and what a single run makes of the first film."""
+    with jax.enable_x64(True):
+        yield from _rows()
+
+
+def _rows() -> Iterable[str]:
+    buckling = Buckling()
+    films = jax.jit(buckling.films)
+    search = _once(jax.jit(lambda seen, start: buckling.fit(seen, start, FRAMES)))
+    start = jax.tree.map(float, scaled(TRUTH, STIFF))
+    z, first = [], None
+    for film, noise in DRAWS:
+        clean = films(jax.random.split(jax.random.key(film), FILMS))
+        seen = noisy(clean, SD, jax.random.key(noise))
+        fit, seconds = search(seen, start)
+        words = f"windows, seeds {film} and {noise}"
+        # The first call compiles.
+        times = (None, seconds) if first else (seconds, None)
+        yield _row(words, fit, *times)
+        if first is None:
+            first = seen
+        z += [float(fit.z(TRUTH)[name]) for name in TRUTH]
+    yield (
+        f"| these {len(DRAWS)} draws | | | all {len(z)} z-scores: root mean square "
+        f"{np.sqrt(np.mean(np.square(z))):.2f}, largest {max(map(abs, z)):.2f} | | | |"
+    )
+    one = jax.tree.map(lambda leaf: leaf[:1], first)
+    whole = _once(jax.jit(lambda s, p: buckling.fit(s, p, buckling.frames)))
+    alone, seconds = whole(one, start)
+    yield _row("a single run of the first film, its start sought", alone, seconds)
+
+
+def _once(program: Any) -> Any:
+    """The program with the processor time it took."""
+
+    def taken(*given: Any) -> tuple[Any, float]:
+        begin = time.process_time()
+        made = jax.block_until_ready(program(*given))
+        return made, time.process_time() - begin
+
+    return taken
+
+
+def _row(words: str, fit: Any, first: float | None, run: float | None = None) -> str:
+    scores = ", ".join(f"{float(fit.z(TRUTH)[name]):+.2f}" for name in TRUTH)
+    words += f": misfit {float(fit.misfit):.3g}, z {scores}, "
+    words += f"{float(fit.remaining):.2f} sd left"
+    return fit_row(words, TRUTH, fit, first, run)
