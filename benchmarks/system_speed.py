@@ -4,11 +4,11 @@
                                       [snake joint plectoneme muscular]
 
 Each scene is built in both libraries with the same rods and equally many elements, in
-float64; ours in float32 where that is asked for. Printed for both: processor time of a step; the step that each is run with
-(PyElastica's as its examples have it, ours `stable_dt`); and seconds of motion per
-second of processor time. Ours alone and as one of 64 under `jax.vmap`, on one core.
-Processor time is what counts on a machine that does other things too: windows of all
-alternate, and the least of five is taken.
+float64; ours in float32 where that is asked for. Printed for both: processor time of a
+step; the step that each is run with (PyElastica's as its examples have it, ours
+`stable_dt`); and seconds of motion per second of processor time. Ours alone and as one
+of 64 under `jax.vmap`, on one core. Processor time is what counts on a machine that
+does other things too: windows of all alternate, and the least of five is taken.
 """
 
 from __future__ import annotations

@@ -202,7 +202,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.cli import runs
     from jaxrod.envs import check_environment, names
     from jaxrod.envs.importing import spelt_out
-    from jaxrod.installation.processes import join_processes
+    from jaxrod.installation.processes import JOINED_WITHIN, join_processes
     from jaxrod.training import RunFolder, train
     from jaxrod.training.runs.contract import resolve, updates_of
     from jaxrod.training.runs.hosts import LostProcessError

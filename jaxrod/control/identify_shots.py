@@ -10,6 +10,11 @@ so that errors of the starts are no errors of the model, and standard deviations
 parameters hold what the starts take from the data. Windows are not tied to each other:
 what continuity would say is left unused.
 
+Neither misfit nor standard deviations tell of an error that comes with the number of
+starts: where each of many unknowns of a start is seen a few times only, parameters that
+show in velocities can be off by many standard deviations (docs/identification.md has
+such a rod). Try the fit on films that were simulated before trusting it.
+
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983, without its conditions of continuity.
 """
