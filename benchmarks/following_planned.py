@@ -47,9 +47,8 @@ def line(horizon: int, hold: int) -> dict[str, Any]:
 
 PLANNERS: dict[str, dict[str, Any]] = {
     **{f"held-{horizon}": held(horizon) for horizon in (2, 3, 4, 5, 7)},
-    "held-3-cheap": held(3, 1e-3),
-    **{f"line-{horizon}": line(horizon, 2) for horizon in (6, 8, 10, 14)},
-    "line-12-coarse": line(12, 4),
+    **{f"line-{horizon}": line(horizon, 2) for horizon in (6, 8, 10)},
+    "held-3-effort": held(3, 5e-2),
 }
 """Settings of `jaxrod.control.mpc`."""
 
