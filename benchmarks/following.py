@@ -1,11 +1,11 @@
-"""What PPO earns in the task `following`, against the time it takes.
+"""What learners earn in the task `following`, against the time it takes.
 
-    python -m benchmarks.following [--seeds 0 1 2] [--steps 2600000]
+    python -m benchmarks.following [dagger ppo] [--seeds 0 1 2]
 
-Trains a seed at a time, in float32 on one core; now and then the clocks stop and the
-policy acts 64 episodes without noise, the same for all seeds. Counted are the
-discounted return of an episode from its start, and the mean over all its moments of the
-discounted return from there to its end, which is what DisMech-RL's learning library
+Trains a learner and a seed at a time, in float32 on one core; now and then the clocks
+stop and the policy acts 64 episodes without noise, the same for all seeds. Counted are
+the discounted return of an episode from its start, and the mean over all its moments of
+the discounted return from there to its end, which is what DisMech-RL's learning library
 reports. Writes a record of every run into benchmarks/following, after every evaluation.
 `--random` writes what random actions earn instead.
 """
@@ -32,7 +32,6 @@ from jaxrod.training import find_algorithm
 
 RECORDS = Path(__file__).resolve().parent / "following"
 SEEDS = (0, 1, 2)
-STEPS = 2_600_000
 EPISODES = 64
 EPISODES_SEED = 2
 """Of the episodes that are counted: no other than what settings were chosen by."""
@@ -42,15 +41,32 @@ DISCOUNT = 0.99
 """Of the returns that are counted, DisMech-RL's; a learner has its own."""
 FINE = 24
 """Elements of the arm on which the policy is tried at the end."""
-SETTINGS: dict[str, Any] = {
-    "num_envs": 128,
-    "rollout_steps": 64,
-    "hidden_sizes": (128, 128),
-    "discount": 0.97,
-    "final_learning_rate": 1e-4,
-    "initial_log_std": -0.5,
+LEARNERS: dict[str, tuple[int, dict[str, Any]]] = {
+    "dagger": (
+        150_000,
+        {
+            "action_repeat": 1,
+            "rollout_steps": 16,
+            "lookahead": 3,
+            "batch_size": 512,
+            "gradient_steps": 64,
+            "planner_steps": 30_000.0,
+            "effort": 5e-2,
+        },
+    ),
+    "ppo": (
+        2_600_000,
+        {
+            "num_envs": 128,
+            "rollout_steps": 64,
+            "hidden_sizes": (128, 128),
+            "discount": 0.97,
+            "final_learning_rate": 1e-4,
+            "initial_log_std": -0.5,
+        },
+    ),
 }
-"""What differs from PPO's defaults. Chosen with seed 100."""
+"""Control steps, and what differs from the learner's defaults. Chosen with seed 100."""
 
 
 def player(n_elements: int) -> Callable[[Any], dict[str, float]]:
@@ -104,10 +120,11 @@ def discounted(rewards: np.ndarray) -> dict[str, float]:
     }
 
 
-def trained(seed: int, steps: int) -> None:
+def trained(name: str, seed: int) -> None:
     """Writes the record of a run."""
-    env, learner = make("following"), find_algorithm("ppo")
-    config = dataclasses.replace(learner.config_type(), **SETTINGS)
+    env, learner = make("following"), find_algorithm(name)
+    steps, settings = LEARNERS[name]
+    config = dataclasses.replace(learner.config_type(), **settings)
     learner.validate(config, 1)
     per_update = learner.steps_per_update(config)
     updates = -(-steps // per_update)
@@ -120,12 +137,12 @@ def trained(seed: int, steps: int) -> None:
     jax.block_until_ready(state)
     record: dict[str, Any] = {
         "seed": seed,
-        "settings": SETTINGS,
+        "settings": settings,
         "compile_s": clocks.read(),
         "episodes": EPISODES,
         "rows": [],
         "machine": processor_and_versions(),
-        "command": f"python -m benchmarks.following --seeds {seed} --steps {steps}",
+        "command": f"python -m benchmarks.following {name} --seeds {seed}",
     }
     for done in range(1, updates + 1):
         state, _ = update(state)
@@ -137,11 +154,11 @@ def trained(seed: int, steps: int) -> None:
         row = {"control_steps": done * per_update, "wall_s": wall, "processor_s": cpu}
         row |= counted(learner.policy(state))
         record["rows"].append(row)
-        print(f"ppo {seed}: {json.dumps(row)}", flush=True)
+        print(f"{name} {seed}: {json.dumps(row)}", flush=True)
         if done == updates:
             record["fine"] = {"n_elements": FINE} | player(FINE)(learner.policy(state))
-            print(f"ppo {seed}: {json.dumps(record['fine'])}", flush=True)
-        write(f"ppo-{seed}", record)
+            print(f"{name} {seed}: {json.dumps(record['fine'])}", flush=True)
+        write(f"{name}-{seed}", record)
         clocks.go()
 
 
@@ -156,10 +173,13 @@ def main() -> int:
     """Trains and writes."""
     jaxrod.configure_cpu(1)
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("learners", nargs="*", metavar="LEARNER")
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
-    parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--random", action="store_true")
     asked = parser.parse_args()
+    unknown = set(asked.learners) - set(LEARNERS)
+    if unknown:
+        parser.error(f"learners are {', '.join(LEARNERS)}; got {', '.join(unknown)}")
     if asked.random:
         most = discounted(np.full((1, 500), 2.0))
         found = player(make("following").n_elements)(None)
@@ -168,8 +188,9 @@ def main() -> int:
         print(json.dumps(record), flush=True)
         write("random", record)
         return 0
-    for seed in asked.seeds:
-        trained(seed, asked.steps)
+    for name in asked.learners or LEARNERS:
+        for seed in asked.seeds:
+            trained(name, seed)
     return 0
 
 

@@ -1,0 +1,124 @@
+"""What planners that know the arm earn in the task `following`.
+
+    python -m benchmarks.following_planned [PLANNER ...] [--episodes 16]
+
+`jaxrod.control.mpc` by Gauss-Newton on the first of the episodes of
+`benchmarks.following`, in float32 on one core. A planner sees the whole state and
+differentiates the simulation; what heading the target takes next it does not know. It
+makes small the task's smooth cost, not the reward. Writes a record of every planner
+into benchmarks/following.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+import jaxrod
+from benchmarks.first_order import Clocks
+from benchmarks.following import EPISODES, EPISODES_SEED, discounted, write
+from jaxrod.control import mpc
+from jaxrod.envs import make
+from jaxrod.installation.machine import processor_and_versions
+
+
+def held(horizon: int, effort: float = 1e-2) -> dict[str, Any]:
+    """One change of the angles, held so long, planned anew in every control step."""
+    return {
+        "horizon": horizon,
+        "knots": 1,
+        "hold": 1,
+        "replan": 1,
+        "shape": "steps",
+        "effort": effort,
+    }
+
+
+def line(horizon: int, hold: int) -> dict[str, Any]:
+    """A knot and a plan in every so many control steps."""
+    return {"horizon": horizon, "knots": horizon // hold, "hold": hold, "replan": hold}
+
+
+PLANNERS: dict[str, dict[str, Any]] = {
+    **{f"held-{horizon}": held(horizon) for horizon in (2, 3, 4, 5, 7)},
+    **{f"line-{horizon}": line(horizon, 2) for horizon in (6, 8, 10)},
+    "held-3-effort": held(3, 5e-2),
+}
+"""Settings of `jaxrod.control.mpc`."""
+
+
+def planned(settings: dict[str, Any], episodes: int) -> dict[str, Any]:
+    """What a planner earns, and the clocks without compiling."""
+    env = make("following")
+    params, policy = env.default_params(), mpc(env, **settings)
+
+    def play(pairs: Key[Array, "episodes 2"]) -> tuple[Array, Array, Array]:
+        observation, state = jax.vmap(env.reset, (0, None))(pairs[:, 0], params)
+        keys = jax.vmap(lambda key: jax.random.split(key, env.episode_length))(
+            pairs[:, 1]
+        )
+
+        def step(carry: Any, keys: Array) -> tuple[Any, tuple[Array, Array, Array]]:
+            observation, state, memory = carry
+            action, memory = policy.act(memory, observation, state)
+            observation, state, reward, _, _, info = jax.vmap(
+                env.step, (0, 0, 0, None)
+            )(keys, state, action, params)
+            told = reward, info["distance"], info["flagged"]
+            return (observation, state, memory), told
+
+        begun = observation, state, policy.init(observation, state)
+        return jax.lax.scan(step, begun, jnp.swapaxes(keys, 0, 1))[1]
+
+    # The keys of the episodes of `benchmarks.following`.
+    keys = jax.random.split(jax.random.key(EPISODES_SEED), EPISODES)[:episodes]
+    pairs = jax.vmap(jax.random.split)(keys)
+    compiled = jax.jit(play).lower(pairs).compile()
+    clocks = Clocks()
+    rewards, distances, flagged = map(np.asarray, compiled(pairs))
+    wall, cpu = clocks.read()
+    return {
+        "wall_s": wall,
+        "processor_s": cpu,
+        "episodes": episodes,
+        **discounted(rewards.T),
+        "median_distance": float(np.median(distances)),
+        "within_5_cm": float(np.mean(distances < 0.05)),
+        "flagged": float(np.mean(np.any(flagged, axis=0))),
+    }
+
+
+def main() -> int:
+    """Plays and writes."""
+    jaxrod.configure_cpu(1)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("planners", nargs="*", metavar="PLANNER")
+    parser.add_argument("--episodes", type=int, default=16)
+    asked = parser.parse_args()
+    unknown = set(asked.planners) - set(PLANNERS)
+    if unknown:
+        parser.error(f"planners are {', '.join(PLANNERS)}; got {', '.join(unknown)}")
+    if not 1 <= asked.episodes <= EPISODES:
+        parser.error(f"episodes must be 1 to {EPISODES}, got {asked.episodes}")
+    for name in asked.planners or PLANNERS:
+        found = planned(PLANNERS[name], asked.episodes)
+        print(f"{name}: {json.dumps(found)}", flush=True)
+        command = f"python -m benchmarks.following_planned {name}"
+        record = {
+            "settings": PLANNERS[name],
+            **found,
+            "machine": processor_and_versions(),
+            "command": f"{command} --episodes {asked.episodes}",
+        }
+        write(f"planned-{name}", record)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
