@@ -227,6 +227,8 @@ class Following(CostOfResiduals):
         arm, flagged = params.arm.advance(
             state.arm, state.angles, angles, params.dt, self.substeps
         )
+        # Frozen as the arm is: an action that is no number makes no angle.
+        angles = jnp.where(flagged, state.angles, angles)
         target = wander(
             key,
             state.target,

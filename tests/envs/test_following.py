@@ -250,3 +250,17 @@ def test_vmap_is_a_loop_and_numbers_are_single():
 def test_bad_options_are_named(options, said):
     with pytest.raises(ValueError, match=said):
         make("following", **options)
+
+
+def test_an_action_that_is_no_number_leaves_the_last_sound_state():
+    env = make("following", n_elements=5, substeps=90)
+    params = env.default_params()
+    _, state = env.reset(jax.random.key(0), params)
+    broken = jnp.zeros(env.action_size).at[3].set(jnp.nan)
+    seen, after, reward, _, truncated, info = jax.jit(env.step)(
+        jax.random.key(1), state, broken, params
+    )
+    assert bool(info["flagged"]) and bool(truncated)
+    assert np.all(np.isfinite(seen)) and np.isfinite(reward)
+    np.testing.assert_array_equal(after.angles, state.angles)
+    np.testing.assert_array_equal(after.arm.positions, state.arm.positions)
