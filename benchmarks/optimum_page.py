@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.best_learners_page import section
+from benchmarks.best_learners_page import same_episodes, section
 from jaxrod.files import write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "benchmarks" / "optimum"
 LEARNERS = RECORDS / "learners"
+SAME = RECORDS / "same_episodes"
 CASES = {"tracking": 1, "reaching": 2, "structured": 3, "unstructured": 4}
 PLANS = ("", "held")
 """Of a task: the line through knots that `mpc` makes by default, or one action."""
@@ -138,7 +139,8 @@ def write_pages(seed: int) -> None:
         settings += f"| {title} | {values} |\n"
     machines = sorted({record["machine"] for record in records})
     measured_on = f"\nMeasured on: {'; '.join(machines)}.\n"
-    page += section(LEARNERS, CASES) + times + measured_on + settings
+    page += section(LEARNERS, CASES) + same_episodes(LEARNERS, SAME, CASES)
+    page += times + measured_on + settings
     write_atomically(ROOT / "docs" / "optimum.md", page.encode())
     picture(records)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import best_learners
-from benchmarks.best_learners_page import section
+from benchmarks.best_learners_page import same_episodes, section
 
 
 @pytest.mark.slow
@@ -79,3 +79,21 @@ def test_the_section_says_what_the_records_do(tmp_path):
     )
     assert '- `dagger` in `reaching`: {"effort": 2}' in found
     assert "| 1 `tracking`" not in found
+
+
+def test_what_a_planner_earns_in_the_same_episodes(tmp_path):
+    learners, same = tmp_path / "learners", tmp_path / "same"
+    learners.mkdir()
+    same.mkdir()
+    ceiling = [100, 100, 100, -10]
+    for seed, returns in enumerate(([90, 20, 40, -20], [80, 10, 60, -30])):
+        record = {"returns": returns, "ceiling": ceiling}
+        (learners / f"reaching-{seed}.json").write_text(json.dumps(record))
+    tasks = {"tracking": 1, "reaching": 2}
+    assert same_episodes(learners, same, tasks) == ""
+    planned = {"hold": 8, "returns": [95, 70, 30, -15]}
+    (same / "reaching.json").write_text(json.dumps(planned))
+    # Lacking: 85 of the second, 50 of the third, 15 of the first, 15 of the last.
+    assert (
+        "| 2 `reaching` | 4 | 45 | 62.1% | 1 | 31 | 43.1% | 1 | 1 | 1 |\n"
+    ) in same_episodes(learners, same, tasks)
