@@ -7,13 +7,14 @@ out of memory then takes nothing else with it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from jaxrod.training import RunFolder
@@ -58,6 +59,23 @@ def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
                 time.sleep(POLL_SECONDS)
 
 
+@contextlib.contextmanager
+def _on(cores: Collection[int]) -> Iterator[None]:
+    """Processes that are started here have these cores from their first moment on.
+
+    Set after their start, they might have counted their cores before.
+    """
+    if not cores:
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
 class Child:
     """`jaxrod train` of one run in a process of its own, beside others."""
 
@@ -89,18 +107,16 @@ class Child:
             said.write(f"$ jaxrod {shlex.join(words)}\n")
             said.flush()
             # A session of its own: the terminal's Ctrl-C must come from here, once.
-            self._process = subprocess.Popen(
-                [*LAUNCHER, *words],
-                stdin=subprocess.PIPE,
-                stdout=said,
-                stderr=said,
-                start_new_session=True,
-                cwd=cwd,
-                env=environment,
-            )
-        if cores:
-            # Python takes longer to start than this: JAX will see these cores only.
-            os.sched_setaffinity(self._process.pid, cores)
+            with _on(cores):
+                self._process = subprocess.Popen(
+                    [*LAUNCHER, *words],
+                    stdin=subprocess.PIPE,
+                    stdout=said,
+                    stderr=said,
+                    start_new_session=True,
+                    cwd=cwd,
+                    env=environment,
+                )
 
     def ended(self) -> Ended | None:
         """How it ended; None while it runs."""
