@@ -90,6 +90,7 @@ def test_standard_deviations_hold_what_the_starts_take_from_the_data():
         assert 0.8 < float(jnp.std(z)) < 1.2, name
 
 
+@pytest.mark.slow
 def test_kinds_and_what_was_not_seen():
     clean = jax.vmap(ring, in_axes=(None, 0))(TRUTH, true_starts())
     observed = {"x": clean.at[0, 2].set(jnp.nan), "twice": 2 * clean}
