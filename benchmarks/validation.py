@@ -7,8 +7,8 @@
 
 Runs the tests of the physics and of the comparison with PyElastica and tabulates the
 values they recorded, so that the table cannot say anything the tests do not assert.
-With `--update` sections that the runs have no rows of stay as they are; files of the same
-name in two folders share a section, and are run together.
+With `--update` sections that the runs have no rows of stay as they are; files of the
+same name in two folders share a section, and are run together.
 """
 
 from __future__ import annotations
