@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.cli import settings
-from jaxrod.cli.train import STEPS
+from jaxrod.cli.train_arguments import STEPS
 
 if TYPE_CHECKING:
     from jaxrod.cli.sweeps.plan import SweepRun

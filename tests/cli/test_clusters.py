@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from jaxrod.cli.train import first_of_each
+from jaxrod.cli.devices import first_of_each
 from jaxrod.installation.processes import join_processes
 
 CLUSTER = Path(__file__).parents[2] / "docs" / "cluster"

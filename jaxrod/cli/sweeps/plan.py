@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxrod.cli import runs, settings
+from jaxrod.cli.devices import devices_that_fit
 from jaxrod.cli.settings import word_of
-from jaxrod.cli.train import devices_that_fit, short_name
+from jaxrod.cli.train import short_name
 from jaxrod.envs import Environment, check_environment, names
 from jaxrod.envs.importing import spelt_out
 from jaxrod.training.runs.contract import resolve, updates_of
