@@ -1,16 +1,20 @@
 """How fast the muscular snake crawls, here or in PyElastica.
 
-    python -m benchmarks.muscular_snake {ours,theirs} [PERIODS [NUMBERS ...]]
+    python -m benchmarks.muscular_snake WHICH [PERIODS [NUMBERS ...]]
 
-Prints where the body's centre of mass is after every quarter of a period, and the speed
-of the last period. A period is 200,000 steps. Numbers that
-follow are arguments of `scene.ours` or `scene.theirs`.
+WHICH is `ours`; ours with PyElastica's law of some parts, `ours+rods+joints+damping`;
+`theirs`, PyElastica; or `our_ground`, PyElastica with our law of the ground. Prints
+where the body's centre of mass is after every quarter of a period, and the speed of the
+last period. A period is 200,000 steps. Numbers that follow are arguments of
+`scene.ours`, `scene.theirs` or `our_ground`.
 """
 
 from __future__ import annotations
 
+import functools
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 import jax
@@ -19,6 +23,7 @@ import numpy as np
 
 import jaxrod
 from benchmarks.muscular_snake import scene
+from benchmarks.muscular_snake.our_ground import our_ground
 
 QUARTER = round(scene.PERIOD / scene.STEP / 4)
 """Steps."""
@@ -31,9 +36,11 @@ def middle(positions: Any, masses: Any) -> np.ndarray:
     return middle
 
 
-def our_places(quarters: int, *given: float) -> Iterator[np.ndarray]:
+def our_places(
+    quarters: int, *given: float, theirs: Collection[str] = ()
+) -> Iterator[np.ndarray]:
     """Centres of mass of the body after each quarter of a period [m]."""
-    system, state = scene.ours(*given)
+    system, state = scene.ours(*given, theirs=theirs)
     masses = system.members["body"].rod.node_masses
     advance = jax.jit(jaxrod.advance)
     yield middle(state["body"].positions, masses)
@@ -45,9 +52,20 @@ def our_places(quarters: int, *given: float) -> Iterator[np.ndarray]:
 
 def their_places(quarters: int, *given: float) -> Iterator[np.ndarray]:
     """The same of PyElastica's."""
+    yield from _stepped(quarters, *scene.theirs(*given))
+
+
+def mixed_places(
+    quarters: int, sinks: float = 0.02, drag: float = 1000.0
+) -> Iterator[np.ndarray]:
+    """The same of PyElastica's rods on our ground."""
+    yield from _stepped(quarters, *scene.theirs(ground=our_ground(sinks, drag)))
+
+
+def _stepped(quarters: int, simulator: Any, rods: list[Any]) -> Iterator[np.ndarray]:
+    """Centres of mass of PyElastica's body after each quarter."""
     import elastica as ea
 
-    simulator, rods = scene.theirs(*given)
     stepper, time = ea.PositionVerlet(), np.float64(0.0)
     yield middle(rods[0].position_collection, rods[0].mass)
     for _ in range(quarters):
@@ -59,7 +77,13 @@ def their_places(quarters: int, *given: float) -> Iterator[np.ndarray]:
 def main(which: str, periods: int = 6, *given: float) -> None:
     """Steps one of the two and prints a table."""
     jax.config.update("jax_enable_x64", True)
-    places: Callable[..., Any] = {"ours": our_places, "theirs": their_places}[which]
+    kind, *theirs_of = re.split("[+]", which)
+    choices: dict[str, Callable[..., Any]] = {
+        "ours": functools.partial(our_places, theirs=theirs_of),
+        "theirs": their_places,
+        "our_ground": mixed_places,
+    }
+    places = choices[kind]
     found = []
     print("| time [s] | centre of mass [m] |")
     print("|---|---|")

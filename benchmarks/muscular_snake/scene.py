@@ -9,6 +9,7 @@ friction. The numbers are those of PyElastica's example as it is: shear moduli o
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from benchmarks.muscular_snake.surface_joint import surface_joint
 from jaxrod.structure import pytree
 
 N_BODY, LENGTH, RADIUS, DENSITY, YOUNG = 100, 1.0, 0.025, 1000.0, 1e7
@@ -77,6 +79,8 @@ def glue_stiffness(radius: float, scale: float) -> float:
 
 
 TENDON_GLUE, BELLY_GLUE = glue_stiffness(TENDON, 2.0), glue_stiffness(BELLY, 0.05)
+JOINT_DAMPING = 1e-4
+"""Of PyElastica's joints [N s/m]."""
 REPULSION = 20.0
 """Of what pushes rods apart that are too near, over the joint's unscaled stiffness."""
 
@@ -134,7 +138,21 @@ class MuscleDamping(jaxrod.Effect):
         return self.rate, self.rate * 4 / rod.radii**2
 
 
-def _muscle(n: int, start: Any, amplitude: Any, delay: Any, side: Any) -> Any:
+def _method(theirs: Collection[str]) -> Any:
+    """Of the rods."""
+    return jaxrod.pyelastica() if "rods" in theirs else jaxrod.consistent()
+
+
+def _damping(rate: float, theirs: Collection[str]) -> Any:
+    """Of a rod."""
+    if "damping" in theirs:
+        return jaxrod.linear_damper(rate)
+    return MuscleDamping(jnp.asarray(rate))
+
+
+def _muscle(
+    theirs: Any, n: int, start: Any, amplitude: Any, delay: Any, side: Any
+) -> Any:
     """Scene and state of one muscle."""
     radii = np.full(n, TENDON)
     radii[FIRST:LAST] = BELLY
@@ -148,7 +166,6 @@ def _muscle(n: int, start: Any, amplitude: Any, delay: Any, side: Any) -> Any:
         start=start,
         direction=(1.0, 0.0, 0.0),
         normal=(0.0, 0.0, 1.0),
-        dtype=jnp.float64,
     )
     harder = np.where(radii == TENDON, HARDER, 1.0)
     stiff = rod.shear_stretch_stiffness * harder[None, :]
@@ -156,12 +173,13 @@ def _muscle(n: int, start: Any, amplitude: Any, delay: Any, side: Any) -> Any:
     scene = jaxrod.make_scene(
         rod,
         Belly(Pulse(amplitude, delay, side)),
-        MuscleDamping(jnp.asarray(MUSCLE_DAMPING)),
+        _damping(MUSCLE_DAMPING, theirs),
+        method=_method(theirs),
     )
     return scene, state
 
 
-def _muscles(group: str) -> Any:
+def _muscles(group: str, theirs: Any) -> Any:
     """Scenes and states of four muscles as one member."""
     numbers = range(4) if group == "long" else range(4, 8)
     given = [muscle_numbers(number) for number in numbers]
@@ -169,17 +187,11 @@ def _muscles(group: str) -> Any:
         jnp.asarray([getattr(one, name) for one in given])
         for name in ("start", "amplitude", "delay", "side")
     ]
-    return jax.vmap(lambda *row: _muscle(SIZES[group], *row))(*rows)
+    return jax.vmap(lambda *row: _muscle(theirs, SIZES[group], *row))(*rows)
 
 
-def ours(sinks: float = 0.02, drag: float = 1000.0) -> tuple[Any, Any]:
-    """The system and its state, in the default law.
-
-    Args:
-        sinks: How far the body sinks into the ground at rest, over its radius.
-        drag: Of friction where it sets in, over the mass per length [1/s]: from some
-            mu g / drag on it is that of sliding.
-    """
+def body_on_ground(sinks: float, drag: float) -> tuple[Any, Any, Any]:
+    """Our body, its state, and what the ground does to it."""
     body, of_body = jaxrod.straight_rod(
         N_BODY,
         length=LENGTH,
@@ -190,7 +202,6 @@ def ours(sinks: float = 0.02, drag: float = 1000.0) -> tuple[Any, Any]:
         start=(0.0, 0.0, RADIUS),
         direction=(1.0, 0.0, 0.0),
         normal=(0.0, 0.0, 1.0),
-        dtype=jnp.float64,
     )
     line, depth = float(body.linear_density[0]), sinks * RADIUS
     # The plane is so high that the body rests on it where it is.
@@ -201,40 +212,60 @@ def ours(sinks: float = 0.02, drag: float = 1000.0) -> tuple[Any, Any]:
         friction=FRICTION,
         friction_drag=drag * line,
     )
+    return body, of_body, ground
+
+
+def ours(
+    sinks: float = 0.02, drag: float = 1000.0, *, theirs: Collection[str] = ()
+) -> tuple[Any, Any]:
+    """The system and its state.
+
+    Args:
+        sinks: How far the body sinks into the ground at rest, over its radius.
+        drag: Of friction where it sets in, over the mass per length [1/s]: from some
+            mu g / drag on it is that of sliding.
+        theirs: What is of PyElastica's law: "rods", "joints", "damping" (with "rods").
+    """
+    body, of_body, ground = body_on_ground(sinks, drag)
     rate = BODY_DAMPING + MUSCLE_DAMPING
     members = {
         "body": jaxrod.make_scene(
             body,
             jaxrod.gravity((0.0, 0.0, -G)),
             ground,
-            MuscleDamping(jnp.asarray(rate)),
+            _damping(rate, theirs),
+            method=_method(theirs),
         )
     }
     state = {"body": of_body}
     for group in SIZES:
-        members[group], state[group] = _muscles(group)
+        members[group], state[group] = _muscles(group, theirs)
     glues = []
-    for first in range(0, 8, 2):
-        group, start = ("long" if first < 4 else "short"), STARTS[first]
-        pair = [(group, first % 4), (group, first % 4 + 1)]
-        tendons = [*range(FIRST), *range(LAST, SIZES[group])]
-        for stiffness, elements in (
-            (TENDON_GLUE, tendons),
-            (BELLY_GLUE, list(range(FIRST, LAST))),
-        ):
-            glues.append(
-                jaxrod.glue(
-                    ["body", "body"],
-                    pair,
-                    state,
-                    stiffness=stiffness / ELEMENT,
-                    elements=([start + k for k in elements], elements),
-                )
+    for first, group in ((0, "long"), (4, "short")):
+        n = SIZES[group]
+        stiffness = np.full(n, TENDON_GLUE)
+        stiffness[FIRST:LAST] = BELLY_GLUE
+        starts = STARTS[first : first + 4]
+        glues.append(
+            jaxrod.glue(
+                ["body"] * 4,
+                [(group, k) for k in range(4)],
+                state,
+                stiffness=np.tile(stiffness, 4) / ELEMENT,
+                damping=JOINT_DAMPING / ELEMENT if "joints" in theirs else None,
+                elements=[(range(start, start + n), range(n)) for start in starts],
             )
+        )
+    if "joints" in theirs:
+        glues = [surface_joint(glue) for glue in glues]
     return jaxrod.make_system(members, *glues, state=state), state
 
 
-def theirs(repulsion: float = REPULSION, holds: float = 2.0) -> tuple[Any, list[Any]]:
+def theirs(
+    repulsion: float = REPULSION,
+    holds: float = 2.0,
+    ground: Callable[[Any], None] | None = None,
+) -> tuple[Any, list[Any]]:
     """PyElastica's simulator and its nine rods, the body first.
 
     Joints are those of its experimental module, whose constructor fails in 1.0, one
@@ -244,6 +275,7 @@ def theirs(repulsion: float = REPULSION, holds: float = 2.0) -> tuple[Any, list[
         repulsion: Of joints that are pressed together, over their unscaled stiffness.
             It never acts, as PyElastica takes one norm of all distances of an object.
         holds: Static friction over that of sliding; ours is 1.
+        ground: What acts on the body in place of PyElastica's plane.
     """
     import elastica as ea
     from elastica._calculus import difference_kernel
@@ -278,6 +310,14 @@ def theirs(repulsion: float = REPULSION, holds: float = 2.0) -> tuple[Any, list[
             size = self.amplitude * min(max(late, 0.0), 1.0) * wave
             pull = size * system.tangents[:, FIRST:LAST]
             system.external_forces[:, FIRST : LAST + 1] += difference_kernel(pull)
+
+    class OtherGround(ea.NoForces):
+        def __init__(self, act: Callable[[Any], None]) -> None:
+            self.act = act
+
+        def apply_forces(self, system: Any, time: Any = 0.0) -> None:
+            """Of the ground, with its couples."""
+            self.act(system)
 
     def rod(n: int, start: Any, radii: Any, density: float, young: float) -> Any:
         return ea.CosseratRod.straight_rod(
@@ -328,7 +368,7 @@ def theirs(repulsion: float = REPULSION, holds: float = 2.0) -> tuple[Any, list[
         ).using(
             SideJoint,
             k=stiffness * scales,
-            nu=1e-4,
+            nu=JOINT_DAMPING,
             k_repulsive=stiffness * repulsion,
             rod_one_direction_vec_in_material_frame=ways[0],
             rod_two_direction_vec_in_material_frame=ways[1],
@@ -337,13 +377,16 @@ def theirs(repulsion: float = REPULSION, holds: float = 2.0) -> tuple[Any, list[
     simulator.add_forcing_to(body).using(
         ea.GravityForces, acc_gravity=np.array([0.0, 0.0, -G])
     )
-    simulator.detect_contact_between(body, plane).using(
-        ea.RodPlaneContactWithAnisotropicFriction,
-        k=10.0,
-        nu=40.0,
-        slip_velocity_tol=1e-8,
-        static_mu_array=holds * FRICTION,
-        kinetic_mu_array=FRICTION,
-    )
+    if ground is None:
+        simulator.detect_contact_between(body, plane).using(
+            ea.RodPlaneContactWithAnisotropicFriction,
+            k=10.0,
+            nu=40.0,
+            slip_velocity_tol=1e-8,
+            static_mu_array=holds * FRICTION,
+            kinetic_mu_array=FRICTION,
+        )
+    else:
+        simulator.add_forcing_to(body).using(OtherGround, act=ground)
     simulator.finalize()
     return simulator, rods

@@ -18,6 +18,7 @@ from jaxrod.lanes.cycle import Cycle, Ends, Plan, adjoint_cycle, chosen
 from jaxrod.lanes.graph import VARYING
 from jaxrod.lanes.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
 from jaxrod.lanes.kernel_plan import Entries, Step
+from jaxrod.lanes.lengths import most_operations
 from jaxrod.lanes.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.unroll import NotUnrolled, kind_of
 from jaxrod.lanes.unrolled import check_length, unrolled_run, unrolled_step
@@ -28,9 +29,6 @@ FEWEST_RODS = 4
 """A batch of fewer is left to XLA."""
 FEWEST_RODS_ON_GPU = 32
 """The threads of one warp: with fewer rods some would have none. Not measured."""
-MOST_OPERATIONS = 120_000
-"""Of a program: steps, or a run with what is around them. Longer ones do not fit the
-processor's memory for instructions, and take long to compile."""
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -203,13 +201,13 @@ def _call(
 
 @lru_cache(maxsize=64)
 def _steps_kernel(cycle: Cycle, shared: tuple[bool, ...], keeps: bool) -> Kernel:
-    step, _, _ = unrolled_step(cycle, shared, MOST_OPERATIONS)
+    step, _, _ = unrolled_step(cycle, shared, most_operations(cycle))
     return step_kernel(step, _width(cycle), checkpoints=keeps)
 
 
 @lru_cache(maxsize=64)
 def _run_kernel(cycle: Cycle, ends: Ends, shared: tuple[bool, ...]) -> Kernel:
-    step, around = unrolled_run(cycle, ends, shared, MOST_OPERATIONS)
+    step, around = unrolled_run(cycle, ends, shared, most_operations(cycle))
     return run_kernel(step, around, _width(cycle))
 
 
@@ -217,7 +215,7 @@ def _run_kernel(cycle: Cycle, ends: Ends, shared: tuple[bool, ...]) -> Kernel:
 def _back_kernel(
     cycle: Cycle, moving: tuple[bool, ...], shared: tuple[bool, ...]
 ) -> Kernel:
-    step, unroller, inputs = unrolled_step(cycle, shared, MOST_OPERATIONS)
+    step, unroller, inputs = unrolled_step(cycle, shared, most_operations(cycle))
     graph = step.graph
     plan = Plan(cycle, 0, moving)
     closed = adjoint_cycle(plan)
@@ -236,7 +234,7 @@ def _back_kernel(
             sums, given[len(floats) :], made[len(floats) :], strict=True
         )
     ]
-    check_length(len(graph), MOST_OPERATIONS)
+    check_length(len(graph), most_operations(cycle))
     outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
     adjoint = Step(graph, step.constants, carry, outputs)
     return adjoint_kernel(step, adjoint, len(floats), _width(cycle))

@@ -21,26 +21,16 @@ from jaxtyping import Array, Float
 
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import (
-    directors,
-    directors_from_orientations,
-    to_material,
-    to_world,
-)
+from jaxrod.geometry.rotations import directors_from_orientations
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.rods.rod import RodState
-from jaxrod.structure import pytree, static
+from jaxrod.structure import pytree
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.elastic_joints import (
-    ElasticJoint,
-    added_bounds,
-    least_inertia,
-    orientation_at,
-    spin_at,
-)
+from jaxrod.systems.elastic_joints import ElasticJoint, added_bounds
+from jaxrod.systems.glued_sides import GluedSide, between_surfaces
 from jaxrod.systems.loads import sum_of_loads
-from jaxrod.systems.parts import Parts, Seen, in_one_row
+from jaxrod.systems.parts import in_one_row
 from jaxrod.systems.places import (
     Indices,
     Layout,
@@ -49,86 +39,9 @@ from jaxrod.systems.places import (
     points_of,
     resolved,
 )
-from jaxrod.systems.rows import picked, summed
-from jaxrod.systems.springs import optional_number
 from jaxrod.systems.stepper import added
 from jaxrod.systems.welds import elastic_joints
 from jaxrod.validation import Numbers, as_array, check_count
-
-
-@pytree
-class GluedSide:
-    """Elements of one rod, and the points of glue on them."""
-
-    points: Points
-    """The elements, with their first nodes."""
-    offsets: Float[Array, "3 pairs"]
-    """From the middles of the elements to the glue, in their frames [m]."""
-    nexts: Indices = static()
-    """Their other nodes."""
-
-    def middles(self, seen: Seen, field: Vec3) -> Vec3:
-        """A field on nodes, at the middles of the elements."""
-        x, y, z = (
-            0.5 * (picked(c, self.points.nodes) + picked(c, self.nexts)) for c in field
-        )
-        return x, y, z
-
-    def places(self, seen: Seen) -> Vec3:
-        """Points of glue, world frame [m]."""
-        frame = directors(orientation_at(seen, self.points))
-        arms = to_world(frame, vectors.split(self.offsets))
-        return vectors.add(self.middles(seen, seen.motion.position), arms)
-
-    def velocities(self, seen: Seen, place: Vec3) -> Vec3:
-        """Velocities of what is fixed to the elements at some places [m/s]."""
-        arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
-        swing = vectors.cross(spin_at(seen, self.points), arm)
-        return vectors.add(self.middles(seen, seen.motion.velocity), swing)
-
-    def loads(self, seen: Seen, force: Vec3, place: Vec3) -> tuple[Any, Any]:
-        """Loads of forces at some places: on the first nodes, and on the others."""
-        arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
-        frame = directors(orientation_at(seen, self.points))
-        couple = to_material(frame, vectors.cross(arm, force))
-        half = vectors.scale(0.5, force)
-        others = Points(self.points.member, self.nexts, self.points.elements)
-        return (self.points, Loads(half, couple)), (others, Loads(half))
-
-    def mobility(self, parts: Parts) -> Array:
-        """Largest velocity at the glue per impulse [1/kg]."""
-        first = parts.node_masses[self.points.nodes.values]
-        following = parts.node_masses[self.nexts.values]
-        arms = vectors.split(self.offsets)
-        turning = vectors.dot(arms, arms) / least_inertia(parts, self.points)
-        return 0.25 / first + 0.25 / following + turning
-
-    def bound(self, parts: Parts, rate: Array, slow: Array | None) -> StabilityBound:
-        """Shares of a side, by inertia, in squared frequencies and rates of drag.
-
-        Args:
-            parts: Constants of the member.
-            rate: Stiffness times the mobility of both sides [1/s^2].
-            slow: Drag times it [1/s].
-        """
-        first = parts.node_masses[self.points.nodes.values]
-        following = parts.node_masses[self.nexts.values]
-        least = least_inertia(parts, self.points)
-
-        def on_nodes(rate: Array) -> Array:
-            size = parts.n_nodes
-            one = summed(rate * first, self.points.nodes, size)
-            return one + summed(rate * following, self.nexts, size)
-
-        def on_elements(rate: Array) -> Array:
-            return summed(rate * least, self.points.elements, parts.inertias.shape[1])
-
-        return StabilityBound(
-            nodes=on_nodes(rate),
-            elements=on_elements(rate),
-            node_drag=None if slow is None else on_nodes(slow),
-            element_drag=None if slow is None else on_elements(slow),
-        )
 
 
 @pytree
@@ -141,13 +54,13 @@ class Glue(Coupling):
     """The other."""
     joint: ElasticJoint
     """What resists turning."""
-    stiffness: Float[Array, ""]
-    """Force per length of glue and distance [N/m^2]."""
-    turning_stiffness: Float[Array, ""] | None = None
+    stiffness: Float[Array, ""] | Float[Array, " pairs"]
+    """Force per length of glue and distance, one for all or one for each [N/m^2]."""
+    turning_stiffness: Float[Array, ""] | Float[Array, " pairs"] | None = None
     """Couple per length and angle [N]."""
-    damping: Float[Array, ""] | None = None
+    damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
     """Force per length and relative speed [kg/(m s)]."""
-    turning_damping: Float[Array, ""] | None = None
+    turning_damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
     """Couple per length and relative angular velocity [N s]."""
     lengths: Float[Array, " pairs"] | None = None
     """Length of glue of each pair, once prepared [m]."""
@@ -173,7 +86,7 @@ class Glue(Coupling):
             each.append(own.rest_lengths[side.points.elements.values])
             radii.append(own.radii[side.points.elements.values])
         lengths = 0.5 * (each[0] + each[1])
-        a, b = _between_surfaces(self.a, self.b, radii[0] - radii[1])
+        a, b = between_surfaces(self.a, self.b, radii[0] - radii[1])
         joint = self.joint
         if self.turning_stiffness is not None:
             row = self.turning_stiffness * lengths
@@ -217,8 +130,8 @@ class Glue(Coupling):
         """Elastic energy of the glue [J]."""
         gap, _ = self._gap(seen)
         assert self.lengths is not None
-        square = jnp.sum(self.lengths * vectors.dot(gap, gap))
-        stored = 0.5 * self.stiffness * square
+        squares = self.lengths * vectors.dot(gap, gap)
+        stored = 0.5 * jnp.sum(self.stiffness * squares)
         if self.turning_stiffness is None:
             return stored
         return stored + self.joint.energy(seen)
@@ -240,29 +153,10 @@ class Glue(Coupling):
         return total
 
 
-def _between_surfaces(
-    a: GluedSide, b: GluedSide, thicker: Array
-) -> tuple[GluedSide, GluedSide]:
-    """Glue midway between the middles of elements moved to between their surfaces.
-
-    Args:
-        a: The one rod.
-        b: The other.
-        thicker: Radii of `a` less those of `b` [m].
-    """
-    half = vectors.safe_norm(vectors.split(a.offsets))
-    # Of two rods in one place neither surface is nearer.
-    apart = half > 0
-    more = jnp.clip(0.5 * thicker / jnp.where(apart, half, 1), -1, 1)
-    share = jnp.where(apart, more, 0)
-    return (
-        replace(a, offsets=(1 + share)[None, :] * a.offsets),
-        replace(b, offsets=(1 - share)[None, :] * b.offsets),
-    )
-
-
 Rods = str | tuple[str, int]
 """A rod by name, or one of equal rods."""
+Glued = tuple[Sequence[int], Sequence[int]]
+"""Elements of one rod, and those of another that are glued to them."""
 
 
 def glue(
@@ -274,7 +168,7 @@ def glue(
     turning_stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     turning_damping: Numbers | None = None,
-    elements: tuple[Sequence[int], Sequence[int]] | None = None,
+    elements: Glued | Sequence[Glued] | None = None,
 ) -> Glue:
     """Rods glued side by side where `state` has them, without force there.
 
@@ -284,12 +178,15 @@ def glue(
         b: The other, or as many.
         state: State of the system at rest.
         stiffness: Force per length of glue and distance, in all directions [N/m^2].
+            This and the next three are a number, or one for each pair of glued
+            elements, those of the first rods first.
         turning_stiffness: Couple per length and angle between the elements [N].
         damping: Force per length and relative speed [kg/(m s)].
         turning_damping: Couple per length and relative angular velocity [N s]; with a
             `turning_stiffness`.
         elements: Numbers of the elements of `a` and of as many of `b` that are glued to
-            them; by default each to that of the same number.
+            them; by default each to that of the same number. Of several rods the same
+            for all, or a list of such pairs, one for each rod of `a`.
 
     Returns:
         A coupling for `make_system`.
@@ -306,8 +203,9 @@ def glue(
             f"a and b must be as many rods, got {len(names[0])} and {len(names[1])}"
         )
     pairs: list[list[tuple[Any, ...]]] = [[], []]
-    for one, two in zip(*names, strict=True):
-        for side, found in enumerate(_glued(one, two, elements, layouts)):
+    listed = _listed(elements, len(names[0]))
+    for one, two, chosen in zip(*names, listed, strict=True):
+        for side, found in enumerate(_glued(one, two, chosen, layouts)):
             pairs[side].extend(found)
     same = sorted({p for p, q in zip(*pairs, strict=True) if p == q})
     if same:
@@ -325,19 +223,39 @@ def glue(
         offsets = np.sum(frame * (midway - middle)[None], axis=1)
         following = Indices(own.nodes.values + 1)
         sides.append(GluedSide(own, jnp.asarray(offsets), following))
+    shapes = ((), (len(pairs[0]),))
+
+    def number(name: str, value: Any, unit: str, *, positive: bool = False) -> Any:
+        if value is None:
+            return None
+        given = {"positive": positive, "non_negative": True}
+        return as_array(name, value, unit, shapes, **given)
+
     return Glue(
         a=sides[0],
         b=sides[1],
         joint=joint,
-        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
-        turning_stiffness=(
-            None
-            if turning_stiffness is None
-            else as_array("turning_stiffness", turning_stiffness, "N", positive=True)
+        stiffness=number("stiffness", stiffness, "N/m^2", positive=True),
+        turning_stiffness=number(
+            "turning_stiffness", turning_stiffness, "N", positive=True
         ),
-        damping=optional_number("damping", damping, "kg/(m s)"),
-        turning_damping=optional_number("turning_damping", turning_damping, "N s"),
+        damping=number("damping", damping, "kg/(m s)"),
+        turning_damping=number("turning_damping", turning_damping, "N s"),
     )
+
+
+def _listed(elements: Any, count: int) -> list[Any]:
+    """Glued elements of each pair of rods."""
+    given: list[Any] = [] if elements is None else list(elements)
+    first: list[Any] = list(given[0]) if given else []
+    if not first or not isinstance(first[0], Sequence | np.ndarray):
+        return [elements] * count
+    if len(elements) != count:
+        raise ValueError(
+            f"elements must be one pair of lists, or one for each of {count} rods, got "
+            f"{len(elements)}"
+        )
+    return given
 
 
 def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
@@ -374,6 +292,11 @@ def _glued(
                 "are glued together, elements=([...], [...])"
             )
         chosen = (range(counts[0]), range(counts[0]))
+    if len(chosen) != 2:
+        raise ValueError(
+            f"elements must be a list of those of a and one of those of b, got "
+            f"{len(chosen)} lists"
+        )
     first, second = (
         [(*name, check_count(f"elements of {name}", k, 0, n - 1)) for k in listed]
         for name, n, listed in zip((one, two), counts, chosen, strict=True)

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from jaxrod.lanes import call_frame, choice
+from jaxrod.lanes import call_frame, choice, lengths
 from jaxrod.lanes.choice import lane_choices, use_lanes
+from jaxrod.lanes.cycle import Cycle
 from lanes.test_runs import hanging, shaken
 
 
@@ -82,6 +83,25 @@ def test_an_interface_with_another_layout_is_not_used(monkeypatch):
 
 
 def test_a_step_that_is_too_long_is_left_to_xla(monkeypatch):
-    monkeypatch.setattr(choice, "MOST_OPERATIONS", 1000)
+    monkeypatch.setattr(lengths, "MOST_OPERATIONS", 1000)
+    monkeypatch.setattr(lengths, "MOST_OF_ALL", 1000)
     refused = advanced(9)[-1]
     assert not refused.taken and "longer than 1000" in refused.why
+
+
+def test_what_has_many_equations_may_be_longer():
+    """As much as XLA would compile of it, and not without end."""
+
+    def step(equations):
+        def program(x):
+            inner = jax.jit(lambda y: jnp.sin(y) * 2)
+            for _ in range(equations // 3):
+                x = inner(x)
+            return [x]
+
+        closed = jax.make_jaxpr(program)(jnp.zeros(5))
+        return Cycle(closed, 0)
+
+    assert lengths.most_operations(step(900)) == lengths.MOST_OPERATIONS
+    assert lengths.most_operations(step(3000)) == 300_000
+    assert lengths.most_operations(step(9000)) == lengths.MOST_OF_ALL

@@ -226,6 +226,53 @@ def test_gradients_match_differences():
     assert np.all(np.abs(differences) > 1e-5 * size)
 
 
+def test_one_glue_for_several_rods_with_numbers_of_their_own_is_that_of_each():
+    """The first two of three rods, each with other elements and a stiff end."""
+    one, of_one = rod(8, LENGTH, youngs_modulus=YOUNG)
+    members, state = {"low": jaxrod.make_scene(one)}, {"low": stirred(of_one, 1, 0.2)}
+
+    def other(start):
+        made, of_made = rod(4, 0.5 * LENGTH, start, youngs_modulus=YOUNG)
+        return jaxrod.make_scene(made), of_made
+
+    starts = ((0, 0, 0.05), (0.4, 0, 0.05))
+    each = [other(start) for start in starts]
+    members["high"], state["high"] = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    numbers = {
+        "stiffness": np.array([1e5, 1e5, 1e4, 2e4]),
+        "turning_stiffness": np.array([1.0, 2.0, 1.0, 2.0]),
+        "damping": np.array([3.0, 4.0, 5.0, 6.0]),
+        "turning_damping": np.array([0.1, 0.1, 0.2, 0.3]),
+    }
+    listed = [([0, 1], [0, 1]), ([4, 7], [1, 3])]
+    rods = [("high", 0), ("high", 1)]
+    together = jaxrod.glue(["low"] * 2, rods, state, elements=listed, **numbers)
+    apart = [
+        jaxrod.glue(
+            "low",
+            rods[k],
+            state,
+            elements=([listed[k][0][j]], [listed[k][1][j]]),
+            **{name: row[2 * k + j] for name, row in numbers.items()},
+        )
+        for k in range(2)
+        for j in range(2)
+    ]
+    moving = state | {"high": jax.vmap(lambda s: stirred(s, 2, 0.2))(state["high"])}
+    systems = [
+        jaxrod.make_system(members, *glues, state=state)
+        for glues in ([together], apart)
+    ]
+    a, b = (jaxrod.advance(s, moving, 1e-6, 20) for s in systems)
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-12), a, b)
+    energies = [float(jaxrod.potential_energy(s, a)) for s in systems]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-12)
+    none = jaxrod.make_system(members, state=state)
+    assert energies[0] > 1.01 * float(jaxrod.potential_energy(none, a))
+    steps = [float(jaxrod.stable_dt(s).dt) for s in systems]
+    assert steps[0] == pytest.approx(steps[1], rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("names", "options", "words"),
     [
@@ -244,6 +291,14 @@ def test_gradients_match_differences():
             {"stiffness": 0.0},
             r"stiffness must be positive, got 0 N/m\^2",
         ),
+        (("low", "high"), {"damping": [1.0, 2.0]}, "damping must"),
+        (
+            (["low"], ["high"]),
+            {"elements": [([0], [0]), ([1], [1])]},
+            "one for each of 1 rods, got 2",
+        ),
+        (("low", "high"), {"elements": ([], [])}, "as many of both, got 0 and 0"),
+        (("low", "high"), {"elements": []}, "elements must be a list of .* got 0"),
     ],
 )
 def test_bad_input(names, options, words):
