@@ -56,7 +56,7 @@ MAZE: dict[str, Any] = {
 RECIPES: dict[str, tuple[Stage, ...]] = {
     "tracking": (
         ("dagger", 1_000_000, {"plan_iterations": 2}),
-        ("ppo", 20_000_000, CLIMB),
+        ("ppo", 40_000_000, CLIMB),
     ),
     "reaching": (
         ("dagger", 1_500_000, {"short_steps": 1.0e9, "short_length": 480.0}),
