@@ -43,7 +43,7 @@ SD = {"film": 1e-3, "force": 0.05}
 TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
 """Noise of the sensor as searches have it one after the other [N], the last the true
 one; the damping of their first step; the relative change that ends them."""
-TOLERANCE = 1e-6
+TOLERANCE = 1e-5
 """Relative change that ends the search of joined windows."""
 UNEVEN = 5e-3
 """Of each mode at time zero [rad], and of its rate [rad/s]."""
@@ -223,16 +223,17 @@ class Buckling:
         self,
         seen: Any,
         start: Any,
+        starts: Any,
         every: int,
         trust: Any = TRUST,
         iterations: int = 30,
     ) -> Any:
         """A fit to films, stacked in front, in windows that are not joined.
 
-        Weights of the force rise from one search to the next, `TRUST`: of a start that
-        only the film shows it is wrong by many times its noise.
+        Starts of windows begin with those given, stacked by film and window. Weights of
+        the force rise from one search to the next, `TRUST`: of a start that only the
+        film shows it is wrong by many times its noise.
         """
-        starts = jax.vmap(lambda film: self.starts(film, every))(seen["film"])
         firsts, parts = self._parts(seen, every)
 
         def run(p: Any, start: Any, first: Any) -> Any:
@@ -263,8 +264,8 @@ class Buckling:
         Parameters begin with those of windows that are not joined, states with what the
         film shows, and the rod at time zero straight and at rest.
         """
-        values = self.apart(seen, start, every, TRUST[:-1]).values
-        starts = jax.vmap(lambda film: self.starts(film, every))(seen["film"])
+        starts = self.shown(seen, every)
+        values = self.apart(seen, start, starts, every, TRUST[:-1]).values
         firsts, parts = self._parts(seen, every)
 
         def state(start: Any, first: Array) -> Any:
@@ -285,6 +286,10 @@ class Buckling:
             iterations=iterations,
         )
         return fit
+
+    def shown(self, seen: Any, every: int) -> Any:
+        """`starts` of all films."""
+        return jax.vmap(lambda film: self.starts(film, every))(seen["film"])
 
     def _parts(self, seen: Any, every: int) -> tuple[Array, Any]:
         """First frames of windows, and windows, by film."""

@@ -16,9 +16,10 @@ states along. Gaps close as the square of their size: at the end the windows are
 run, found without the growth of errors along one.
 
 A step is taken if $\sum_w \| r_w + J_w^x c_w \|^2 + \| J_w^x g_w \|^2$ falls: the
-residuals as they are when gaps are closed, and the gaps by what they do to the
-observations of their own windows, both of which a small enough step makes less.
-Otherwise the damping rises and the step is cut in half.
+residuals as they are when gaps are closed, to first order, and the gaps by what they do
+to the observations of their own windows. Otherwise the damping rises and the step is
+cut in half. Nothing says that a small enough step is taken: where gaps are so large
+that closing them changes slopes, the search stops with gaps open.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983; J. Albersmeyer, M. Diehl, The lifted Newton method and its application in
@@ -304,5 +305,7 @@ def _stepped(
     unknowns = jnp.concatenate([moved, share * own_steps], axis=1)
     along = jnp.einsum("twsu,tu->tws", slopes.ways, unknowns)
     return _Point(
-        shared, point.own + share * own_steps, point.states + along + share * slopes.shift
+        shared,
+        point.own + share * own_steps,
+        point.states + along + share * slopes.shift,
     )
