@@ -169,9 +169,9 @@ def _check_states(
         )
     made = jax.eval_shape(begin, values, own, knowing)
     end = jax.eval_shape(lambda *given: run(*given)[1], values, state, knowing)
+    tree: Any = jax.tree.structure(wanted)
     for what, kind in (("begin must make", made), ("run must end in", end)):
-        same = jax.tree.structure(kind) == jax.tree.structure(wanted)
-        if not same or _shapes(kind) != _shapes(wanted):
+        if jax.tree.structure(kind) != tree or _shapes(kind) != _shapes(wanted):
             raise ValueError(
                 f"{what} a state as states are, {_shapes(wanted)}, got {_shapes(kind)}"
             )

@@ -29,6 +29,7 @@ optimization, 2010.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -158,7 +159,12 @@ def joined_least_squares(
         return ravel_pytree(made)[0], ravel_pytree(end)[0].astype(dtype)
 
     one = _along(opening, window)
-    evaluated = jax.vmap(one, in_axes=(_Point(None, 0, 0), 0))
+
+    def evaluated(point: _Point, known: Any) -> tuple[Array, _Slopes]:
+        def alone(own: Array, states: Array, known: Any) -> tuple[Array, _Slopes]:
+            return one(_Point(point.shared, own, states), known)
+
+        return jax.vmap(alone)(point.own, point.states, known)
 
     def more(search: _Search) -> Array:
         going = (search.tried <= iterations) & ~search.converged
@@ -195,16 +201,14 @@ def joined_least_squares(
         )
 
     shapes = jax.eval_shape(evaluated, first, known)[1]
-    none = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, dtype), shapes)
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, dtype), shapes)
+    unlike = jnp.full(shapes.residuals.shape, jnp.inf, dtype)
     found = lax.while_loop(
         more,
         again,
         _Search(
             best=first,
-            slopes=_Slopes(
-                jnp.full(shapes.residuals.shape, jnp.inf, dtype),
-                *(none.jacobian, none.closing, none.jump, none.ways, none.shift),
-            ),
+            slopes=replace(nothing, residuals=unlike),
             cost=jnp.asarray(jnp.inf, dtype),
             damping=jnp.asarray(damping, dtype),
             share=jnp.ones((), dtype),
