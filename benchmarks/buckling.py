@@ -43,7 +43,7 @@ SD = {"film": 1e-3, "force": 0.05}
 TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
 """Noise of the sensor as searches have it one after the other [N], the last the true
 one; the damping of their first step; the relative change that ends them."""
-TOLERANCE = 1e-5
+TOLERANCE = 2e-6
 """Relative change that ends the search of joined windows."""
 UNEVEN = 5e-3
 """Of each mode at time zero [rad], and of its rate [rad/s]."""
@@ -160,14 +160,8 @@ class Buckling:
     def _run(self, p: dict[str, Any], state: Any, first: Any, intervals: int) -> Any:
         """States at frames."""
         scene, _ = self.scene(p)
-        return jaxrod.rollout(
-            scene,
-            state,
-            self.dt,
-            self.per * intervals,
-            self.per,
-            first=first * self.per,
-        )
+        steps, begun = self.per * intervals, self.per * first
+        return jaxrod.rollout(scene, state, self.dt, steps, self.per, first=begun)
 
     def _seen(self, p: dict[str, Any], states: Any, first: Any) -> Any:
         """What film and sensor show of states."""

@@ -1,19 +1,12 @@
 r"""Least squares of trajectories in windows that are joined while it is sought.
 
-A trajectory is cut into windows, window $w$ with residuals $r_w(p, x_w)$ and end
-$e_w(p, x_w)$ from its initial state $x_w$. Unknowns are what all share, $p$, and what
-the first state is made of, $x_1 = b(p, s)$; later states are iterates that may not fit
-together at first, with gaps $g_{w+1} = e_w - x_{w+1}$. To first order
-
-$$\delta x_{w+1} = \frac{\partial e_w}{\partial x} \delta x_w
-+ \frac{\partial e_w}{\partial p} \delta p + g_{w+1}
-= A_{w+1} \begin{pmatrix} \delta p \\ \delta s \end{pmatrix} + c_{w+1},$$
-
-which is carried from window to window by forward mode, a column for each unknown and
-one for the gaps. A step makes $\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w
-\|^2$ least, with the shape of an arrow over trajectories (`arrow_step`), and moves all
-states along. Gaps close as the square of their size: at the end the windows are one
-run, found without the growth of errors along one.
+Unknowns are what all trajectories share, $p$, and what the first state of each is made
+of, $s$; states at the starts of windows are iterates with gaps between them, and
+directions of theirs are carried from window to window (`follow_windows`). A step makes
+$\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w \|^2$ least, with the shape of an
+arrow over trajectories (`arrow_step`), and moves all states along. Gaps close as the
+square of their size: at the end the windows are one run, found without the growth of
+errors along one.
 
 A step is taken if $\sum_w \| r_w + J_w^x c_w \|^2 + \| J_w^x g_w \|^2$ falls: the
 residuals as they are when gaps are closed, to first order, and the gaps by what they do
@@ -39,6 +32,11 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.control.arrow import arrow_step, in_order_of_leaves, projected
+from jaxrod.control.follow_windows import (
+    JoinedPoint,
+    JoinedSlopes,
+    follow_windows,
+)
 from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
 from jaxrod.control.local_least_squares import LEAST_DAMPING
 from jaxrod.structure import pytree
@@ -65,40 +63,13 @@ class JoinedLeastSquares:
 
 
 @pytree
-class _Point:
-    shared: Array
-    own: Array
-    states: Array
-
-
-@pytree
-class _Slopes:
-    """Of all trajectories: rows of residuals by window."""
-
-    residuals: Array
-    jacobian: Array
-    closing: Array
-    """What closing the gaps adds to residuals."""
-    jump: Array
-    """What the gap at a window's own start adds."""
-    ways: Array
-    """Of the state at the start of each window, by unknowns."""
-    shift: Array
-    """What closing the gaps adds to it."""
-
-    @property
-    def closed(self) -> Array:
-        return self.residuals + self.closing
-
-
-@pytree
 class _Search:
-    best: _Point
-    slopes: _Slopes
+    best: JoinedPoint
+    slopes: JoinedSlopes
     cost: Array
     damping: Array
     share: Array
-    candidate: _Point
+    candidate: JoinedPoint
     tried: Array
     converged: Bool[Array, ""]
 
@@ -145,7 +116,7 @@ def joined_least_squares(
     shares = start.size
     _, as_own = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], own))
     _, as_state = ravel_pytree(jax.tree.map(lambda leaf: leaf[0, 0], states))
-    first = _Point(
+    first = JoinedPoint(
         jnp.clip(start, lower, upper),
         jax.vmap(lambda part: ravel_pytree(part)[0])(own).astype(dtype),
         jax.vmap(jax.vmap(lambda part: ravel_pytree(part)[0]))(states).astype(dtype),
@@ -158,11 +129,11 @@ def joined_least_squares(
         made, end = residuals(shared, as_state(state), given)
         return ravel_pytree(made)[0], ravel_pytree(end)[0].astype(dtype)
 
-    one = _along(opening, window)
+    one = follow_windows(opening, window)
 
-    def evaluated(point: _Point, known: Any) -> tuple[Array, _Slopes]:
-        def alone(own: Array, states: Array, known: Any) -> tuple[Array, _Slopes]:
-            return one(_Point(point.shared, own, states), known)
+    def evaluated(point: JoinedPoint, known: Any) -> tuple[Array, JoinedSlopes]:
+        def alone(own: Array, states: Array, known: Any) -> tuple[Array, JoinedSlopes]:
+            return one(JoinedPoint(point.shared, own, states), known)
 
         return jax.vmap(alone)(point.own, point.states, known)
 
@@ -172,7 +143,7 @@ def joined_least_squares(
 
     def again(search: _Search) -> _Search:
         states, slopes = evaluated(search.candidate, known)
-        point = _Point(search.candidate.shared, search.candidate.own, states)
+        point = JoinedPoint(search.candidate.shared, search.candidate.own, states)
         cost = jnp.sum(slopes.closed**2) + jnp.sum(slopes.jump**2)
         finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(slopes)]
         sound = jnp.isfinite(cost) & jnp.all(jnp.stack(finite))
@@ -202,13 +173,13 @@ def joined_least_squares(
 
     shapes = jax.eval_shape(evaluated, first, known)[1]
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, dtype), shapes)
-    unlike = jnp.full(shapes.residuals.shape, jnp.inf, dtype)
+    infinite = jnp.full(shapes.residuals.shape, jnp.inf, dtype)
     found = lax.while_loop(
         more,
         again,
         _Search(
             best=first,
-            slopes=replace(nothing, residuals=unlike),
+            slopes=replace(nothing, residuals=infinite),
             cost=jnp.asarray(jnp.inf, dtype),
             damping=jnp.asarray(damping, dtype),
             share=jnp.ones((), dtype),
@@ -238,68 +209,19 @@ def joined_least_squares(
     )
 
 
-def _along(
-    opening: Callable[[Array, Array, Any], Array],
-    window: Callable[[Array, Array, Any], tuple[Array, Array]],
-) -> Callable[[_Point, Any], tuple[Array, _Slopes]]:
-    """Makes states and slopes of one trajectory, window after window."""
-
-    def one(point: _Point, known: Any) -> tuple[Array, _Slopes]:
-        shared, shares, dtype = point.shared, point.shared.size, point.shared.dtype
-        unknowns = jnp.concatenate([shared, point.own])
-        at_first = jax.tree.map(lambda leaf: leaf[0], known)
-
-        def opened(unknowns: Array) -> Array:
-            return opening(unknowns[:shares], unknowns[shares:], at_first)
-
-        eye = jnp.eye(unknowns.size, dtype=dtype)
-        state, ways = jax.vmap(
-            lambda way: jax.jvp(opened, (unknowns,), (way,)), out_axes=(None, 1)
-        )(eye)
-        states = point.states.at[0].set(state)
-        # Columns: the unknowns, all gaps so far, and the last one alone.
-        shared_ways = jnp.concatenate(
-            [eye[:shares], jnp.zeros((shares, 2), dtype)], axis=1
-        )
-
-        def next_window(carry: tuple[Array, ...], given: Any) -> Any:
-            ways, shift, gap = carry
-            state, following, knowing = given
-
-            def run(shared: Array, state: Array) -> tuple[Array, Array]:
-                return window(shared, state, knowing)
-
-            def column(by_shared: Array, by_state: Array) -> Any:
-                return jax.jvp(run, (shared, state), (by_shared, by_state))
-
-            columns = jnp.concatenate([ways, shift[:, None], gap[:, None]], axis=1)
-            (values, end), (rows, ends) = jax.vmap(
-                column, in_axes=(1, 1), out_axes=(None, 1)
-            )(shared_ways, columns)
-            opens = end - following
-            slopes = _Slopes(
-                values, rows[:, :-2], rows[:, -2], rows[:, -1], ways, shift
-            )
-            return (ends[:, :-2], ends[:, -2] + opens, opens), slopes
-
-        nothing = jnp.zeros_like(state)
-        following = jnp.roll(states, -1, axis=0)
-        _, slopes = lax.scan(
-            next_window, (ways, nothing, nothing), (states, following, known)
-        )
-        return states, slopes
-
-    return one
-
-
 def _rows(windows: Array) -> Array:
     """Rows of trajectories, window after window."""
     return jnp.reshape(windows, (windows.shape[0], -1, *windows.shape[3:]))
 
 
 def _stepped(
-    point: _Point, slopes: _Slopes, mu: Any, share: Any, low: Array, high: Array
-) -> _Point:
+    point: JoinedPoint,
+    slopes: JoinedSlopes,
+    mu: Any,
+    share: Any,
+    low: Array,
+    high: Array,
+) -> JoinedPoint:
     """A share of the damped step from a point, and of the closing of gaps."""
     step, own_steps = arrow_step(
         _rows(slopes.jacobian), _rows(slopes.closed), mu, point.shared, low, high
@@ -308,7 +230,7 @@ def _stepped(
     moved = jnp.broadcast_to(shared - point.shared, (len(own_steps), shared.size))
     unknowns = jnp.concatenate([moved, share * own_steps], axis=1)
     along = jnp.einsum("twsu,tu->tws", slopes.ways, unknowns)
-    return _Point(
+    return JoinedPoint(
         shared,
         point.own + share * own_steps,
         point.states + along + share * slopes.shift,
