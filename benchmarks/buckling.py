@@ -43,7 +43,7 @@ SD = {"film": 1e-3, "force": 0.05}
 TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
 """Noise of the sensor as searches have it one after the other [N], the last the true
 one; the damping of their first step; the relative change that ends them."""
-TOLERANCE = 2e-6
+TOLERANCE = 5e-6
 """Relative change that ends the search of joined windows."""
 UNEVEN = 5e-3
 """Of each mode at time zero [rad], and of its rate [rad/s]."""

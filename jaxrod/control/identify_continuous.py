@@ -27,10 +27,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.fit import NEAR, Fit
+from jaxrod.control.fit import Fit
 from jaxrod.control.identify import fit_of, make_sought
 from jaxrod.control.joined_least_squares import joined_least_squares
 from jaxrod.control.shots import count_windows
+
+CLOSED = 1.0
+"""Norm of what gaps change in all residuals below which they count as closed: what is
+not in the fit yet is of second order in them."""
 
 
 def identify_continuous(
@@ -82,8 +86,8 @@ def identify_continuous(
     Returns:
         The fit, whose standard deviations count the starts as unknown; what was sought
         of first states; the states at the starts of windows. `converged` says too that
-        closing what gaps are left would change the observations by less than a tenth of
-        a standard deviation, all of them together.
+        closing what gaps are left would change the observations by less than a standard
+        deviation, all of them together; `remaining` has counted that change.
 
     Raises:
         ValueError: As `identify`; or trajectories or windows are not equally many
@@ -130,7 +134,7 @@ def identify_continuous(
     )
     numbers = sum(np.size(leaf) for leaf in jax.tree.leaves(starts))
     fit = fit_of(sought, found, numbers)
-    closed = found.gap < NEAR
+    closed = found.gap < CLOSED
     return replace(fit, converged=fit.converged & closed), found.own, found.states
 
 

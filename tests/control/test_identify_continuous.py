@@ -189,7 +189,7 @@ def test_windows_that_do_not_meet_are_not_called_converged():
     observed = drawn(4, rolling())
     fit, starts, states = fitted(observed, firsts(guessed(observed)))
     assert bool(fit.converged)
-    apart = {"x": states["x"] + 0.005, "v": states["v"]}
+    apart = {"x": states["x"] + 0.01, "v": states["v"]}
     left, _, _ = identify_continuous(
         run, begin, observed, fit.values, starts, apart, sd=SD, iterations=0
     )
