@@ -12,8 +12,9 @@ what continuity would say is left unused, and `identify_continuous` uses it.
 
 Where each of many unknowns of a start is seen a few times only, a search may end beside
 the best minimum, where starts make good for wrong parameters. Neither misfit nor
-standard deviations tell of it (docs/identification.md has such a rod). Take what is found
-as where `identify_continuous` begins, or try the fit on films that were simulated.
+standard deviations tell of it (docs/identification.md has such a rod). Take what is
+found as where `identify_continuous` begins, or try the fit on films that were
+simulated.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983, without its conditions of continuity.
