@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 import jaxrod
-from jaxrod.control import identify_shots, least_squares, windows
+from jaxrod.control import identify_continuous, identify_shots, least_squares, windows
 
 LENGTH, RADIUS = 0.5, 0.01
 MODULUS = 1e6
@@ -43,6 +43,8 @@ SD = {"film": 1e-3, "force": 0.05}
 TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
 """Noise of the sensor as searches have it one after the other [N], the last the true
 one; the damping of their first step; the relative change that ends them."""
+TOLERANCE = 5e-6
+"""Relative change that ends the search of joined windows."""
 UNEVEN = 5e-3
 """Of each mode at time zero [rad], and of its rate [rad/s]."""
 
@@ -141,14 +143,30 @@ class Buckling:
 
     def window(self, p: dict[str, Any], start: Any, first: Any, frames: int) -> Any:
         """Frames from one on, the first with the start itself."""
-        time = first / RATE
-        state = self.state(p, start, time)
-        scene, _ = self.scene(p)
-        steps = self.per * (frames - 1)
-        states = jaxrod.rollout(
-            scene, state, self.dt, steps, self.per, first=first * self.per
+        state = self.state(p, start, first / RATE)
+        return self._seen(p, self._run(p, state, first, frames - 1), first)
+
+    def joint(
+        self, p: dict[str, Any], state: Any, first: Any, frames: int
+    ) -> tuple[Any, Any]:
+        """Frames from one on, from a state, and the state at the frame after them."""
+        states = self._run(p, state, first, frames)
+        shown, end = (
+            jax.tree.map(lambda leaf, part=part: leaf[part], states)
+            for part in (slice(None, -1), -1)
         )
-        times = time + jnp.arange(frames) / RATE
+        return self._seen(p, shown, first), end
+
+    def _run(self, p: dict[str, Any], state: Any, first: Any, intervals: int) -> Any:
+        """States at frames."""
+        scene, _ = self.scene(p)
+        steps, begun = self.per * intervals, self.per * first
+        return jaxrod.rollout(scene, state, self.dt, steps, self.per, first=begun)
+
+    def _seen(self, p: dict[str, Any], states: Any, first: Any) -> Any:
+        """What film and sensor show of states."""
+        scene, _ = self.scene(p)
+        times = first / RATE + jnp.arange(len(states.positions)) / RATE
 
         def force(time: Any, state: Any) -> Array:
             return jaxrod.reactions(scene.at(time), state)[0].force[2]
@@ -195,27 +213,32 @@ class Buckling:
         """Films of rods that are straight but for what cannot be seen, by keys."""
         return jax.vmap(lambda key: self.film(TRUTH, key))(keys)
 
-    def fit(self, seen: Any, start: Any, every: int, iterations: int = 30) -> Any:
-        """Parameters from films, stacked in front, in windows of so many frames.
+    def apart(
+        self,
+        seen: Any,
+        start: Any,
+        starts: Any,
+        every: int,
+        trust: Any = TRUST,
+        iterations: int = 30,
+    ) -> Any:
+        """A fit to films, stacked in front, in windows that are not joined.
 
-        Weights of the force rise from one search to the next, `TRUST`: of a start that
-        only the film shows it is wrong by many times its noise.
+        Starts of windows begin with those given, stacked by film and window. Weights of
+        the force rise from one search to the next, `TRUST`: of a start that only the
+        film shows it is wrong by many times its noise.
         """
-        starts = jax.vmap(lambda film: self.starts(film, every))(seen["film"])
-        parts = jax.vmap(lambda one: windows(one, every, with_starts=True))(seen)
-        firsts = jnp.arange(0, self.frames - every + 1, every)
+        firsts, parts = self._parts(seen, every)
 
         def run(p: Any, start: Any, first: Any) -> Any:
             return self.window(p, start, first, every)
 
-        observed = jax.tree.map(_joined, parts)
-
         def search(begin: Any, trust: Array) -> Any:
             fit, found = identify_shots(
                 run,
-                observed,
+                jax.tree.map(_joined, parts),
                 *begin,
-                known=jnp.tile(firsts, len(seen["force"])),
+                known=_joined(firsts),
                 sd={"film": SD["film"], "force": trust[0]},
                 lower=LOWER,
                 upper=UPPER,
@@ -226,8 +249,47 @@ class Buckling:
             return (fit.values, found), fit
 
         begin = (jax.tree.map(jnp.asarray, start), jax.tree.map(_joined, starts))
-        _, fits = jax.lax.scan(search, begin, jnp.asarray(TRUST))
+        _, fits = jax.lax.scan(search, begin, jnp.asarray(trust))
         return jax.tree.map(lambda leaf: leaf[-1], fits)
+
+    def fit(self, seen: Any, start: Any, every: int, iterations: int = 60) -> Any:
+        """A fit to films, stacked in front, in windows of so many frames, joined.
+
+        Parameters begin with those of windows that are not joined, states with what the
+        film shows, and the rod at time zero straight and at rest.
+        """
+        starts = self.shown(seen, every)
+        values = self.apart(seen, start, starts, every, TRUST[:-1]).values
+        firsts, parts = self._parts(seen, every)
+
+        def state(start: Any, first: Array) -> Any:
+            return self.state(values, start, first / RATE)
+
+        fit, _, _ = identify_continuous(
+            lambda p, state, first: self.joint(p, state, first, every),
+            lambda p, start, first: self.state(p, start, first / RATE),
+            parts,
+            jax.tree.map(jnp.asarray, values),
+            jax.tree.map(lambda leaf: jnp.zeros_like(leaf[:, 0]), starts),
+            jax.vmap(jax.vmap(state))(starts, firsts),
+            known=firsts,
+            sd=SD,
+            lower=LOWER,
+            upper=UPPER,
+            tolerance=TOLERANCE,
+            iterations=iterations,
+        )
+        return fit
+
+    def shown(self, seen: Any, every: int) -> Any:
+        """`starts` of all films."""
+        return jax.vmap(lambda film: self.starts(film, every))(seen["film"])
+
+    def _parts(self, seen: Any, every: int) -> tuple[Array, Any]:
+        """First frames of windows, and windows, by film."""
+        parts = jax.vmap(lambda one: windows(one, every, with_starts=True))(seen)
+        firsts = jnp.arange(0, self.frames - every + 1, every)
+        return jnp.tile(firsts, (len(seen["force"]), 1)), parts
 
 
 def _joined(leaf: Array) -> Array:

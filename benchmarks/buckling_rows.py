@@ -14,13 +14,17 @@ from benchmarks.fit_rows import fit_row, noisy, scaled
 
 FILMS, FRAMES = 4, 6
 """Of a draw; of a window."""
-DRAWS = ((101, 102), (103, 104), (105, 106))
+DRAWS = ((205, 206), (207, 208), (209, 210), (211, 212), (213, 214))
 """Seeds of films and of their noise, that served for no choice."""
 STIFF = (3.5, 1 / 3, 3.0, 0.25)
 
 
 def buckling_rows() -> Iterable[str]:
-    """Four parameters at once, and what a single run makes of the first film."""
+    """Four parameters at once, in windows that are joined.
+
+    Besides, what windows that are not joined make of the first draw, from afar and from
+    the truth, and a single run of its first film.
+    """
     with jax.enable_x64(True):
         yield from _rows()
 
@@ -35,7 +39,7 @@ def _rows() -> Iterable[str]:
         clean = films(jax.random.split(jax.random.key(film), FILMS))
         seen = noisy(clean, SD, jax.random.key(noise))
         fit, seconds = search(seen, start)
-        words = f"windows, seeds {film} and {noise}"
+        words = f"joined windows, seeds {film} and {noise}"
         # The first call compiles.
         times = (None, seconds) if first else (seconds, None)
         yield _row(words, fit, *times)
@@ -46,8 +50,16 @@ def _rows() -> Iterable[str]:
         f"| these {len(DRAWS)} draws | | | all {len(z)} z-scores: root mean square "
         f"{np.sqrt(np.mean(np.square(z))):.2f}, largest {max(map(abs, z)):.2f} | | | |"
     )
+
+    def apart(seen: Any, start: Any, every: int) -> Any:
+        return buckling.apart(seen, start, buckling.shown(seen, every), every)
+
+    windows = _once(jax.jit(lambda seen, start: apart(seen, start, FRAMES)))
+    yield _row("the first draw, windows not joined", *windows(first, start))
+    fit, seconds = windows(first, dict(TRUTH))
+    yield _row("the same, begun at the truth", fit, None, seconds)
     one = jax.tree.map(lambda leaf: leaf[:1], first)
-    whole = _once(jax.jit(lambda s, p: buckling.fit(s, p, buckling.frames)))
+    whole = _once(jax.jit(lambda seen, start: apart(seen, start, buckling.frames)))
     alone, seconds = whole(one, start)
     yield _row("a single run of the first film, its start sought", alone, seconds)
 

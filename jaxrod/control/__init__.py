@@ -5,6 +5,7 @@ from jaxrod.control.arm import ActuatedArm
 from jaxrod.control.codesign import codesign
 from jaxrod.control.fit import Fit, Forecast
 from jaxrod.control.identify import identify
+from jaxrod.control.identify_continuous import identify_continuous
 from jaxrod.control.identify_shots import identify_shots
 from jaxrod.control.ilqr import ilqr
 from jaxrod.control.least_squares import LeastSquares, least_squares
@@ -37,6 +38,7 @@ __all__ = [
     "codesign",
     "cross_entropy",
     "identify",
+    "identify_continuous",
     "identify_shots",
     "ilqr",
     "least_squares",

@@ -8,12 +8,13 @@ $$\min_{p,\, s_1 \dots s_W} \sum_w \sum_k
 
 so that errors of the starts are no errors of the model, and standard deviations of the
 parameters hold what the starts take from the data. Windows are not tied to each other:
-what continuity would say is left unused.
+what continuity would say is left unused, and `identify_continuous` uses it.
 
-Neither misfit nor standard deviations tell of an error that comes with the number of
-starts: where each of many unknowns of a start is seen a few times only, parameters that
-show in velocities can be off by many standard deviations (docs/identification.md has
-such a rod). Try the fit on films that were simulated before trusting it.
+Where each of many unknowns of a start is seen a few times only, a search may end beside
+the best minimum, where starts make good for wrong parameters. Neither misfit nor
+standard deviations tell of it (docs/identification.md has such a rod). Take what is
+found as where `identify_continuous` begins, or try the fit on films that were
+simulated.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983, without its conditions of continuity.

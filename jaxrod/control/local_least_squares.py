@@ -1,17 +1,7 @@
 r"""Least squares with unknowns that all parts share and unknowns of each part.
 
-Part $w$ has residuals $r_w(p, s_w)$: $p$ is shared, $s_w$ its own. The Jacobian has the
-shape of an arrow, and a damped Gauss-Newton step is found part by part: with
-$S_w = \partial r_w / \partial s_w$ and the damping below it,
-
-$$\begin{pmatrix} S_w \\ \sqrt{\mu D_w} \end{pmatrix} = Q_w R_w, \qquad
-\min_d \sum_w \Big\| (I - Q_w Q_w^T) \begin{pmatrix} r_w + P_w d \\ 0 \end{pmatrix}
-\Big\|^2 + \mu \| D^{1/2} d \|^2,$$
-
-$P_w = \partial r_w / \partial p$; own unknowns follow from $R_w$. The cost is that of
-one part's unknowns for all parts, not of all unknowns. What is left of $P_w$ after the
-projection (without damping) is the Jacobian of the shared unknowns when the own ones
-always are at their best: its singular values say how surely $p$ is known.
+Part $w$ has residuals $r_w(p, s_w)$: $p$ is shared, $s_w$ its own. Damped Gauss-Newton
+steps are found part by part (`arrow_step`), as in `least_squares` otherwise.
 
 Source: G. H. Golub, V. Pereyra, The differentiation of pseudo-inverses and nonlinear
 least squares problems whose variables separate, 1973; B. Triggs et al., Bundle
@@ -27,9 +17,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrod.control.arrow import arrow_step, in_order_of_leaves, projected
 from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
 from jaxrod.structure import pytree
 
@@ -139,7 +129,7 @@ def local_least_squares(
         change = jnp.where(better, 1 / FASTER, SLOWER)
         mu = jnp.where(begun, search.damping * change, search.damping)
         mu = jnp.maximum(mu, LEAST_DAMPING)
-        step, own_steps = _step(jacobian, now, mu, shared, lower, upper)
+        step, own_steps = arrow_step(jacobian, now, mu, shared, lower, upper)
         return _Search(
             shared=shared,
             own=mine,
@@ -171,7 +161,7 @@ def local_least_squares(
             converged=jnp.zeros((), bool),
         ),
     )
-    left = jax.vmap(lambda slopes: _projected(slopes, jnp.finfo(dtype).eps, shares)[0])(
+    left = jax.vmap(lambda slopes: projected(slopes, jnp.finfo(dtype).eps, shares)[0])(
         found.jacobian
     )
     like = jax.eval_shape(
@@ -180,7 +170,7 @@ def local_least_squares(
         jax.tree.map(lambda leaf: leaf[0], own),
         jax.tree.map(lambda leaf: leaf[0], known),
     )
-    ordered = _order(like)
+    ordered = in_order_of_leaves(like)
     return LocalLeastSquares(
         solution=found.shared,
         own=jax.vmap(as_own)(found.own),
@@ -188,67 +178,3 @@ def local_least_squares(
         jacobian=jax.vmap(ordered, in_axes=2, out_axes=1)(left),
         iterations=found.tried - 1,
     )
-
-
-def _order(like: Any) -> Callable[[Array], Array]:
-    """Makes rows of parts into one, leaf after leaf of what is stacked."""
-    sizes = [leaf.size for leaf in jax.tree.leaves(like)]
-
-    def ordered(rows: Array) -> Array:
-        made, at = [], 0
-        for size in sizes:
-            made.append(jnp.ravel(rows[:, at : at + size]))
-            at += size
-        return jnp.concatenate(made)
-
-    return ordered
-
-
-def _projected(slopes: Array, mu: Any, shares: int) -> tuple[Array, Array, Array]:
-    """Shared columns less what own ones make good, and Q and R of those, damped."""
-    ours, mine = slopes[:, :shares], slopes[:, shares:]
-    squares = jnp.sum(mine**2, axis=0)
-    none = squares <= jnp.finfo(slopes.dtype).tiny
-    roots = jnp.sqrt(mu * jnp.where(none, 1, squares))
-    q, r = jnp.linalg.qr(jnp.concatenate([mine, jnp.diag(roots)]))
-    top = q[: mine.shape[0]]
-    return ours - top @ (top.T @ ours), q, r
-
-
-def _step(
-    jacobian: Array, residuals: Array, mu: Array, point: Array, low: Array, high: Array
-) -> tuple[Array, Array]:
-    """The damped Gauss-Newton step of shared and own unknowns."""
-    shares, dtype = point.size, jacobian.dtype
-
-    def eliminated(slopes: Array, values: Array) -> tuple[Array, ...]:
-        _, q, r = _projected(slopes, mu, shares)
-        none = jnp.zeros((q.shape[0] - values.size, shares + 1), dtype)
-        both = jnp.concatenate([slopes[:, :shares], values[:, None]], axis=1)
-        both = jnp.concatenate([both, none])
-        along = q.T @ both
-        return both - q @ along, along, r
-
-    rest, along, r = jax.vmap(eliminated)(jacobian, residuals)
-    rows = jnp.reshape(rest, (-1, shares + 1))
-    ours, values = rows[:, :shares], rows[:, shares]
-    slope = ours.T @ values
-    held = ((point <= low) & (slope > 0)) | ((point >= high) & (slope < 0))
-    free = jnp.where(held, 0, 1).astype(dtype)
-    ours = ours * free[None]
-    squares = jnp.sum(jacobian[..., :shares] ** 2, axis=(0, 1)) * free
-    none = squares <= jnp.finfo(dtype).tiny
-    roots = jnp.sqrt(mu * jnp.where(none, 1, squares))
-    triangle = jnp.linalg.qr(
-        jnp.concatenate(
-            [
-                jnp.concatenate([ours, values[:, None]], axis=1),
-                jnp.concatenate([jnp.diag(roots), jnp.zeros((shares, 1), dtype)], 1),
-            ]
-        ),
-        mode="r",
-    )
-    step = -solve_triangular(triangle[:shares, :shares], triangle[:shares, shares])
-    step = step * free
-    sides = -(along[..., shares] + along[..., :shares] @ step)
-    return step, jax.vmap(solve_triangular)(r, sides)
