@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ARMS = ("tracking", "reaching", "structured", "unstructured")
 TASKS = (
     *((name, variant) for name in ARMS for variant in ("clean", "paper")),
-    *((name, "clean") for name in ("snake", "octopus", "gripper")),
+    *((name, "clean") for name in ("following", "snake", "octopus", "gripper")),
 )
 BATCHES = (16, 64, 256)
 """Environments per core."""

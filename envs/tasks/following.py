@@ -36,6 +36,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     Bonus,
@@ -223,6 +224,7 @@ class Following(CostOfResiduals):
         params: FollowingParams,
     ) -> tuple[FollowingState, Bool[Array, ""]]:
         """A control step later, and whether a flag rose; no new heading without key."""
+        action = action_of_size(action, self.action_size)
         angles = params.arm.turned(state.angles, action)
         arm, flagged = params.arm.advance(
             state.arm, state.angles, angles, params.dt, self.substeps

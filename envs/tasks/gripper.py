@@ -49,6 +49,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.gripper_body import (
@@ -200,6 +201,7 @@ class Gripper:
         dict[str, Array],
     ]:
         """One control period: control values go to the action, as far as they may."""
+        action = action_of_size(action, self.action_size)
         period = self.substeps * params.dt
         fastest = jnp.asarray([RATE, *(SPEED / way for way in _REACH)], period.dtype)
         controls = limit_rate(state.controls, jnp.clip(action, -1, 1), fastest * period)

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, contact, control_spline, freeze
 from jaxrod.contacts.bodies import Body
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -326,6 +327,7 @@ class ObstacleTask(CostOfResiduals):
         params: ObstacleParams,
     ) -> tuple[ObstacleState, Bool[Array, ""]]:
         """The state a control step later, and whether the arm crashed."""
+        action = action_of_size(action, self.action_size)
         values = jnp.reshape(action, (self.n_directions, self.n_controls))
         controls = jnp.pad(values, ((0, 3 - self.n_directions), (0, 0)))
         arm, muscles, crashed = params.arm.advance(

@@ -34,6 +34,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.octopus_body import (
@@ -157,6 +158,7 @@ class Octopus:
         dict[str, Array],
     ]:
         """One control period: muscles go to the action, as far as they may."""
+        action = action_of_size(action, self.action_size)
         wanted = jnp.reshape(jnp.clip(action, -1, 1), (N_ARMS, 2))
         controls = limit_rate(state.controls, wanted, params.body.largest_change)
         body, flagged = params.body.advance(

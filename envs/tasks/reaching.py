@@ -36,6 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, control_spline, freeze
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -282,6 +283,7 @@ class Reaching(CostOfResiduals):
         control_steps: int,
     ) -> tuple[ReachingState, Bool[Array, ""]]:
         """The state later, and whether the arm crashed."""
+        action = action_of_size(action, self.action_size)
         controls = jnp.reshape(action, (3, N_CONTROLS))
         arm, muscles, crashed = params.arm.advance(
             state.arm, state.muscles, controls, params.dt, control_steps * self.substeps

@@ -40,6 +40,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, angular_velocities, limit_rate
 from jaxrod.actuation.b_spline import b_spline_basis
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.crossing import crosses_itself
@@ -160,6 +161,7 @@ class Snake:
         dict[str, Array],
     ]:
         """One control period: muscles go to the action, as far as they may."""
+        action = action_of_size(action, self.action_size)
         snake = params.body
         controls = limit_rate(
             state.controls, jnp.clip(action, -1, 1), snake.largest_change

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, control_spline, freeze
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
@@ -250,6 +251,7 @@ class Tracking(CostOfResiduals):
         control_steps: int,
     ) -> tuple[TrackingState, Bool[Array, ""]]:
         """Without a new heading; and whether the arm crashed."""
+        action = action_of_size(action, self.action_size)
         bends = jnp.reshape(action, (2, N_CONTROLS))
         controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
         substeps = control_steps * self.substeps

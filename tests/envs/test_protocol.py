@@ -38,6 +38,18 @@ def test_an_option_it_does_not_have_is_refused_with_those_it_has(name):
         make(name, foo=2)
 
 
+@pytest.mark.parametrize("name", [name for name in names() if name != "trivial"])
+@pytest.mark.parametrize("shape", [(), (1,), (2, 6)])
+def test_an_action_of_another_size_is_refused_in_words(name, shape):
+    env = make(name)
+    params = env.default_params()
+    key = jax.random.key(0)
+    _, state = jax.eval_shape(env.reset, key, params)
+    words = rf"vector of {env.action_size} numbers .* got shape"
+    with pytest.raises(ValueError, match=words):
+        jax.eval_shape(env.step, key, state, jnp.zeros(shape), params)
+
+
 def test_equal_environments_are_one_static_argument():
     assert hash(make("trivial")) == hash(Trivial())
     assert make("trivial") == Trivial()
