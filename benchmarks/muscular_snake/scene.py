@@ -226,6 +226,11 @@ def ours(
             mu g / drag on it is that of sliding.
         theirs: What is of PyElastica's law: "rods", "joints", "damping" (with "rods").
     """
+    unknown = set(theirs) - {"rods", "joints", "damping"}
+    if unknown or ("damping" in theirs and "rods" not in theirs):
+        raise ValueError(
+            f"theirs must be of rods, joints, and damping with rods, got {theirs}"
+        )
     body, of_body, ground = body_on_ground(sinks, drag)
     rate = BODY_DAMPING + MUSCLE_DAMPING
     members = {

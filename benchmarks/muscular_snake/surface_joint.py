@@ -30,6 +30,10 @@ class SurfaceJoint(Glue):
     of the gap, and dashpots see middles of elements. Angular momentum is not kept.
     """
 
+    def energy(self, seen: AllSeen) -> Array:
+        """None: its forces are no gradient."""
+        raise NotImplementedError("PyElastica's joint side by side has no energy")
+
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on both rods."""
         one, two = seen[self.a.points.member], seen[self.b.points.member]
@@ -60,7 +64,13 @@ class SurfaceJoint(Glue):
 
 
 def surface_joint(made: Glue) -> SurfaceJoint:
-    """The joint of glue that is the same at rest."""
+    """The joint of glue that is the same at rest.
+
+    Raises:
+        ValueError: If that resists turning: theirs does not.
+    """
+    if made.turning_stiffness is not None:
+        raise ValueError("PyElastica's joint side by side has no turning_stiffness")
     return SurfaceJoint(
         **{each.name: getattr(made, each.name) for each in fields(made)}
     )

@@ -30,7 +30,7 @@ from jaxtyping import Array
 from jaxrod.control.fit import Fit
 from jaxrod.control.identify import fit_of, make_sought
 from jaxrod.control.joined_least_squares import joined_least_squares
-from jaxrod.control.shots import count_windows
+from jaxrod.control.shots import check_finite_floats, count_windows
 
 CLOSED = 1.0
 """Norm of what gaps change in all residuals below which they count as closed: what is
@@ -70,12 +70,13 @@ def identify_continuous(
             not finite was not seen and is left out.
         start: Where to begin: numbers or arrays by name.
         starts: Where what is sought of first states begins: a pytree of floats, stacked
-            in front by trajectory.
-        states: Where the states at the starts of windows begin: a pytree of floats as
-            `begin` makes, stacked in front by trajectory and window. Those of first
-            windows are not looked at.
+            in front by trajectory; `jnp.zeros((trajectories, 0))` if nothing is.
+        states: Where the states at the starts of windows begin: a pytree of finite
+            floats as `begin` makes, stacked in front by trajectory and window. Those of
+            first windows are not looked at.
         known: What is known of each window and not sought, stacked alike.
-        sd: As in `identify`; a tree as `observed` is or begins.
+        sd: As in `identify`; a tree as `observed` is or begins, of numbers or arrays
+            that broadcast to what was observed, `(trajectories, windows, ...)`.
         log: As in `identify`, and so are `lower`, `upper`, `iterations`.
         lower: Smallest values.
         upper: Largest values.
@@ -91,10 +92,13 @@ def identify_continuous(
 
     Raises:
         ValueError: As `identify`; or trajectories or windows are not equally many
-            everywhere; or a state is not one of floats, or `run` ends in another kind
-            of state than `begin` makes.
+            everywhere; or a start or a state is not of finite floats, or `run` ends in
+            another kind of state than `begin` makes.
     """
     _check_counts(starts, states, known, observed)
+    check_finite_floats("starts", starts)
+    later = jax.tree.map(lambda leaf: jnp.asarray(leaf)[:, 1:], states)
+    check_finite_floats("states", later)
 
     def simulate(values: dict[str, Any]) -> Any:
         return jax.vmap(jax.vmap(run, in_axes=(None, 0, 0)), in_axes=(None, 0, 0))(
@@ -134,7 +138,11 @@ def identify_continuous(
     )
     numbers = sum(np.size(leaf) for leaf in jax.tree.leaves(starts))
     fit = fit_of(sought, found, numbers)
-    closed = found.gap < CLOSED
+    spread = jnp.ones_like(found.gap)
+    if not sought.noise_is_given:
+        squares = jnp.sum(found.residuals**2)
+        spread = jnp.sqrt(squares / jnp.maximum(fit.freedoms, 1))
+    closed = found.gap < CLOSED * spread
     return replace(fit, converged=fit.converged & closed), found.own, found.states
 
 
@@ -157,7 +165,7 @@ def _check_counts(starts: Any, states: Any, known: Any, observed: Any) -> None:
 def _check_states(
     run: Any, begin: Any, values: Any, starts: Any, states: Any, known: Any
 ) -> None:
-    """Whether states are of floats, and of one kind.
+    """Whether states are of one kind.
 
     Raises:
         ValueError: They are not.
@@ -165,12 +173,6 @@ def _check_states(
     own = jax.tree.map(lambda leaf: leaf[0], starts)
     state, knowing = jax.tree.map(lambda leaf: leaf[0, 0], (states, known))
     wanted = jax.eval_shape(lambda: state)
-    leaves = jax.tree.leaves(wanted)
-    if not all(jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves):
-        raise ValueError(
-            "states must be of floats, got "
-            f"{sorted({str(leaf.dtype) for leaf in leaves})}"
-        )
     made = jax.eval_shape(begin, values, own, knowing)
     end = jax.eval_shape(lambda *given: run(*given)[1], values, state, knowing)
     tree: Any = jax.tree.structure(wanted)

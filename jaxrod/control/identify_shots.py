@@ -33,7 +33,7 @@ from jaxtyping import Array
 from jaxrod.control.fit import Fit
 from jaxrod.control.identify import fit_of, make_sought
 from jaxrod.control.local_least_squares import local_least_squares
-from jaxrod.control.shots import count_windows
+from jaxrod.control.shots import check_finite_floats, count_windows
 
 
 def identify_shots(
@@ -80,6 +80,7 @@ def identify_shots(
         ValueError: As `identify`; or windows are not equally many everywhere.
     """
     count = count_windows(starts)
+    check_finite_floats("starts", starts)
     others = [np.shape(leaf)[:1] for leaf in jax.tree.leaves((known, observed))]
     if any(shape != (count,) for shape in others):
         raise ValueError(

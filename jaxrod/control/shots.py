@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.validation import check_count
+from jaxrod.validation import check_count, is_traced
 
 
 def shots(
@@ -57,6 +57,21 @@ def count_windows(starts: Any) -> int:
             f"{sorted(sizes)}"
         )
     return sizes.pop()[0]
+
+
+def check_finite_floats(name: str, tree: Any) -> None:
+    """Checks what a search begins with.
+
+    Raises:
+        ValueError: It is not of floats, which have slopes, or known not to be finite.
+    """
+    for leaf in map(jnp.asarray, jax.tree.leaves(tree)):
+        if not jnp.issubdtype(leaf.dtype, jnp.floating):
+            raise ValueError(f"{name} must be of floats, got {leaf.dtype}")
+        if not is_traced(leaf) and not np.all(np.isfinite(np.asarray(leaf))):
+            raise ValueError(
+                f"{name} must be finite: what was not seen needs a guess here"
+            )
 
 
 def windows(

@@ -2,7 +2,7 @@
 
 LLVM compiles operations one by one, XLA equations of whole arrays. A long rod is many
 operations of few equations, which XLA compiles in seconds; a system of many members is
-many equations too, and XLA takes longer for it than LLVM (docs/performance.md).
+many equations too, and XLA takes about as long for it as LLVM (docs/performance.md).
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ def glue(
             `turning_stiffness`.
         elements: Numbers of the elements of `a` and of as many of `b` that are glued to
             them; by default each to that of the same number. Of several rods the same
-            for all, or a list of such pairs, one for each rod of `a`.
+            for all, or a list of such pairs of lists, one for each rod of `a`.
 
     Returns:
         A coupling for `make_system`.
@@ -245,17 +245,27 @@ def glue(
 
 
 def _listed(elements: Any, count: int) -> list[Any]:
-    """Glued elements of each pair of rods."""
-    given: list[Any] = [] if elements is None else list(elements)
-    first: list[Any] = list(given[0]) if given else []
-    if not first or not isinstance(first[0], Sequence | np.ndarray):
-        return [elements] * count
-    if len(elements) != count:
-        raise ValueError(
-            f"elements must be one pair of lists, or one for each of {count} rods, got "
-            f"{len(elements)}"
-        )
-    return given
+    """Two lists of glued elements for each pair of rods; `None` where all are glued."""
+    if elements is None:
+        return [None] * count
+    words = (
+        "elements must be a list of those of a and one of those of b, or such a pair "
+        f"for each of {count} rods, got {elements!r}"
+    )
+    try:
+        listed = [list(pair) for pair in elements]
+        given = [[np.asarray(side) for side in pair] for pair in listed]
+    except (TypeError, ValueError) as error:
+        raise ValueError(words) from error
+    deep = any(side.ndim for pair in given for side in pair)
+    if not deep:
+        given = [[np.asarray(side) for side in listed]]
+    if any(len(pair) != 2 or {side.ndim for side in pair} != {1} for pair in given):
+        raise ValueError(words)
+    if deep and len(given) != count:
+        raise ValueError(words)
+    rows = [[side.tolist() for side in pair] for pair in given]
+    return rows if deep else rows * count
 
 
 def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
@@ -292,11 +302,6 @@ def _glued(
                 "are glued together, elements=([...], [...])"
             )
         chosen = (range(counts[0]), range(counts[0]))
-    if len(chosen) != 2:
-        raise ValueError(
-            f"elements must be a list of those of a and one of those of b, got "
-            f"{len(chosen)} lists"
-        )
     first, second = (
         [(*name, check_count(f"elements of {name}", k, 0, n - 1)) for k in listed]
         for name, n, listed in zip((one, two), counts, chosen, strict=True)
@@ -311,12 +316,12 @@ def _glued(
 def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
     """Middles of elements `(3, k)` [m], and their frames `(3, 3, k)`."""
     row: Any = state.positions, state.orientations
-    if state.positions.ndim == 3:
-        row = in_one_row(row)
-    positions, orientations = map(np.asarray, row)
     first, listed = points.nodes.values, points.elements.values
-    middles = 0.5 * (positions[:, first] + positions[:, first + 1])
     # The state is known, also where other numbers are traced.
     with jax.ensure_compile_time_eval():
+        if state.positions.ndim == 3:
+            row = in_one_row(row)
+        positions, orientations = map(np.asarray, row)
+        middles = 0.5 * (positions[:, first] + positions[:, first + 1])
         frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))
         return middles, np.asarray(frames)

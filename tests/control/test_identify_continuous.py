@@ -185,13 +185,15 @@ def test_parameters_stay_in_bounds():
     assert dict(zip(fit.names, fit.at_bound, strict=True))["push"]
 
 
-def test_windows_that_do_not_meet_are_not_called_converged():
+@pytest.mark.parametrize("sd", [SD, None])
+def test_windows_that_do_not_meet_are_not_called_converged(sd):
+    """In units of the noise, be it given or found."""
     observed = drawn(4, rolling())
     fit, starts, states = fitted(observed, firsts(guessed(observed)))
     assert bool(fit.converged)
     apart = {"x": states["x"] + 0.01, "v": states["v"]}
     left, _, _ = identify_continuous(
-        run, begin, observed, fit.values, starts, apart, sd=SD, iterations=0
+        run, begin, observed, fit.values, starts, apart, sd=sd, iterations=0
     )
     # All but the gaps is at the minimum.
     assert float(left.remaining) < 0.1
@@ -215,6 +217,12 @@ def test_bad_arguments_are_refused():
         fit(observed=short[0], states=short[1])
     with pytest.raises(ValueError, match="states must be of floats"):
         fit(states=jax.tree.map(lambda leaf: leaf.astype(int), states))
+    missing = jax.tree.map(lambda leaf: leaf.at[0, 2].set(jnp.nan), states)
+    with pytest.raises(ValueError, match="states must be finite"):
+        fit(states=missing)
+    whole_numbers = starts | {"v": jnp.zeros(FILMS, int)}
+    with pytest.raises(ValueError, match="starts must be of floats, got int"):
+        identify_continuous(run, begin, observed, START, whole_numbers, states)
     with pytest.raises(ValueError, match="begin must make a state"):
         fit(begin=lambda p, own, known: own["x"])
     with pytest.raises(ValueError, match="run must end in a state"):

@@ -273,6 +273,29 @@ def test_one_glue_for_several_rods_with_numbers_of_their_own_is_that_of_each():
     assert steps[0] == pytest.approx(steps[1], rel=1e-12)
 
 
+@pytest.mark.parametrize("listed", [None, [(jnp.array([0, 1]), range(2))]])
+def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
+    one, of_one = rod(2, LENGTH)
+    scene = jaxrod.make_scene(one)
+    members, state = {"low": scene}, {"low": of_one}
+    each = [rod(2, LENGTH, start) for start in ((0, 0, 0.05), (0, 0.05, 0))]
+    scenes = [(jaxrod.make_scene(made), of_made) for made, of_made in each]
+    members["high"], state["high"] = jax.tree.map(lambda *x: jnp.stack(x), *scenes)
+    lifted = state["low"].positions + jnp.array([[0.0], [0.0], [0.01]])
+    moved = state | {"low": replace(state["low"], positions=lifted)}
+
+    def energy(stiffness):
+        made = jaxrod.glue(
+            "low", ("high", 1), state, stiffness=stiffness, elements=listed
+        )
+        return jaxrod.potential_energy(jaxrod.make_system(members, made), moved)
+
+    row = jnp.array([1e3, 2e3])
+    slope = jax.jit(jax.grad(energy))(row)
+    assert float(jnp.sum(slope * row)) == pytest.approx(float(energy(row)), rel=1e-9)
+    assert float(energy(row)) > 0.01
+
+
 @pytest.mark.parametrize(
     ("names", "options", "words"),
     [
@@ -295,10 +318,14 @@ def test_one_glue_for_several_rods_with_numbers_of_their_own_is_that_of_each():
         (
             (["low"], ["high"]),
             {"elements": [([0], [0]), ([1], [1])]},
-            "one for each of 1 rods, got 2",
+            "elements must be a list .* for each of 1 rods",
         ),
         (("low", "high"), {"elements": ([], [])}, "as many of both, got 0 and 0"),
-        (("low", "high"), {"elements": []}, "elements must be a list of .* got 0"),
+        (("low", "high"), {"elements": []}, "elements must be a list of .* got"),
+        (("low", "high"), {"elements": 3}, "elements must be a list of .* got 3"),
+        (("low", "high"), {"elements": [0, 1]}, "elements must be a list of"),
+        (("low", "high"), {"elements": ([0], 3)}, "elements must be a list of"),
+        (("low", "high"), {"elements": ([0.5], [1])}, "must be an integer, got 0.5"),
     ],
 )
 def test_bad_input(names, options, words):
