@@ -177,6 +177,7 @@ def test_kinds_and_what_was_not_seen():
         assert float(fit.values[name]) == pytest.approx(expected, rel=0.02), name
 
 
+@pytest.mark.slow
 def test_parameters_stay_in_bounds():
     observed = drawn(3, rolling())
     lower = {"push": 1.1}

@@ -39,15 +39,15 @@ def test_an_option_it_does_not_have_is_refused_with_those_it_has(name):
 
 
 @pytest.mark.parametrize("name", [name for name in names() if name != "trivial"])
-@pytest.mark.parametrize("shape", [(), (1,), (2, 6)])
-def test_an_action_of_another_size_is_refused_in_words(name, shape):
+def test_an_action_of_another_size_is_refused_in_words(name):
     env = make(name)
     params = env.default_params()
     key = jax.random.key(0)
     _, state = jax.eval_shape(env.reset, key, params)
     words = rf"vector of {env.action_size} numbers .* got shape"
-    with pytest.raises(ValueError, match=words):
-        jax.eval_shape(env.step, key, state, jnp.zeros(shape), params)
+    for shape in ((), (1,), (2, 6)):
+        with pytest.raises(ValueError, match=words):
+            jax.eval_shape(env.step, key, state, jnp.zeros(shape), params)
 
 
 def test_equal_environments_are_one_static_argument():

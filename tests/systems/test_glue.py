@@ -226,6 +226,7 @@ def test_gradients_match_differences():
     assert np.all(np.abs(differences) > 1e-5 * size)
 
 
+@pytest.mark.slow
 def test_one_glue_for_several_rods_with_numbers_of_their_own_is_that_of_each():
     """The first two of three rods, each with other elements and a stiff end."""
     one, of_one = rod(8, LENGTH, youngs_modulus=YOUNG)
