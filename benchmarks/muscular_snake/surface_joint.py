@@ -32,6 +32,7 @@ class SurfaceJoint(Glue):
 
     def energy(self, seen: AllSeen) -> Array:
         """None: its forces are no gradient."""
+        # Not `Glue.energy`, whose arms do not change with the radius.
         raise NotImplementedError("PyElastica's joint side by side has no energy")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:

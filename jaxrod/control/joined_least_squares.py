@@ -37,8 +37,8 @@ from jaxrod.control.follow_windows import (
     JoinedSlopes,
     follow_windows,
 )
-from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
-from jaxrod.control.local_least_squares import LEAST_DAMPING
+from jaxrod.control.least_squares import MOST_DAMPING
+from jaxrod.control.local_least_squares import next_damping
 from jaxrod.structure import pytree
 
 
@@ -155,9 +155,7 @@ def joined_least_squares(
             return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
 
         best, slopes = kept((point, slopes), (search.best, search.slopes))
-        change = jnp.where(better, 1 / FASTER, SLOWER)
-        mu = jnp.where(begun, search.damping * change, search.damping)
-        mu = jnp.maximum(mu, LEAST_DAMPING)
+        mu = next_damping(search.damping, begun, better)
         change = jnp.where(better, 2.0, 0.5)
         share = jnp.where(begun, jnp.minimum(1, search.share * change), search.share)
         return _Search(

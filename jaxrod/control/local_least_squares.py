@@ -27,6 +27,18 @@ LEAST_DAMPING = 1e-6
 """Below it nothing is won, and too small a one costs rejected steps to raise again."""
 
 
+def next_damping(damping: Array, begun: Array, better: Array) -> Array:
+    """Less damping after a better point, more after another [1].
+
+    Args:
+        damping: What there was.
+        begun: Whether a point was tried; the first damping is that given.
+        better: Whether it was taken.
+    """
+    change = jnp.where(better, 1 / FASTER, SLOWER)
+    return jnp.maximum(jnp.where(begun, damping * change, damping), LEAST_DAMPING)
+
+
 @pytree
 class LocalLeastSquares:
     """The best point that was found."""
@@ -126,9 +138,7 @@ def local_least_squares(
         mine = best(search.next_own, search.own)
         now = best(values, search.residuals)
         jacobian = best(slopes, search.jacobian)
-        change = jnp.where(better, 1 / FASTER, SLOWER)
-        mu = jnp.where(begun, search.damping * change, search.damping)
-        mu = jnp.maximum(mu, LEAST_DAMPING)
+        mu = next_damping(search.damping, begun, better)
         step, own_steps = arrow_step(jacobian, now, mu, shared, lower, upper)
         return _Search(
             shared=shared,

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from control.calibration import assert_calibrated
 from jaxrod.control import identify, identify_continuous
 
 SD = 0.02
@@ -107,12 +108,7 @@ def test_standard_deviations_are_those_of_many_draws():
         return fitted(observed, firsts(guessed(observed)))[0]
 
     fits = jax.jit(jax.vmap(fit))(jnp.arange(200))
-    assert bool(jnp.all(fits.converged))
-    np.testing.assert_allclose(jnp.mean(fits.misfit), 1, atol=0.1)
-    for name, z in fits.z(TRUTH).items():
-        # Of 200 draws the mean is known to 0.07 and the deviation to 0.05.
-        assert abs(float(jnp.mean(z))) < 0.3, name
-        assert 0.8 < float(jnp.std(z)) < 1.2, name
+    assert_calibrated(fits, TRUTH)
 
 
 @pytest.mark.slow
