@@ -26,6 +26,7 @@ import jaxrod
 from jaxrod.envs import VectorEnvironment, VectorState, make
 from jaxrod.files import write_atomically
 from jaxrod.installation.machine import processor_and_versions
+from jaxrod.lanes.choice import slower
 from jaxrod.training.algorithm import DEVICE_AXIS
 from jaxrod.training.runs.devices import device_mesh, place
 
@@ -49,7 +50,7 @@ float32, with {batches} environments on each of {cores} cores, under new random
 actions in every step; medians of {windows} windows of {seconds:g} s, compiling not
 counted. The time of a control step, the elements of a rod and the simulation steps per
 control step are the tasks' own: the octopus has eight arms, the gripper three fingers
-and a ball. Batches run in [lanes](performance.md) where llvmlite is installed.
+and a ball. {lanes}
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |
@@ -143,6 +144,7 @@ def main(names: list[str]) -> int:
     jaxrod.configure_cpu()
     target = ROOT / "docs" / "environments.md"
     page = HEADER.format(
+        lanes=slower() or "Batches run in [lanes](performance.md).",
         machine=f"Measured on: {processor_and_versions()}",
         cores=jax.device_count(),
         batches=f"{', '.join(map(str, BATCHES[:-1]))} or {BATCHES[-1]}",

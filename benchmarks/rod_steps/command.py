@@ -87,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
     from benchmarks.rod_steps.pyelastica import TIME_STEP
     from jaxrod.files import write_atomically
     from jaxrod.installation.machine import machine_facts
+    from jaxrod.lanes.choice import slower
     from jaxrod.methods.laws import IN_SPACE
 
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
@@ -111,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
         "n_elements": N_ELEMENTS,
         "dt": TIME_STEP,
         "machine": machine,
+        "slower": slower(),
     }
     text = json.dumps(result, indent=2)
     if args.out is not None:
@@ -123,6 +125,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _table(report: Report, machine: dict[str, Any]) -> str:
     """The report as a Markdown table, which reads well in a terminal too."""
+    from jaxrod.lanes.choice import slower
+
     versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items())
     lines = [f"{machine['processor']}, {machine['devices']}; {versions}", ""]
     unit = report.pyelastica_steps_per_s
@@ -167,7 +171,7 @@ def _table(report: Report, machine: dict[str, Any]) -> str:
     compiling = sum(row.compile_s for row in report.rows)
     lines += [
         "",
-        f"Compiling took {compiling:.0f} s and is not counted. Batches run in",
+        f"Compiling took {compiling:.0f} s and is not counted.",
+        slower() or "Batches on CPUs run in lanes (docs/performance.md).",
     ]
-    lines += ["lanes (docs/performance.md) where llvmlite is installed."]
     return "\n".join(lines) + "\n"

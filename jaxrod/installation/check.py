@@ -16,4 +16,4 @@ class Check:
     detail: str
     """Findings, with numbers."""
     advice: str = ""
-    """Advice on a mend; empty when nothing is wrong."""
+    """Advice on a mend; empty when nothing is wrong or slow."""

@@ -12,9 +12,10 @@ import os
 import platform
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +40,7 @@ def run_checks() -> list[Check]:
     if found.ok:
         for device in _one_device_per_platform():
             checks += check_device(device)
+    checks.append(_guard("lanes", check_lanes))
     checks.append(_guard("default precision", check_default_precision))
     checks.append(check_processors())
     return checks
@@ -197,6 +199,61 @@ def check_matrix_products(device: jax.Device) -> Check:
             "exact networks set JAX_DEFAULT_MATMUL_PRECISION=highest."
         )
     return Check(f"matrix products on {device.platform}", error < 0.05, detail, advice)
+
+
+def check_lanes() -> Check:
+    """Compares batched steps in lanes with NumPy, or says why there are no lanes."""
+    import jax
+    import jax.numpy as jnp
+
+    from jaxrod.lanes.choice import ALWAYS, lane_choices, lane_mode, slower, use_lanes
+    from jaxrod.lanes.machine_code import vector_bytes
+    from jaxrod.lanes.steps import stepped
+
+    words = slower()
+    if words is None and jax.default_backend() != "cpu":
+        return Check("lanes", True, "on CPUs only, and the default device is none")
+    if words is not None:
+        advice = f"{words} Numbers are the same; docs/performance.md says more."
+        return Check("lanes", True, "off", advice)
+
+    @jax.tree_util.register_dataclass
+    @dataclass(frozen=True)
+    class Decay:
+        """Repeated multiplication, as a run of steps."""
+
+        factor: Any
+
+        def begin(self, value: Any) -> Any:
+            return value
+
+        def cycle(self, value: Any) -> Any:
+            return self.factor * value + 1
+
+        def end(self, value: Any) -> Any:
+            return value
+
+    factors = np.linspace(0.1, 0.9, 9, dtype=np.float32)
+    starts = np.linspace(-3.0, 3.0, 9, dtype=np.float32)
+    before = lane_mode()
+    use_lanes(ALWAYS)
+    try:
+        run = lambda factor, start: stepped(Decay(factor), start, 10)
+        got = np.asarray(jax.jit(jax.vmap(run))(jnp.asarray(factors), starts))
+    finally:
+        use_lanes(before)
+    exact = starts.astype(np.float64)
+    for _ in range(10):
+        exact = factors * exact + 1
+    error = float(np.max(np.abs(got - exact)))
+    choice = lane_choices()[-1]
+    detail = f"vectors of {vector_bytes()} bytes, error {error:.1e} after 10 steps"
+    if not choice.taken:
+        return Check("lanes", True, "off", f"Batches run in XLA: {choice.why}.")
+    if error < 1e-5:
+        return Check("lanes", True, detail)
+    advice = "Lanes give wrong numbers here. Set JAXROD_LANES=never and report it."
+    return Check("lanes", False, detail, advice)
 
 
 def check_default_precision() -> Check:

@@ -5,45 +5,34 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 
+from jaxrod.jax_internals.equations import CALLS, called_program, scan_of, while_of
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
 
-_CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "remat2": "jaxpr",
-    "checkpoint": "jaxpr",
-    "remat": "jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-    "custom_vjp_call_jaxpr": "fun_jaxpr",
-}
 MOST_ROUNDS = 10_000
 """Of a loop whose end is known only once it is reached."""
 
 
-@rule(*_CALLS)
+@rule(*CALLS)
 def called(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """A nested call is entered."""
-    inner = equation.params[_CALLS[equation.primitive.name]]
-    return unroller.run(_closed(inner), arrays)
+    return unroller.run(called_program(equation), arrays)
 
 
 @rule("scan")
 def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """A loop of known length."""
-    n_consts, n_carry = equation.params["num_consts"], equation.params["num_carry"]
-    length = equation.params["length"]
-    consts, carry = arrays[:n_consts], list(arrays[n_consts : n_consts + n_carry])
-    along = arrays[n_consts + n_carry :]
-    body = _closed(equation.params["jaxpr"])
+    scan = scan_of(equation)
+    n_carry, length = scan.n_carry, scan.length
+    first_row = scan.n_constants + n_carry
+    consts = arrays[: scan.n_constants]
+    carry = list(arrays[scan.n_constants : first_row])
+    along = arrays[first_row:]
     rows: list[Any] = [None] * length
     order = range(length)
-    for i in reversed(order) if equation.params["reverse"] else order:
-        made = unroller.run(body, [*consts, *carry, *[array[i] for array in along]])
+    for i in reversed(order) if scan.backwards else order:
+        given = [*consts, *carry, *[array[i] for array in along]]
+        made = unroller.run(scan.body, given)
         carry, rows[i] = made[:n_carry], made[n_carry:]
     avals = [v.aval for v in equation.outvars[n_carry:]]
     stacked = [
@@ -56,19 +45,21 @@ def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 @rule("while")
 def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """A loop whose end can be told while it is gone through."""
-    n_test, n_body = equation.params["cond_nconsts"], equation.params["body_nconsts"]
-    for_test, for_body = arrays[:n_test], arrays[n_test : n_test + n_body]
-    carry = list(arrays[n_test + n_body :])
-    test = _closed(equation.params["cond_jaxpr"])
-    body = _closed(equation.params["body_jaxpr"])
+    loop = while_of(equation)
+    first_carry = loop.n_condition + loop.n_body
+    for_test, for_body = (
+        arrays[: loop.n_condition],
+        arrays[loop.n_condition : first_carry],
+    )
+    carry = list(arrays[first_carry:])
     for _ in range(MOST_ROUNDS):
-        (answer,) = unroller.run(test, [*for_test, *carry])
+        (answer,) = unroller.run(loop.condition, [*for_test, *carry])
         known = unroller.graph.value(int(answer))
         if known is None:
             raise NotUnrolled("lanes have no loop whose length depends on numbers")
         if not known:
             return carry
-        carry = unroller.run(body, [*for_body, *carry])
+        carry = unroller.run(loop.body, [*for_body, *carry])
     raise NotUnrolled(f"a loop goes on for more than {MOST_ROUNDS} rounds")
 
 
@@ -76,7 +67,7 @@ def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any:
     """All branches are gone through, as under `vmap`, and one is chosen."""
     graph = unroller.graph
-    branches = [_closed(branch) for branch in equation.params["branches"]]
+    branches = equation.params["branches"]
     known = graph.value(int(index))
     if known is not None:
         which = min(max(int(known), 0), len(branches) - 1)
@@ -121,9 +112,4 @@ def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     begin = lengths.matvec + lengths.vecmat
     consts = arrays[begin : begin + lengths.solve]
     right = arrays[sum(lengths) :]
-    solver = _closed(equation.params["jaxprs"].solve)
-    return unroller.run(solver, [*consts, *right])
-
-
-def _closed(jaxpr: Any) -> Any:
-    return jaxpr if hasattr(jaxpr, "consts") else ClosedJaxpr(jaxpr, ())
+    return unroller.run(equation.params["jaxprs"].solve, [*consts, *right])

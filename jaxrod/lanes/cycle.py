@@ -9,9 +9,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import jaxpr_as_fun
 
-from jaxrod.lanes.varying import varying_shape
+from jaxrod.jax_internals.equations import operand_types, result_types
+from jaxrod.jax_internals.mesh_axes import varying_shape
+from jaxrod.jax_internals.primitives import evaluate
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class Cycle:
     @property
     def avals(self) -> Any:
         """Of the carry."""
-        return [v.aval for v in self.closed.jaxpr.outvars]
+        return result_types(self.closed)
 
     @property
     def floating(self) -> tuple[bool, ...]:
@@ -34,7 +35,7 @@ class Cycle:
 
     def __call__(self, constants: Sequence[Any], carry: Sequence[Any]) -> list[Any]:
         """The next carry."""
-        return list(jaxpr_as_fun(self.closed)(*constants, *carry))
+        return evaluate(self.closed, *constants, *carry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +50,12 @@ class Ends:
     @property
     def given(self) -> Any:
         """Shapes and types of what is given, after the constants."""
-        return [v.aval for v in self.begin.jaxpr.invars]
+        return operand_types(self.begin)
 
     @property
     def made(self) -> Any:
         """Shapes and types of what is made."""
-        return [v.aval for v in self.end.jaxpr.outvars]
+        return result_types(self.end)
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
     """A step of carry and tangents together, and its number of constants."""
     cycle, moving = plan.cycle, plan.moving
     floating = cycle.floating
-    avals = [v.aval for v in cycle.closed.jaxpr.invars]
+    avals = operand_types(cycle.closed)
     constants, carry = avals[: cycle.n_constants], avals[cycle.n_constants :]
     rates = chosen(constants, moving)
     tangents = chosen(carry, floating)
@@ -126,7 +127,7 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
 def adjoint_cycle(plan: Plan) -> Any:
     """A step backwards: constants, carry, cotangents to cotangents of both."""
     cycle, moving, floating = plan.cycle, plan.moving, plan.cycle.floating
-    avals = [v.aval for v in cycle.closed.jaxpr.invars]
+    avals = operand_types(cycle.closed)
     constants, carry = avals[: cycle.n_constants], avals[cycle.n_constants :]
 
     def back(*arrays: Any) -> list[Any]:

@@ -8,9 +8,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Primitive
-from jax.interpreters import ad
 
+from jaxrod.jax_internals.primitives import (
+    filled_in,
+    is_linear_input,
+    is_zero,
+    no_tangent,
+)
 from jaxrod.lanes.cycle import Batch, Plan, chosen, parted
 from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, tangent_p
 
@@ -25,7 +29,7 @@ def cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
     if plan.length == 0:
         return arrays[cycle.n_constants :], list(moved)
     moving = tuple(
-        not isinstance(t, ad.Zero) and jnp.issubdtype(a.dtype, jnp.floating)
+        not is_zero(t) and jnp.issubdtype(a.dtype, jnp.floating)
         for t, a in zip(rates, arrays, strict=False)
     )
     plan = replace(plan, moving=moving, keeps=plan.length is not None)
@@ -33,7 +37,7 @@ def cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
     n_carry = len(cycle.avals)
     carry, kept = made[:n_carry], made[n_carry:]
     given = [
-        jnp.zeros_like(array) if isinstance(tangent, ad.Zero) else tangent
+        jnp.zeros_like(array) if is_zero(tangent) else tangent
         for array, tangent, floats in zip(
             arrays[cycle.n_constants :], moved, cycle.floating, strict=True
         )
@@ -62,7 +66,7 @@ def cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
     )
     floats = iter(after)
     results = [
-        next(floats) if is_float else _without(array)
+        next(floats) if is_float else no_tangent(array)
         for array, is_float in zip(carry, cycle.floating, strict=True)
     ]
     return carry, results
@@ -85,7 +89,7 @@ def tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, plan: Plan) -> 
     constants, _, kept, rates, tangents = parted(
         arrays, cycle.n_constants, n_carry, n_carry, sum(plan.moving)
     )
-    seeds = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
+    seeds = [filled_in(cotangent) for cotangent in cotangents]
     moving = plan.moving
     batch = None
     if plan.batch is not None:
@@ -93,7 +97,7 @@ def tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, plan: Plan) -> 
         batch = Batch(
             plan.batch.size, (*of_constants, *[True] * (n_carry + len(seeds)))
         )
-    wanted = [ad.is_undefined_primal(rate) for rate in rates]
+    wanted = [is_linear_input(rate) for rate in rates]
     which = iter(wanted)
     used = tuple(is_moving and next(which) for is_moving in moving)
     made = adjoint_p.bind(
@@ -105,24 +109,24 @@ def tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, plan: Plan) -> 
     flags = plan.batch.rows if plan.batch is not None else (True,) * len(arrays)
     rate_flags = flags[cycle.n_constants + 2 * n_carry :][: len(rates)]
     for rate, has_rows in zip(rates, rate_flags, strict=True):
-        if not ad.is_undefined_primal(rate):
+        if not is_linear_input(rate):
             of_rates.append(None)
             continue
         total = next(found)
         of_rates.append(total if has_rows else jnp.sum(total, axis=0))
     of_tangents = [
-        ct if ad.is_undefined_primal(tangent) else None
+        ct if is_linear_input(tangent) else None
         for tangent, ct in zip(tangents, earlier, strict=True)
     ]
     none = [None] * (1 + cycle.n_constants + 2 * n_carry)
     return [*none, *of_rates, *of_tangents]
 
 
-def by_meaning(primitive: Primitive) -> Callable[..., Any]:
+def by_meaning(primitive: Any) -> Callable[..., Any]:
     """The derivative of what an operation means: for derivatives of derivatives."""
 
     def jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
-        known = [isinstance(t, ad.Zero) for t in tangents]
+        known = [is_zero(t) for t in tangents]
 
         def of(*moved: Any) -> list[Any]:
             rest = iter(moved)
@@ -136,13 +140,8 @@ def by_meaning(primitive: Primitive) -> Callable[..., Any]:
         rates = [t for t, fixed in zip(tangents, known, strict=True) if not fixed]
         made, after = jax.jvp(of, moving, rates)
         return made, [
-            _without(m) if t.dtype == jax.dtypes.float0 else t
+            no_tangent(m) if t.dtype == jax.dtypes.float0 else t
             for m, t in zip(made, after, strict=True)
         ]
 
     return jvp
-
-
-def _without(array: Any) -> Any:
-    """The tangent of an array that has none."""
-    return ad.Zero(jax.typeof(array).to_tangent_aval())

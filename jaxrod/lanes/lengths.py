@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from jaxrod.jax_internals.equations import program_of, programs_within
 from jaxrod.lanes.cycle import Cycle
 
 MOST_OPERATIONS = 120_000
@@ -23,7 +24,7 @@ MOST_OF_ALL = 400_000
 
 def most_operations(cycle: Cycle) -> int:
     """Operations that lanes take of a step."""
-    equations = sum(1 for _ in _equations(cycle.closed.jaxpr))
+    equations = sum(1 for _ in _equations(program_of(cycle.closed).jaxpr))
     return max(MOST_OPERATIONS, min(OPERATIONS_PER_EQUATION * equations, MOST_OF_ALL))
 
 
@@ -31,8 +32,5 @@ def _equations(jaxpr: Any) -> Iterator[Any]:
     """Equations of a program and of those within it."""
     for equation in jaxpr.eqns:
         yield equation
-        for given in equation.params.values():
-            for inner in given if isinstance(given, tuple | list) else [given]:
-                inside = getattr(inner, "jaxpr", inner)
-                if hasattr(inside, "eqns"):
-                    yield from _equations(inside)
+        for inner in programs_within(equation):
+            yield from _equations(inner)

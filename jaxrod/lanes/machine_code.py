@@ -5,13 +5,15 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import hashlib
+import importlib.util
 import threading
 from functools import cache
 from typing import Any
 
 import jax
 
-from jaxrod.lanes.call_frame import handler_text, unknown_layout
+from jaxrod.jax_internals.foreign_call import handler_text, unknown_layout
+from jaxrod.jax_internals.primitives import unknown_rules
 from jaxrod.lanes.kernel import Kernel
 from jaxrod.lanes.object_cache import keeps_objects
 
@@ -31,14 +33,19 @@ _engines: dict[str, Any] = {}
 _lock = threading.Lock()
 
 
+def llvm_is_installed() -> bool:
+    """Whether the package with LLVM's compiler is there."""
+    return importlib.util.find_spec("llvmlite") is not None
+
+
 @cache
 def not_here() -> str | None:
-    """Why kernels cannot be compiled here, in words; `None` where they can."""
+    """The reason why kernels cannot be compiled here; `None` where they can."""
     try:
         import llvmlite.binding as llvm
     except ImportError:
         return "llvmlite is not installed (pip install 'jaxrod[lanes]')"
-    words = unknown_layout()
+    words = unknown_rules() or unknown_layout()
     if words is not None:
         return words
     try:

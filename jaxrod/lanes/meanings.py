@@ -17,24 +17,24 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import Primitive, jaxpr_as_fun
 
+from jaxrod.jax_internals.primitives import evaluate, new_primitive
 from jaxrod.lanes.cycle import Cycle, Plan, chosen, filled, parted, tangent_cycle
 
-run_p = Primitive("jaxrod_run")
-cycles_p = Primitive("jaxrod_cycles")
-tangent_p = Primitive("jaxrod_cycles_tangent")
-adjoint_p = Primitive("jaxrod_cycles_adjoint")
+run_p = new_primitive("jaxrod_run")
+cycles_p = new_primitive("jaxrod_cycles")
+tangent_p = new_primitive("jaxrod_cycles_tangent")
+adjoint_p = new_primitive("jaxrod_cycles_adjoint")
 
 
 def _run(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
     ends, cycle = plan.ends, plan.cycle
     assert ends is not None
     constants, given = parted(arrays, cycle.n_constants)
-    carry = jaxpr_as_fun(ends.begin)(*constants, *given)
+    carry = evaluate(ends.begin, *constants, *given)
     inner = Plan(cycle, plan.length)
     after = cycles_p.bind(steps, *constants, *carry, plan=inner)
-    return list(jaxpr_as_fun(ends.end)(*constants, *after))
+    return evaluate(ends.end, *constants, *after)
 
 
 def _cycles(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:

@@ -16,6 +16,8 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton
 
 from jaxrod.lanes.cycle import Plan
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING
@@ -94,8 +96,6 @@ def _run(
     layout: Layout, padded: int, interpret: bool
 ) -> Callable[..., Mapping[str, Any]]:
     """The kernel of all steps: rows to rows, by their type."""
-    from jax.experimental import pallas as pl
-
     shared = [*layout.names("numbers"), *layout.names("derived")]
     given = [*layout.names("own"), *layout.names("given")]
     made = layout.names("made")
@@ -196,11 +196,7 @@ def _neighbours_together(
 
 
 def _call(kernel: Callable[..., None], interpret: bool, **how: Any) -> Any:
-    from jax.experimental import pallas as pl
-
     if interpret:
         return pl.pallas_call(kernel, interpret=True, **how)
-    from jax.experimental.pallas import triton
-
     params = triton.CompilerParams(num_warps=BLOCK // 32, num_stages=1)
     return pl.pallas_call(kernel, compiler_params=params, **how)

@@ -7,28 +7,27 @@ can and it pays.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 
+from jaxrod.jax_internals.equations import operand_types
+from jaxrod.jax_internals.mesh_axes import varying_aval
+from jaxrod.jax_internals.primitives import define, lower_on
 from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, lowered_on_gpu, refused
 from jaxrod.lanes.cycle import Batch, Plan, chosen
 from jaxrod.lanes.derivatives import by_meaning, cycles_jvp, tangent_transpose
 from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, run_p, tangent_p
-from jaxrod.lanes.varying import varying_aval
 
 
-def _abstract(primitive: Primitive) -> Callable[..., Any]:
+def _abstract(primitive: Any) -> Callable[..., Any]:
     def shapes(steps: Any, *arrays: Any, plan: Plan) -> Any:
         carry = plan.cycle.avals
         floats = chosen(carry, plan.cycle.floating)
-        constants = [v.aval for v in plan.cycle.closed.jaxpr.invars]
+        constants = operand_types(plan.cycle.closed)
         rows = () if plan.batch is None else (plan.batch.size,)
         results = [(a.shape, a.dtype) for a in carry]
         if plan.ends is not None:
@@ -46,7 +45,7 @@ def _abstract(primitive: Primitive) -> Callable[..., Any]:
     return shapes
 
 
-def _batched(primitive: Primitive) -> Callable[..., Any]:
+def _batched(primitive: Any) -> Callable[..., Any]:
     """One more batch: rows of rows become rows."""
 
     def rule(arrays: Sequence[Any], axes: Sequence[Any], *, plan: Plan) -> Any:
@@ -93,7 +92,7 @@ def _batched(primitive: Primitive) -> Callable[..., Any]:
     return rule
 
 
-def _shareable(primitive: Primitive, plan: Plan) -> list[bool]:
+def _shareable(primitive: Any, plan: Plan) -> list[bool]:
     """Which operands may be the same for all rods: constants and their tangents."""
     n_constants, n_carry = plan.cycle.n_constants, len(plan.cycle.avals)
     n_floats = sum(plan.cycle.floating)
@@ -109,69 +108,44 @@ def _shareable(primitive: Primitive, plan: Plan) -> list[bool]:
     return [*constants, *[False] * (n_carry + kept), *rates, *[False] * n_floats]
 
 
-def _lowering(primitive: Primitive, by_lanes: Callable[..., Any]) -> Callable[..., Any]:
-    by_xla = mlir.lower_fun(MEANINGS[primitive], multiple_results=True)
+def _kernels(primitive: Any, maker: Callable[..., Any]) -> Callable[..., Any]:
+    """The choice of a program for one platform: a kernel, or none.
 
-    def rule(context: Any, *operands: Any, plan: Plan) -> Any:
-        program = None
-        words = _unfit(context)
-        if words is None:
-            program = by_lanes(primitive.name, plan, context.avals_out)
-        elif lanes_wanted():
-            refused(words, plan.batch.size if plan.batch is not None else 1)
-        if program is None:
-            return by_xla(context, *operands, plan=plan)
-        # A kernel is of one device: over which axes its arrays vary is not its matter.
-        plain = [jax.core.ShapedArray(a.shape, a.dtype) for a in context.avals_in]
-        return mlir.lower_fun(program, multiple_results=True)(
-            context.replace(avals_in=plain), *operands
-        )
-
-    return rule
-
-
-def _unfit(context: Any) -> str | None:
-    """Why a program cannot have kernels in it, in words; `None` if it can.
-
-    Within `shard_map` each device has rods of its own, and a kernel for them.
+    Args:
+        primitive: The operation.
+        maker: The maker of its kernels, from name, plan and types of the results.
     """
-    module = context.module_context
-    if len(module.platforms) > 1:
-        return "the program is for several platforms, and kernels are of one"
-    if getattr(module.lowering_parameters, "for_export", False):
-        return "the program is to be exported, and kernels are of this process"
-    where = module.axis_context
-    devices = getattr(where, "num_devices", None)
-    if hasattr(where, "manual_axes"):
-        if "cuda" in module.platforms:
-            return "kernels for GPUs have never been tried within shard_map"
-        left = set(where.mesh.axis_names) - set(where.manual_axes)
-        devices = math.prod(where.mesh.shape[name] for name in left)
-    if devices not in (None, 1):
-        return (
-            "the compiler spreads the batch over devices, which it cannot do to kernels"
-        )
-    return None
+
+    def choose(unfit: str | None, results: Any, parameters: Any) -> Any:
+        plan = parameters["plan"]
+        if unfit is None:
+            return maker(primitive.name, plan, results)
+        if lanes_wanted():
+            refused(unfit, plan.batch.size if plan.batch is not None else 1)
+        return None
+
+    return choose
 
 
-for _primitive in (run_p, cycles_p, tangent_p, adjoint_p):
-    _primitive.multiple_results = True
-    _primitive.def_abstract_eval(_abstract(_primitive))
-    _primitive.def_impl(jax.jit(MEANINGS[_primitive], static_argnames="plan"))
-    batching.primitive_batchers[_primitive] = _batched(_primitive)
-    mlir.register_lowering(
-        _primitive, mlir.lower_fun(MEANINGS[_primitive], multiple_results=True)
+_JVPS = {cycles_p: cycles_jvp}
+_TRANSPOSES = {tangent_p: tangent_transpose}
+for _primitive, _meaning in MEANINGS.items():
+    define(
+        _primitive,
+        _meaning,
+        static="plan",
+        shapes=_abstract(_primitive),
+        batched=_batched(_primitive),
+        jvp=_JVPS.get(_primitive, by_meaning(_primitive)),
+        transpose=_TRANSPOSES.get(_primitive),
     )
 for _primitive in (run_p, cycles_p, adjoint_p):
-    for _platform, _by_lanes in (("cpu", lowered_by_lanes), ("cuda", lowered_on_gpu)):
-        mlir.register_lowering(
-            _primitive, _lowering(_primitive, _by_lanes), platform=_platform
-        )
-ad.primitive_jvps[run_p] = by_meaning(run_p)
-ad.primitive_jvps[cycles_p] = cycles_jvp
-ad.primitive_jvps[tangent_p] = by_meaning(tangent_p)
-ad.primitive_jvps[adjoint_p] = by_meaning(adjoint_p)
-ad.primitive_transposes[tangent_p] = tangent_transpose
+    for _platform, _by_platform in (
+        ("cpu", lowered_by_lanes),
+        ("cuda", lowered_on_gpu),
+    ):
+        _choice = _kernels(_primitive, _by_platform)
+        lower_on(_platform, _primitive, MEANINGS[_primitive], _choice)
 
 
 __all__ = ["adjoint_p", "cycles_p", "run_p", "tangent_p"]

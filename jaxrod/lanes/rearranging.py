@@ -69,6 +69,12 @@ def stacked(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     return np.stack(arrays, axis=equation.params["axis"])
 
 
+@rule("unstack")
+def unstacked(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """Slices along an axis, which they lose."""
+    return list(np.moveaxis(array, equation.params["axis"], 0))
+
+
 @rule("split")
 def parted(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Cut along an axis."""

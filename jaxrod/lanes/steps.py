@@ -9,10 +9,17 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrod.lanes.choice import lanes_wanted, refused
+from jaxrod.jax_internals.equations import result_types
+from jaxrod.jax_internals.mesh_axes import axes_of, varied, varying_shape
+from jaxrod.lanes.choice import (
+    NEVER,
+    lane_mode,
+    lanes_wanted,
+    refused,
+    say_if_slower,
+)
 from jaxrod.lanes.cycle import Cycle, Ends, Plan
 from jaxrod.lanes.rules import supported
-from jaxrod.lanes.varying import axes_of, varied, varying_shape
 
 
 def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
@@ -24,6 +31,8 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
         n_times: How many cycles, an `int` or traced.
     """
     if not lanes_wanted():
+        if lane_mode() != NEVER:
+            say_if_slower()
         return None
     from jaxrod.lanes.primitives import run_p
 
@@ -54,13 +63,13 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
 
     state_tree = jax.tree.structure(given)
     begin, carried = part("begin", jax.tree.unflatten(state_tree, state))
-    carry = [varying_shape(aval) for aval in begin.out_avals]
+    carry = [varying_shape(aval) for aval in result_types(begin)]
     cycle, cycled = part("cycle", jax.tree.unflatten(carried, carry))
     end, made_tree = part("end", jax.tree.unflatten(carried, carry))
     words = None
     for closed in (begin, cycle, end):
-        words = words or supported(closed.jaxpr)
-    after = [(a.shape, a.dtype) for a in cycle.out_avals]
+        words = words or supported(closed)
+    after = [(a.shape, a.dtype) for a in result_types(cycle)]
     if words is None and (cycled, after) != (
         carried,
         [(a.shape, a.dtype) for a in carry],

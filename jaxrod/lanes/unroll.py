@@ -14,8 +14,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Literal
 
+from jaxrod.jax_internals.equations import (
+    is_literal,
+    program_of,
+    programs_within,
+    unknown_parameter,
+)
 from jaxrod.lanes.graph import KINDS, Graph
 
 MOST_NODES = 400_000
@@ -43,24 +48,28 @@ class Unroller:
         Raises:
             NotUnrolled: If something in it is not known here.
         """
-        jaxpr = closed.jaxpr
+        jaxpr, constants = program_of(closed)
         values: dict[Any, Any] = {}
-        for variable, const in zip(jaxpr.constvars, closed.consts, strict=True):
+        for variable, const in zip(jaxpr.constvars, constants, strict=True):
             values[variable] = self.known(const, variable.aval)
         for variable, array in zip(jaxpr.invars, arrays, strict=True):
             values[variable] = array
 
         def read(atom: Any) -> Any:
-            if isinstance(atom, Literal):
+            if is_literal(atom):
                 return self.known(atom.val, atom.aval)
             return values[atom]
 
         for equation in jaxpr.eqns:
             name = equation.primitive.name
-            rule = RULES.get(name)
-            if rule is None:
-                raise NotUnrolled(f"lanes do not know the primitive '{name}'")
-            made = rule(self, equation, *[read(atom) for atom in equation.invars])
+            words = _unknown(equation)
+            if words is not None:
+                raise NotUnrolled(words)
+            given = [read(atom) for atom in equation.invars]
+            try:
+                made = RULES[name](self, equation, *given)
+            except (KeyError, AttributeError) as error:
+                raise NotUnrolled(f"'{name}' is not as expected: {error!r}") from error
             results = made if isinstance(made, list) else [made]
             for variable, result in zip(equation.outvars, results, strict=True):
                 result = np.asarray(result, np.int64)
@@ -118,19 +127,25 @@ def rule(*names: str) -> Callable[[Rule], Rule]:
     return note
 
 
-def supported(jaxpr: Any) -> str | None:
-    """Why a jaxpr cannot be unrolled, as far as names and types tell; else `None`."""
+def supported(program: Any) -> str | None:
+    """The reason why names or types forbid unrolling a program, else `None`."""
+    jaxpr = program_of(program).jaxpr
     for variable in (*jaxpr.invars, *jaxpr.constvars):
         if not hasattr(variable.aval, "dtype"):
             return f"lanes have no {variable.aval}"
     for equation in jaxpr.eqns:
-        if equation.primitive.name not in RULES:
-            return f"lanes do not know the primitive '{equation.primitive.name}'"
-        for value in equation.params.values():
-            for inner in value if isinstance(value, tuple | list) else (value,):
-                inner = getattr(inner, "jaxpr", inner)
-                if hasattr(inner, "eqns"):
-                    words = supported(inner)
-                    if words is not None:
-                        return words
+        words = _unknown(equation)
+        if words is not None:
+            return words
+        for inner in programs_within(equation):
+            words = supported(inner)
+            if words is not None:
+                return words
     return None
+
+
+def _unknown(equation: Any) -> str | None:
+    name = equation.primitive.name
+    if name not in RULES:
+        return f"lanes do not know the primitive '{name}'"
+    return unknown_parameter(equation)

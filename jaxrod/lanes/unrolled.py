@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from jaxrod.jax_internals.equations import operand_types
 from jaxrod.lanes.cycle import Cycle
 from jaxrod.lanes.cycle import Ends as CycleEnds
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
@@ -30,12 +31,12 @@ def unrolled_step(
     graph = Graph()
     unroller = Unroller(graph)
     inputs, entries = [], []
-    for i, variable in enumerate(cycle.closed.jaxpr.invars):
+    for i, aval in enumerate(operand_types(cycle.closed)):
         rate = VARYING
         if i < cycle.n_constants:
             rate = UNIFORM if shared[i] else FIXED
-        kind = kind_of(variable.aval)
-        inputs.append(graph.inputs(i, variable.aval.shape, kind, rate))
+        kind = kind_of(aval)
+        inputs.append(graph.inputs(i, aval.shape, kind, rate))
         entries.append(Entries(kind, inputs[-1].size, rate))
     made = unroller.run(cycle.closed, inputs)
     check_length(len(graph), most)

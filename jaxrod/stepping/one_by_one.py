@@ -1,37 +1,53 @@
-"""Functions that a batch goes through one system after the other, on CPUs.
+"""Batches that are run one system after the other, on CPUs.
 
-Under `jax.vmap` a branch by a number of each system is no branch any more: both sides
-are worked out for all. Contact with lists of neighbours leaves out by branches what
-holds nothing, and one such system fills a core and its cache. So a batch of them takes
-longer together than apart, and much longer to compile.
+Under `jax.vmap` a branch on a number of each system is no branch any more: both sides
+are computed for all. Contact with neighbour lists skips what holds nothing by branches,
+and one such system fills a core and its cache. So a batch of them takes longer together
+than apart, and much longer to compile.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
-from jax.interpreters import ad, batching, mlir
 
-_apart = Primitive("jaxrod_one_by_one")
-_apart.multiple_results = True
+from jaxrod.jax_internals.equations import program_of, result_types
+from jaxrod.jax_internals.primitives import (
+    define,
+    evaluate,
+    filled_in,
+    new_primitive,
+    unknown_rules,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """The program of one system."""
+
+    closed: Any
 
 
 def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function makes of its arguments; under `jax.vmap`, one after the other.
+    """The result of a function; under `jax.vmap`, for one entry after the other.
 
     On other devices than CPUs a batch stays one. Where the function is differentiated
     before it is batched, it is a function like any other.
 
     Args:
-        function: Of pytrees of arrays, to such a pytree. Arrays that it holds without
-            being given them are batched and differentiated as well.
-        *arguments: What it is given.
+        function: A function of pytrees of arrays with such a pytree as its result.
+            Arrays that it holds without being given them are batched and differentiated
+            as well.
+        *arguments: Its arguments.
     """
+    if unknown_rules() is not None:
+        return function(*arguments)
     leaves, structure = jax.tree.flatten(arguments)
     results: list[Any] = []
 
@@ -42,26 +58,41 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
         return made_leaves
 
     traced = jax.make_jaxpr(flat)(*leaves)
-    # What the function holds may be of another transformation: it is given, too.
-    held = traced.consts
+    # Arrays that the function holds may belong to another transformation: they become
+    # operands too.
+    jaxpr, held = program_of(traced)
     given = [*held, *(jnp.asarray(leaf) for leaf in leaves)]
 
-    def complete(*arrays: Any) -> list[Any]:
-        own = ClosedJaxpr(traced.jaxpr, arrays[: len(held)])
-        return list(jaxpr_as_fun(own)(*arrays[len(held) :]))
+    def complete(*arrays: Any) -> Any:
+        return jax.core.eval_jaxpr(jaxpr, arrays[: len(held)], *arrays[len(held) :])
 
     closed = jax.make_jaxpr(complete)(*given) if held else traced
-    made = _apart.bind(*given, closed=closed)
+    made = _apart().bind(*given, body=_Body(closed))
     return jax.tree.unflatten(results[0], made)
 
 
-def _meaning(*arrays: Any, closed: Any) -> list[Any]:
-    return list(jaxpr_as_fun(closed)(*arrays))
+@cache
+def _apart() -> Any:
+    """The operation, made when it is first needed."""
+    apart = new_primitive("jaxrod_one_by_one")
+    define(
+        apart,
+        _meaning,
+        static="body",
+        shapes=lambda *avals, body: result_types(body.closed),
+        batched=_batched,
+        jvp=_jvp,
+    )
+    return apart
 
 
-def _batched(arrays: Sequence[Any], axes: Sequence[Any], *, closed: Any) -> Any:
+def _meaning(*arrays: Any, body: _Body) -> list[Any]:
+    return evaluate(body.closed, *arrays)
+
+
+def _batched(arrays: Sequence[Any], axes: Sequence[Any], *, body: _Body) -> Any:
     if jax.default_backend() != "cpu":
-        whole = jax.vmap(lambda *each: _meaning(*each, closed=closed), in_axes=axes)
+        whole = jax.vmap(lambda *each: _meaning(*each, body=body), in_axes=axes)
         made = whole(*arrays)
         return made, [0] * len(made)
     rows = [
@@ -74,19 +105,12 @@ def _batched(arrays: Sequence[Any], axes: Sequence[Any], *, closed: Any) -> Any:
             array if row is None else row
             for array, row in zip(arrays, own, strict=True)
         ]
-        return _apart.bind(*given, closed=closed)
+        return _apart().bind(*given, body=body)
 
     made = lax.map(one, rows)
     return made, [0] * len(made)
 
 
-def _jvp(primals: Any, tangents: Any, *, closed: Any) -> Any:
-    rates = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
-    return jax.jvp(jaxpr_as_fun(closed), tuple(primals), rates)
-
-
-_apart.def_impl(jax.jit(_meaning, static_argnames="closed"))
-_apart.def_abstract_eval(lambda *avals, closed: closed.out_avals)
-batching.primitive_batchers[_apart] = _batched
-ad.primitive_jvps[_apart] = _jvp
-mlir.register_lowering(_apart, mlir.lower_fun(_meaning, multiple_results=True))
+def _jvp(primals: Any, tangents: Any, *, body: _Body) -> Any:
+    rates = tuple(filled_in(tangent) for tangent in tangents)
+    return jax.jvp(lambda *given: _meaning(*given, body=body), tuple(primals), rates)

@@ -1,13 +1,16 @@
 """Runs as kernels for GPUs: what they work out, and that Triton takes them."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from jax.interpreters import mlir
+from jax.experimental import pallas as pl
 
 import jaxrod
+from jaxrod.jax_internals.primitives import lower_on
 from jaxrod.lanes import choice, primitives
 from jaxrod.lanes.choice import (
     LaneChoice,
@@ -26,6 +29,10 @@ from lanes.programs import difference
 from lanes.scenes import arm, shaken
 from lanes.test_runs import apart
 
+# Pallas compiles by Triton as long as JAX keeps it; without it XLA does the runs.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:The Pallas Triton backend is deprecated:DeprecationWarning"
+)
 FLOATS = ("float32", "float64")
 KERNEL = "__gpu$xla.gpu.triton"
 """The name of Triton's kernels in a program that is lowered for CUDA."""
@@ -54,13 +61,14 @@ def interpreted():
         choice._note(LaneChoice(True, "a kernel for GPUs, interpreted", rods))
         return program
 
-    for primitive in (run_p, cycles_p):
-        rule = primitives._lowering(primitive, by_pallas)
-        mlir.register_lowering(primitive, rule, platform="cpu")
+    def on_cpus(maker):
+        for primitive in (run_p, cycles_p):
+            kernels = primitives._kernels(primitive, maker)
+            lower_on("cpu", primitive, MEANINGS[primitive], kernels)
+
+    on_cpus(by_pallas)
     yield
-    for primitive in (run_p, cycles_p):
-        rule = primitives._lowering(primitive, lowered_by_lanes)
-        mlir.register_lowering(primitive, rule, platform="cpu")
+    on_cpus(lowered_by_lanes)
 
 
 def plan_of(cycle, constants, carry, rods, own):
@@ -105,6 +113,7 @@ def test_cycles_of_a_padded_batch_are_the_same_for_any_count(dtype, rods):
     (stiffness, shared), carry = swings(rods, dtype)
     one = [array[0] for array in (stiffness, *carry)]
     plan = plan_of(oscillator, (one[0], shared), one[1:], rods, (True, False))
+    interpret_once()
     found = jax.jit(pallas_program(plan, rods, interpret=True))
     meant = jax.jit(lambda *a: MEANINGS[cycles_p](*a, plan=plan))
     for count in (0, 1, 3, -1):
@@ -114,6 +123,17 @@ def test_cycles_of_a_padded_batch_are_the_same_for_any_count(dtype, rods):
             rounding = 8 * float(jnp.finfo(dtype).eps)
             np.testing.assert_allclose(one, other, rtol=rounding, atol=rounding)
     assert found._cache_size() == 1
+
+
+@cache
+def interpret_once():
+    """Lets JAX's interpreter of kernels register its options, after which programs are
+    compiled anew."""
+    pl.pallas_call(
+        lambda x, y: y.__setitem__((), x[()]),
+        out_shape=jax.ShapeDtypeStruct((), jnp.float32),
+        interpret=True,
+    )(jnp.float32(1))
 
 
 def odd(_, carry):
@@ -263,9 +283,12 @@ def test_a_random_program_is_the_same(interpreted, seed):
 
 
 def lowered(run, *arguments):
-    """The text of a program for CUDA."""
-    traced = jax.jit(lambda *a: run(*a)).trace(*arguments)
-    return traced.lower(lowering_platforms=("cuda",)).as_text()
+    """The text of a program for CUDA; JAX 0.12 asks for which device."""
+    device = jax.sharding.AbstractDevice("NVIDIA H100 80GB HBM3", None, "gpu")
+    mesh = jax.sharding.AbstractMesh((), (), abstract_device=device)
+    with jax.sharding.use_abstract_mesh(mesh):
+        traced = jax.jit(lambda *a: run(*a)).trace(*arguments)
+        return traced.lower(lowering_platforms=("cuda",)).as_text()
 
 
 def swing(rods, dtype="float32", cycle=oscillator):

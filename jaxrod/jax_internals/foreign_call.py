@@ -1,8 +1,8 @@
-"""The call of a kernel by XLA: its typed foreign function interface, by offsets.
+"""The binary interface by which XLA calls a kernel: its foreign functions, by offsets.
 
-A handler is a function that gets one pointer, to a frame that names the buffers. Its
-layout is that of `xla/ffi/api/c_api.h`, which comes with jaxlib; the offsets used here
-hold only if that file says what it said when they were written, which is looked at
+A handler is a function of one pointer, to a frame that names the buffers. The layout of
+the frame is that of `xla/ffi/api/c_api.h`, which comes with jaxlib. The offsets used
+here hold only while that file describes the structures listed below, so it is read
 before the first call.
 """
 
@@ -14,8 +14,10 @@ from pathlib import Path
 
 import jax
 
+_EXTENSIONS = ("XLA_FFI_InternalExtension", "XLA_FFI_Extension_Base")
+"""Names of one structure: since jaxlib 0.11, and before."""
+_EXTENSION = ("struct_size", "type", "next")
 _EXPECTED = {
-    "XLA_FFI_Extension_Base": ("struct_size", "type", "next"),
     "XLA_FFI_Api_Version": (
         *("struct_size", "extension_start", "major_version", "minor_version"),
     ),
@@ -27,7 +29,7 @@ _EXPECTED = {
     "XLA_FFI_Rets": ("struct_size", "extension_start", "size", "types", "rets"),
     "XLA_FFI_Metadata_Extension": ("extension_base", "metadata"),
 }
-"""Fields of the structures that are read, in order."""
+"""Fields of the other structures that are read, in order."""
 _BEGINNINGS = {
     "XLA_FFI_CallFrame": (
         *("struct_size", "extension_start", "api", "ctx", "stage", "args", "rets"),
@@ -53,9 +55,11 @@ def header() -> str:
 
 @cache
 def unknown_layout() -> str | None:
-    """Why the interface is not the one known here, in words; `None` if it is."""
+    """The reason why the interface is not the one known here; `None` if it is."""
     if not header():
         return "jaxlib's header of foreign functions is not found"
+    if not any(_fields(name) == _EXTENSION for name in _EXTENSIONS):
+        return f"jaxlib's {_EXTENSIONS[0]} has another layout than the one known"
     for name, expected in _EXPECTED.items():
         if _fields(name) != expected:
             return f"jaxlib's {name} has another layout than the one known"
@@ -74,7 +78,7 @@ def unknown_layout() -> str | None:
 
 
 def api_version() -> tuple[int | None, int | None]:
-    """Major and minor version of the interface, as the header says."""
+    """Major and minor version of the interface, read in the header."""
     numbers: list[int | None] = []
     for word in ("MAJOR", "MINOR"):
         found = re.search(rf"#define XLA_FFI_API_{word} (\d+)", header())
@@ -85,7 +89,7 @@ def api_version() -> tuple[int | None, int | None]:
 def handler_text(name: str, n_operands: int, n_results: int) -> str:
     """The handler of a kernel in LLVM's language.
 
-    It answers what XLA asks when it is registered, refuses a call with other numbers
+    It answers XLA's questions when it is registered, refuses a call with other numbers
     of buffers than the kernel's, and calls `@kernel`.
     """
     major, minor = api_version()

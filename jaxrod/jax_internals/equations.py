@@ -1,0 +1,183 @@
+"""Equations of programs: the parameters they have, and what those mean.
+
+A parameter that is not listed here may change what an equation means. A program with
+one is left to XLA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+_PARAMETERS: dict[str, str] = {
+    # Numbers of an array moved about.
+    "broadcast_in_dim": "broadcast_dimensions shape",
+    "concatenate": "dimension",
+    "expand_dims": "dimensions",
+    "iota": "dimension dtype shape",
+    "pad": "padding_config",
+    "reshape": "dimensions new_sizes",
+    "rev": "dimensions",
+    "slice": "limit_indices start_indices strides",
+    "split": "axis sizes",
+    "squeeze": "dimensions",
+    "stack": "axis",
+    "tile": "reps",
+    "transpose": "permutation",
+    "unstack": "axis",
+    # Numbers picked by their places.
+    "dynamic_slice": "slice_sizes",
+    "gather": "dimension_numbers fill_value indices_are_sorted mode slice_sizes "
+    "unique_indices",
+    **dict.fromkeys(
+        ("scatter", "scatter-add", "scatter-mul", "scatter-min", "scatter-max"),
+        "dimension_numbers indices_are_sorted mode unique_indices update_consts "
+        "update_jaxpr",
+    ),
+    # Numbers joined.
+    **dict.fromkeys(("argmax", "argmin"), "axes index_dtype"),
+    **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), "axis reverse"),
+    "dot_general": "dimension_numbers precision preferred_element_type",
+    **dict.fromkeys(
+        (f"reduce_{name}" for name in ("sum", "prod", "max", "min", "and", "or")),
+        "axes",
+    ),
+    "reduce_xor": "axes",
+    # Numbers one by one.
+    "convert_element_type": "new_dtype weak_type",
+    "integer_pow": "y",
+    "round": "rounding_method",
+    # Programs within programs.
+    "closed_call": "call_jaxpr",
+    "cond": "branches branches_platforms",
+    "custom_jvp_call": "call_jaxpr jvp_jaxpr_fun num_consts symbolic_zeros",
+    "custom_linear_solve": "const_lengths jaxprs",
+    "custom_vjp_call": "bwd call_jaxpr fwd_jaxpr_thunk num_consts out_trees "
+    "symbolic_zeros",
+    "jit": "compiler_options_kvs ctx_mesh donated_invars in_layouts in_shardings "
+    "inline jaxpr keep_unused name out_layouts out_shardings",
+    "platform_index": "platforms",
+    "pvary": "axes axis_index_groups",
+    "remat2": "differentiated jaxpr policy prevent_cse",
+    "scan": "ft_in ft_out jaxpr length num_carry num_consts reverse unroll",
+    "while": "body_jaxpr body_nconsts cond_jaxpr cond_nconsts",
+}
+"""Names of parameters by the name of the primitive; a primitive not listed has none."""
+_NONE_ONLY = frozenset({"accuracy", "out_dtype", "out_sharding", "sharding"})
+"""Parameters that any primitive may have, as long as they are `None`."""
+_CALLS = {
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "jit": "jaxpr",
+    "remat2": "jaxpr",
+}
+CALLS = tuple(_CALLS)
+"""Primitives that only call a program within."""
+
+
+def unknown_parameter(equation: Any) -> str | None:
+    """The reason why an equation cannot be read; `None` if all is known.
+
+    Args:
+        equation: An equation of a jaxpr.
+    """
+    name = equation.primitive.name
+    known = _PARAMETERS.get(name, "").split()
+    for parameter, value in equation.params.items():
+        if parameter in known:
+            continue
+        if parameter not in _NONE_ONLY:
+            return f"the parameter '{parameter}' of '{name}' is not known"
+        if value is not None:
+            return f"'{name}' with {parameter}={value} is not known"
+    return None
+
+
+class Parts(NamedTuple):
+    """A jaxpr and its constants."""
+
+    jaxpr: Any
+    constants: tuple[Any, ...]
+
+
+def program_of(jaxpr: Any) -> Parts:
+    """A jaxpr and its constants, whether JAX keeps them in one object or in two."""
+    return Parts(getattr(jaxpr, "jaxpr", jaxpr), tuple(getattr(jaxpr, "consts", ())))
+
+
+def operand_types(closed: Any) -> list[Any]:
+    """Types of the operands of a program."""
+    return [variable.aval for variable in program_of(closed).jaxpr.invars]
+
+
+def result_types(closed: Any) -> list[Any]:
+    """Types of the results of a program."""
+    return [atom.aval for atom in program_of(closed).jaxpr.outvars]
+
+
+def is_literal(atom: Any) -> bool:
+    """Whether an operand of an equation is a number written in it."""
+    return hasattr(atom, "val")
+
+
+def programs_within(equation: Any) -> Iterator[Any]:
+    """Jaxprs among the parameters of an equation."""
+    for value in equation.params.values():
+        for inner in value if isinstance(value, tuple | list) else (value,):
+            inside = getattr(inner, "jaxpr", inner)
+            if hasattr(inside, "eqns"):
+                yield inside
+
+
+def called_program(equation: Any) -> Any:
+    """The program that a call, one of `CALLS`, runs."""
+    return equation.params[_CALLS[equation.primitive.name]]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A loop of known length, `lax.scan`."""
+
+    body: Any
+    length: int
+    backwards: bool
+    n_constants: int
+    n_carry: int
+
+
+def scan_of(equation: Any) -> Scan:
+    """The parts of a `scan`.
+
+    JAX 0.12 describes operands by trees: of constants, of the carry, of rows.
+    """
+    given = equation.params
+    if "ft_in" in given:
+        n_constants, n_carry, _ = map(len, given["ft_in"].unpack())
+    else:
+        n_constants, n_carry = given["num_consts"], given["num_carry"]
+    return Scan(given["jaxpr"], given["length"], given["reverse"], n_constants, n_carry)
+
+
+@dataclass(frozen=True)
+class While:
+    """A loop with a condition, `lax.while_loop`."""
+
+    condition: Any
+    n_condition: int
+    """Constants of the condition, the first operands."""
+    body: Any
+    n_body: int
+    """Constants of the body, the next operands."""
+
+
+def while_of(equation: Any) -> While:
+    """The parts of a `while`."""
+    given = equation.params
+    return While(
+        given["cond_jaxpr"],
+        given["cond_nconsts"],
+        given["body_jaxpr"],
+        given["body_nconsts"],
+    )

@@ -1,0 +1,195 @@
+"""Operations of jaxrod's own, and the rules by which JAX transforms and lowers them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import jax
+from jax import lax
+
+from jaxrod.jax_internals.equations import program_of
+
+_NEEDED = {
+    "core": ("ShapedArray", "eval_jaxpr"),
+    "interpreters.ad": (
+        *("Zero", "instantiate_zeros", "is_undefined_primal"),
+        *("primitive_jvps", "primitive_transposes"),
+    ),
+    "interpreters.batching": ("primitive_batchers",),
+    "interpreters.mlir": ("lower_fun", "register_lowering"),
+}
+"""Names of JAX's modules that operations need."""
+_METHODS = ("bind", "def_abstract_eval", "def_impl")
+
+Rule = Callable[..., Any]
+Program = Callable[..., Any]
+
+
+@cache
+def unknown_rules() -> str | None:
+    """The reason why this JAX takes no operations from jaxrod; `None` if it does."""
+    import importlib
+
+    for module, names in _NEEDED.items():
+        try:
+            found = importlib.import_module(f"jax.{module}")
+        except ImportError:
+            return f"this JAX has no jax.{module}"
+        for name in names:
+            if not hasattr(found, name):
+                return f"this JAX has no jax.{module}.{name}"
+    for name in _METHODS:
+        if not hasattr(lax.add_p, name):
+            return f"primitives of this JAX have no method {name}"
+    return None
+
+
+def new_primitive(name: str) -> Any:
+    """A primitive with several results; `define` gives it its rules.
+
+    Args:
+        name: Name in printed programs.
+    """
+    # The class has no public name outside jax.extend.
+    primitive = type(lax.add_p)(name)
+    primitive.multiple_results = True
+    return primitive
+
+
+def define(
+    primitive: Any,
+    meaning: Program,
+    *,
+    static: str,
+    shapes: Rule,
+    batched: Rule,
+    jvp: Rule,
+    transpose: Rule | None = None,
+) -> None:
+    """Tells JAX how to run, batch and differentiate a primitive.
+
+    Args:
+        primitive: From `new_primitive`.
+        meaning: The same operation as a function that JAX can trace.
+        static: Name of the one parameter that is not an array. JAX looks for programs
+            among parameters and takes those it finds for its own, so the parameter has
+            to keep its programs inside an object.
+        shapes: Types of the results from types of the operands.
+        batched: The rule for `jax.vmap`.
+        jvp: The rule for forward mode.
+        transpose: The rule for the cotangents of a linear operation.
+    """
+    from jax.interpreters import ad, batching, mlir
+
+    primitive.def_abstract_eval(shapes)
+    primitive.def_impl(jax.jit(meaning, static_argnames=static))
+    batching.primitive_batchers[primitive] = batched
+    ad.primitive_jvps[primitive] = jvp
+    if transpose is not None:
+        ad.primitive_transposes[primitive] = transpose
+    mlir.register_lowering(primitive, mlir.lower_fun(meaning, multiple_results=True))
+
+
+def lower_on(
+    platform: str,
+    primitive: Any,
+    meaning: Program,
+    choose: Callable[[str | None, Sequence[Any], Mapping[str, Any]], Program | None],
+) -> None:
+    """Gives a primitive another program on one platform, where there is one.
+
+    Args:
+        platform: "cpu" or "cuda".
+        primitive: A defined primitive.
+        meaning: The program where `choose` has none.
+        choose: The program to compile, or `None`, from the reason why no kernel may be
+            part of what is being compiled (`None` if one may), from the types of the
+            results, and from the parameters.
+    """
+    from jax.interpreters import mlir
+
+    by_xla = mlir.lower_fun(meaning, multiple_results=True)
+
+    def rule(context: Any, *operands: Any, **parameters: Any) -> Any:
+        try:
+            unfit, results = no_kernels_in(context), context.avals_out
+            # A kernel runs on one device: mesh axes are not part of its types.
+            plain = [jax.core.ShapedArray(a.shape, a.dtype) for a in context.avals_in]
+            alone = context.replace(avals_in=plain)
+        except (AttributeError, TypeError) as error:
+            unfit, results, alone = f"this JAX lowers differently: {error}", (), None
+        program = choose(unfit, results, parameters)
+        if program is None:
+            return by_xla(context, *operands, **parameters)
+        return mlir.lower_fun(program, multiple_results=True)(alone, *operands)
+
+    mlir.register_lowering(primitive, rule, platform=platform)
+
+
+def no_kernels_in(context: Any) -> str | None:
+    """The reason why a program may not contain kernels; `None` if it may.
+
+    Within `jax.shard_map` each device has rods of its own, and a kernel for them.
+
+    Args:
+        context: JAX's context of lowering one equation.
+    """
+    module = context.module_context
+    if len(module.platforms) > 1:
+        return "the program is for several platforms, and kernels are of one"
+    if module.lowering_parameters.for_export:
+        return "the program is to be exported, and kernels are of this process"
+    where = module.axis_context
+    devices = getattr(where, "num_devices", None)
+    if hasattr(where, "manual_axes"):
+        if "cuda" in module.platforms:
+            return "kernels for GPUs have never been tried within shard_map"
+        left = set(where.mesh.axis_names) - set(where.manual_axes)
+        devices = math.prod(where.mesh.shape[name] for name in left)
+    if devices not in (None, 1):
+        return (
+            "the compiler spreads the batch over devices, which it cannot do to kernels"
+        )
+    return None
+
+
+def evaluate(closed: Any, *arrays: Any) -> list[Any]:
+    """The results of a program for some operands.
+
+    Args:
+        closed: A jaxpr with its constants, from `jax.make_jaxpr`.
+        *arrays: Its operands.
+    """
+    jaxpr, constants = program_of(closed)
+    return list(jax.core.eval_jaxpr(jaxpr, constants, *arrays))
+
+
+def is_zero(tangent: Any) -> bool:
+    """Whether a tangent or cotangent is known to be zero."""
+    from jax.interpreters import ad
+
+    return type(tangent) is ad.Zero
+
+
+def no_tangent(array: Any) -> Any:
+    """The tangent of an array that has none: of whole numbers and truths."""
+    from jax.interpreters import ad
+
+    return ad.Zero(jax.typeof(array).to_tangent_aval())
+
+
+def filled_in(tangent: Any) -> Any:
+    """A tangent or cotangent as an array, zeros included."""
+    from jax.interpreters import ad
+
+    return ad.instantiate_zeros(tangent)
+
+
+def is_linear_input(operand: Any) -> bool:
+    """Whether a transpose rule has to return a cotangent for an operand."""
+    from jax.interpreters import ad
+
+    return ad.is_undefined_primal(operand)
