@@ -1,4 +1,5 @@
-# make setup | demo | test | test-slow | lint | docs | clean      PYTHON=... EXTRAS=... to choose
+# make setup | demo | test | test-oldest | test-slow | lint | docs | clean
+# PYTHON=... EXTRAS=... VENV=... to choose
 SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,7 +13,7 @@ DEMO := runs/demo
 # Enough to learn the task in about two minutes on two cores.
 DEMO_STEPS ?= 6000000
 
-.PHONY: setup demo test test-slow lint typecheck format docs clean
+.PHONY: setup demo test test-oldest test-oldest-here test-slow lint typecheck format docs clean
 
 setup: $(INSTALLED)
 
@@ -48,6 +49,20 @@ test: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow" \
 	    --nbmake --nbmake-timeout=600 tests notebooks/01_a_thousand_arms.ipynb
 
+# On the oldest JAX, which Python 3.11 has: the tests of what depends most on JAX's inside.
+OLDEST_PYTHON ?= python3.11
+OLDEST_TESTS := tests/jax_internals tests/lanes tests/test_compiled_once.py \
+    tests/test_doctor.py tests/physics/test_equilibrium.py tests/physics/test_statics.py \
+    tests/systems/test_neighbour_lists.py tests/systems/test_one_by_one.py \
+    tests/envs/test_protocol.py tests/envs/test_brax.py tests/envs/test_gymnasium.py \
+    tests/envs/test_stable_baselines.py tests/training/test_contract.py
+
+test-oldest:
+	$(MAKE) test-oldest-here VENV=.venv-oldest PYTHON=$(OLDEST_PYTHON)
+
+test-oldest-here: $(INSTALLED)
+	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow" $(OLDEST_TESTS)
+
 test-slow: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m slow
 	$(BIN)/python -m pytest --nbmake --nbmake-timeout=600 notebooks
@@ -80,5 +95,5 @@ format: $(INSTALLED)
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv .venv-oldest build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

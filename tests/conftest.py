@@ -39,6 +39,23 @@ for name, value in {
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+MAY_BE_SKIPPED = {
+    "no Chromium is installed": "the player in a browser, where there is no browser",
+    "JAX sees no accelerator": "runs on a GPU, where there is none",
+    "the sb3 extra is not installed": "the adapter for Stable Baselines 3, without "
+    "the extra `sb3`: PyTorch may come with CUDA, which takes gigabytes",
+    "could not import 'ray'": "sweeps on a Ray cluster, without the extra `ray`",
+    "could not import 'moviepy'": "films by Gymnasium, without the extra `video`",
+    "could not import 'yaml'": "descriptions of clusters, where nothing reads YAML",
+    "PyElastica has no such drag": "a comparison with slender-body theory, where "
+    "PyElastica was built without it",
+    "nothing is kept without a checksum": "programs kept on disk, where jaxrod keeps "
+    "none because JAX does not check what it reads",
+    "no free port": "several processes, where every port that was tried is taken",
+    "effects that do not go together": "draws of random scenes that are refused",
+}
+"""Beginnings of reasons, and what is then not tested. Any other skip is a failure: it
+would hide a feature."""
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
@@ -61,6 +78,32 @@ def pytest_collection_modifyitems(items):
         if why:
             for item in marked:
                 item.add_marker(pytest.mark.skip(reason=why))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Makes failures of skips that are not listed."""
+    return refused_skip((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """Makes failures of files that are skipped for reasons that are not listed."""
+    return refused_skip((yield))
+
+
+def refused_skip(report):
+    """The report of a test, failed if it was skipped for a reason not listed above."""
+    if not report.skipped or hasattr(report, "wasxfail"):
+        return report
+    reason = report.longrepr[-1].removeprefix("Skipped: ")
+    if not reason.startswith(tuple(MAY_BE_SKIPPED)):
+        report.outcome = "failed"
+        report.longrepr = (
+            f"skipped ({reason}), which would hide a feature: tests/conftest.py lists "
+            "what may be skipped"
+        )
+    return report
 
 
 @pytest.fixture(autouse=True)

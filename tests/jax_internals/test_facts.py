@@ -21,7 +21,7 @@ from jaxrod.jax_internals.primitives import (
     no_kernels_in,
     unknown_rules,
 )
-from jaxrod.lanes import choice, machine_code
+from jaxrod.lanes import choice
 from jaxrod.lanes.choice import lane_choices, lane_mode, use_lanes
 from jaxrod.lanes.rules import supported
 from jaxrod.lanes.unroll import RULES
@@ -125,9 +125,6 @@ def test_every_rule_belongs_to_a_primitive_with_known_parameters():
 # Runs with equations that lanes do not know ---------------------------------------
 
 
-@pytest.mark.skipif(
-    machine_code.not_here() is not None, reason="lanes need the extra of their name"
-)
 @pytest.mark.parametrize("kind", ["primitive", "parameter", "lost parameter"])
 def test_xla_takes_the_whole_run(kind, monkeypatch, mode):
     rod, start = jaxrod.straight_rod(
@@ -255,9 +252,6 @@ def with_unknown_header(program):
     )
 
 
-@pytest.mark.skipif(
-    not machine_code.llvm_is_installed(), reason="lanes need the extra of their name"
-)
 def test_an_unknown_header_is_reported_in_one_line_and_xla_runs():
     done = with_unknown_header("""
 import jax, jax.numpy as jnp, numpy as np
@@ -280,9 +274,6 @@ print(jaxrod.lane_choices()[-1].why)
     assert "XLA_FFI_Buffer" in done.stdout
 
 
-@pytest.mark.skipif(
-    not machine_code.llvm_is_installed(), reason="lanes need the extra of their name"
-)
 def test_the_doctor_and_the_benchmark_say_why_batches_are_slower():
     done = with_unknown_header("""
 from jaxrod import cli
