@@ -1,10 +1,16 @@
-r"""Elastic joints: moments between elements of two members, as within a rod.
+r"""Elastic joints: moments between elements of two members.
 
 With $q_a, q_b$ the orientations of the two elements, $\phi$ is the rotation vector of
-$(q_a r)^* q_b$ and the energy $\frac12 (\phi - \phi_0)\cdot K (\phi - \phi_0)$. Where
-the elements were nearly aligned, $r$ is the identity and $\phi_0$ what they were
-turned by at rest: then the joint is one of the rod's own, and two halves of a rod are
-the whole. Where they were not, $r$ is their relative orientation and $\phi_0$ zero.
+$(q_a r)^* q_b$ and the energy $\frac12 (\phi - \phi_0)\cdot K (\phi - \phi_0)$. For two
+rods $r$ is their relative orientation at rest and $\phi_0$ is zero. The joint that
+closes a ring keeps the curvature of its rod in $\phi_0$. The stiffness $K$ is that of
+half an element of each rod, as springs in series, each about the axes of its section:
+
+$$K^{-1} = \tfrac12 l_a R^T B_a^{-1} R + \tfrac12 l_b B_b^{-1}$$
+
+with $R$ the matrix of $r$, and $l$ and $B$ the length and the bending and twisting
+stiffness of an element. So the joint does not depend on the order of the two members
+nor on how the sections are described.
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix, transpose, turned_diagonal
 from jaxrod.geometry.rotations import (
     Quaternion,
     conjugate,
@@ -48,9 +55,12 @@ class ElasticJoint(Coupling):
     rest_frames: Float[Array, "4 joints"]
     """Relative orientations that count as none."""
     rest_rotations: Float[Array, "3 joints"]
-    """Rotation vectors at rest, in the frames of `b` but for these rotations [rad]."""
+    """Rotation vectors at rest [rad]."""
     stiffness: Float[Array, "3 joints"] | None = None
-    """Stiffness about d1, d2, d3 [N m]; `None`: that of half an element of each rod."""
+    """Stiffness about d1, d2, d3 of `b` [N m]; `None`: half an element of each rod."""
+    mixed_stiffness: Float[Array, "3 joints"] | None = None
+    """Moment about one axis per rotation about another, for d2 and d3, d3 and d1, d1
+    and d2 [N m]; `None`: zero."""
     damping: Float[Array, ""] | Float[Array, " joints"] | None = None
     """Couple per relative angular velocity, one for all or one for each [N m s]."""
 
@@ -63,11 +73,12 @@ class ElasticJoint(Coupling):
         """With the stiffness of the rods it joins, where none was given."""
         if self.stiffness is not None:
             return self
-        return replace(self, stiffness=natural_stiffness(self.a, self.b, parts))
+        frames = split_quaternion(self.rest_frames)
+        own, mixed = natural_stiffness(self.a, self.b, frames, parts)
+        return replace(self, stiffness=own, mixed_stiffness=mixed)
 
     def _rotation(self, seen: AllSeen) -> tuple[Vec3, Array, Vec3]:
         """Rotation vector [rad], its coupling, and the moment [N m]."""
-        assert self.stiffness is not None
         before = multiply_quaternions(
             orientation_at(seen[self.a.member], self.a),
             split_quaternion(self.rest_frames),
@@ -77,8 +88,18 @@ class ElasticJoint(Coupling):
             multiply_quaternions(conjugate(before), after)
         )
         bend = vectors.subtract(rotation, vectors.split(self.rest_rotations))
+        return rotation, coupling, self._moment(bend)
+
+    def _moment(self, bend: Vec3) -> Vec3:
+        """The stiffness times rotations beyond those at rest [N m]."""
+        assert self.stiffness is not None
         moment = vectors.multiply(vectors.split(self.stiffness), bend)
-        return rotation, coupling, moment
+        if self.mixed_stiffness is None:
+            return moment
+        k23, k31, k12 = vectors.split(self.mixed_stiffness)
+        x, y, z = bend
+        more = (k12 * y + k31 * z, k12 * x + k23 * z, k31 * x + k23 * y)
+        return vectors.add(moment, more)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """The joints' couples on both elements, and the dashpots'."""
@@ -116,31 +137,89 @@ class ElasticJoint(Coupling):
         """The stiffness of the joints on both elements."""
         assert self.stiffness is not None
         stiffness = jnp.max(self.stiffness, axis=0)
+        if self.mixed_stiffness is not None:
+            # No stiffness about any axis exceeds the largest sum of a row, nor the
+            # trace.
+            k23, k31, k12 = jnp.abs(self.mixed_stiffness)
+            rows = self.stiffness + jnp.stack([k12 + k31, k12 + k23, k31 + k23])
+            trace = jnp.sum(self.stiffness, axis=0)
+            stiffness = jnp.minimum(jnp.max(rows, axis=0), trace)
         return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
 
 
-def natural_stiffness(a: Points, b: Points, parts: AllParts) -> Float[Array, "3 k"]:
-    """Stiffness of half an element of each rod; of a body none is needed [N m]."""
-    one, two = parts[a.member], parts[b.member]
-    rods = [(p, own) for p, own in ((a, one), (b, two)) if own.is_rod]
-    if not rods:
+def natural_stiffness(
+    a: Points, b: Points, frames: Quaternion, parts: AllParts
+) -> tuple[Float[Array, "3 k"], Float[Array, "3 k"] | None]:
+    """Stiffness of half an element of each rod in series; a body is rigid [N m].
+
+    Args:
+        a: Elements of the one member.
+        b: Elements of the other.
+        frames: Orientations of `b` relative to `a` that count as none.
+        parts: The members.
+
+    Returns:
+        Stiffness about the axes of `b`, and between them: about d2 and d3, d3 and d1,
+        d1 and d2, or `None` where there is none.
+
+    Raises:
+        ValueError: If both members are rigid bodies.
+    """
+    of_a, of_b = (
+        _half_compliance(parts[a.member], a),
+        _half_compliance(parts[b.member], b),
+    )
+    if of_b is None and of_a is None:
         raise ValueError(
             f"a joint between rigid bodies {a.member!r} and {b.member!r} needs a "
             "stiffness [N m]"
         )
-    weighted = length = compliance = jnp.zeros((), rods[0][1].inertias.dtype)
-    for points, own in rods:
-        assert own.rest_lengths is not None and own.bend_twist_stiffness is not None
-        index = points.elements.values
-        lengths = own.rest_lengths[index]
-        stiffness = own.bend_twist_stiffness[:, index]
-        weighted = weighted + stiffness * lengths[None, :]
-        compliance = compliance + 0.5 * lengths[None, :] / stiffness
-        length = length + lengths
-    if any(own.joint_mean == "series" for _, own in rods):
-        return 1 / compliance
-    # The mean by length, over the length from middle to middle, as within a rod.
-    return weighted / length[None, :] / (0.5 * length[None, :])
+    if of_a is None:
+        assert of_b is not None
+        return 1 / jnp.stack(of_b), None
+    # Rows are the axes of `a` in the frame of `b`.
+    axes = transpose(directors(frames))
+    compliance = turned_diagonal(axes, of_a)
+    if of_b is not None:
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = compliance
+        x, y, z = of_b
+        compliance = (xx + x, xy, xz), (yx, yy + y, yz), (zx, zy, zz + z)
+    return _inverse(compliance)
+
+
+def _half_compliance(own: Parts, points: Points) -> Vec3 | None:
+    """Rotation per moment of half of some elements [1/(N m)]; `None` for bodies."""
+    if not own.is_rod:
+        return None
+    assert own.rest_lengths is not None and own.bend_twist_stiffness is not None
+    index = points.elements.values
+    lengths = own.rest_lengths[index]
+    x, y, z = (0.5 * lengths / k for k in own.bend_twist_stiffness[:, index])
+    return x, y, z
+
+
+def _inverse(matrix: Matrix) -> tuple[Array, Array]:
+    """Diagonal, and entries beside it, of the inverse of a positive definite matrix.
+
+    By its factors $L D L^T$: exact to rounding for flat sections too, whose stiffnesses
+    differ by orders of magnitude.
+    """
+    (a, b, c), (_, d, e), (_, _, f) = matrix
+    # Rows of L, and D.
+    l21, l31 = b / a, c / a
+    second = d - l21 * b
+    l32 = (e - l31 * b) / second
+    third = f - l31 * c - l32 * l32 * second
+    # Columns of the inverse of L: (1, m21, m31), (0, 1, m32).
+    m21, m32 = -l21, -l32
+    m31 = l21 * l32 - l31
+    own = (
+        1 / a + m21 * m21 / second + m31 * m31 / third,
+        1 / second + m32 * m32 / third,
+        1 / third,
+    )
+    mixed = (m32 / third, m31 / third, m21 / second + m31 * m32 / third)
+    return jnp.stack(own), jnp.stack(mixed)
 
 
 def orientation_at(seen: Seen, points: Points) -> Quaternion:

@@ -6,26 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from jaxrod.geometry.rotations import (
-    Quaternion,
     conjugate,
     join_quaternion,
     multiply_quaternions,
-    rotation_log_and_coupling,
 )
-from jaxrod.geometry.vectors import join
 from jaxrod.systems.attachments import attachment
 from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.elastic_joints import ElasticJoint
 from jaxrod.systems.places import Place, layouts_of, points_of, resolved
 from jaxrod.systems.rest import position_of
 from jaxrod.systems.ties import pairs, tie
-from jaxrod.validation import is_traced
-
-_ALIGNED = 0.5
-"""Angle up to which two elements' joint is like one within a rod [rad]."""
 
 
 def weld(
@@ -33,8 +25,9 @@ def weld(
 ) -> tuple[Coupling, ...]:
     """Joins rods: their nodes are one, and between their elements is an elastic joint.
 
-    The joint is that of half an element of each, at rest as in `state`. Two halves of
-    a rod welded end to end are the whole rod.
+    The joint is half an element of each rod, as two springs in series at rest as in
+    `state`, each about the axes of its own section. Two halves of a rod welded end to
+    end are the whole rod, and the order of `a` and `b` does not matter.
 
     Args:
         a: A place, `("trunk", "finish")` or `("arms", 2, 7)`; or several.
@@ -103,34 +96,24 @@ def elastic_joints(
         sorted_pairs.setdefault((one[0], two[0]), []).append(k)
     joints = []
     for which in sorted_pairs.values():
-        frames, rotations = zip(
-            *(
-                _rest(
-                    position_of("a", a[k], state).orientation,
-                    position_of("b", b[k], state).orientation,
+        frames = jnp.stack(
+            [
+                join_quaternion(
+                    multiply_quaternions(
+                        conjugate(position_of("a", a[k], state).orientation),
+                        position_of("b", b[k], state).orientation,
+                    )
                 )
                 for k in which
-            ),
-            strict=True,
+            ],
+            axis=1,
         )
         joints.append(
             ElasticJoint(
                 a=points_of("a", [ends[k][0] for k in which]),
                 b=points_of("b", [ends[k][1] for k in which]),
-                rest_frames=jnp.stack(frames, axis=1),
-                rest_rotations=jnp.stack(rotations, axis=1),
+                rest_frames=frames,
+                rest_rotations=jnp.zeros_like(frames[1:]),
             )
         )
     return joints
-
-
-def _rest(a: Quaternion, b: Quaternion) -> tuple[Any, Any]:
-    """Rest frame and rest rotation of a joint."""
-    relative = multiply_quaternions(conjugate(a), b)
-    rotation, _ = rotation_log_and_coupling(relative)
-    rotation_vector = join(rotation)
-    known = not is_traced(rotation_vector)
-    if known and float(np.linalg.norm(np.asarray(rotation_vector))) > _ALIGNED:
-        return join_quaternion(relative), jnp.zeros_like(rotation_vector)
-    zero = jnp.zeros_like(relative[0])
-    return jnp.stack([zero + 1, zero, zero, zero]), rotation_vector
