@@ -147,8 +147,8 @@ class Cylinder(Body):
     @property
     def inradius(self) -> Array:
         """Radius of the cylinder, or half its length [m]."""
-        axis = tuple(jnp.moveaxis(self.end - self.start, -1, 0))
-        return jnp.minimum(self.radius, 0.5 * vectors.safe_norm(axis))
+        x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
+        return jnp.minimum(self.radius, 0.5 * vectors.safe_norm((x, y, z)))
 
 
 @pytree
