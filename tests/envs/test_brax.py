@@ -21,6 +21,8 @@ adapter = pytest.importorskip("jaxrod.envs.brax_env", **MISSING)
 ppo = pytest.importorskip("brax.training.agents.ppo.train", **MISSING)
 ppo_networks = pytest.importorskip("brax.training.agents.ppo.networks", **MISSING)
 sac = pytest.importorskip("brax.training.agents.sac.train", **MISSING)
+acting = pytest.importorskip("brax.training.acting", **MISSING)
+pmap = pytest.importorskip("brax.training.pmap", **MISSING)
 
 pytestmark = pytest.mark.default_precision
 
@@ -175,6 +177,47 @@ class Touching(Trivial):
         )
         crossed = (state.position <= 0) & (following.position > 0)
         return observation, following, reward, ended | crossed, *rest
+
+
+def shapes(tree):
+    """Structure, shapes and types: what a scan insists on."""
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+
+def test_contract_with_brax():
+    """Holds, or brax leaves the extra `all`: docs/supported_versions.md."""
+    assert isinstance(TRIVIAL, brax.Env)
+    batch, count = brax.training.wrap(TRIVIAL, TRIVIAL.episode_length), 3
+    start = started(TRIVIAL, count, 2)
+    assert start.obs.shape == (count, TRIVIAL.observation_size)
+    assert start.obs.dtype == jnp.float32
+    assert start.reward.shape == start.done.shape == (count,)
+    assert {"truncation", "steps", "time_out"} <= start.info.keys()
+    # One stands still until the clock runs out, two run off the line before.
+    pushes = jnp.array([[0.0], [1.0], [-1.0]])
+    with training():
+        (weights,) = pmap.bcast_local_devices((jnp.ones(3),))
+        end, seen = acting.generate_unroll(
+            batch,
+            start,
+            lambda observation, key: (pushes, {}),
+            jax.random.PRNGKey(0),
+            TRIVIAL.episode_length,
+            extra_fields=("truncation", "time_out"),
+        )
+    assert weights.shape == (jax.local_device_count(), 3)
+    assert shapes(end) == shapes(start)
+    assert seen.observation.shape == (TRIVIAL.episode_length, *start.obs.shape)
+    done = 1 - np.asarray(seen.discount)  # as brax stores it
+    np.testing.assert_array_equal(np.flatnonzero(done[:, 0]), [19])
+    assert done[:19, 1].any() and done[:19, 2].any()
+    for name in ("truncation", "time_out"):
+        mark = np.asarray(seen.extras["state_extras"][name])
+        np.testing.assert_array_equal(mark, done * [1, 0, 0])
+    # Restarted, and somewhere else than before.
+    assert end.obs[0] != start.obs[0]
+    assert np.all(np.abs(end.obs) <= 2)
 
 
 @pytest.mark.parametrize(("task", "truncation"), [(Failing, 1), (Touching, 0)])
