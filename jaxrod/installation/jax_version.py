@@ -1,8 +1,9 @@
-"""Refuses the releases of JAX that are known to compute wrong numbers.
+"""Refuses the releases of JAX that are known to compute wrong numbers or to crash.
 
 Imports nothing but the standard library, so that it can run before JAX does.
 The same releases are excluded in pyproject.toml, but an environment solved by
 hand, or a package that pins another JAX, can still end up with one of them.
+`docs/supported_versions.md` has the programs that show each fault.
 """
 
 from __future__ import annotations
@@ -16,13 +17,17 @@ OLDEST = (0, 10, 1)
 UNSOUND = {
     (0, 10, 2): (
         "its CPU compiler gives wrong rows for large batches of 3 x 3 products, which "
-        "is what rods are made of, and crashes on reductions over seven axes"
+        "is what rods are made of, and crashes on weighted sums over arrays of seven "
+        "axes"
     ),
     (0, 11, 0): (
-        "it crashes on reductions over seven axes on CPUs and gives wrong numbers on "
-        "some GPUs"
+        "it crashes on weighted sums over arrays of seven axes on CPUs and gives wrong "
+        "numbers on some GPUs"
     ),
-    (0, 11, 1): "it gives wrong numbers on some GPUs, and flax 0.12.8 fails on it",
+    (0, 11, 1): (
+        "it gives wrong numbers on some GPUs, takes quadratic time on CPUs for writing "
+        "an array in a loop, and flax.nnx of flax 0.12.8 cannot be imported with it"
+    ),
 }
 """Fault of each refused release."""
 
