@@ -58,7 +58,7 @@ OLDEST_TESTS := tests/jax_internals tests/lanes tests/test_compiled_once.py \
     tests/envs/test_stable_baselines.py tests/training/test_contract.py
 
 test-oldest:
-	$(MAKE) test-oldest-here VENV=.venv-oldest PYTHON=$(OLDEST_PYTHON)
+	$(MAKE) test-oldest-here VENV=build/oldest PYTHON=$(OLDEST_PYTHON)
 
 test-oldest-here: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow" $(OLDEST_TESTS)
@@ -95,5 +95,5 @@ format: $(INSTALLED)
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv .venv-oldest build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
