@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxrod.files import read_json
+
 SECTION = """
 ## What the best learner of each task earns
 
@@ -82,7 +84,7 @@ def section(folder: Path, tasks: dict[str, int]) -> str:
         folder: holds a record of every run.
         tasks: names and numbers, in the order in which they are told.
     """
-    known = [json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))]
+    known = [read_json(file) for file in sorted(folder.glob("*.json"))]
     if not known:
         return ""
     first = known[0]
@@ -154,9 +156,9 @@ def same_episodes(learners: Path, folder: Path, tasks: dict[str, int]) -> str:
         file, runs = folder / f"{task}.json", sorted(learners.glob(f"{task}-*.json"))
         if not file.exists() or not runs:
             continue
-        record = json.loads(file.read_text())
+        record = read_json(file)
         hold, planned = record["hold"], np.array(record["returns"])
-        known = [json.loads(run.read_text()) for run in runs]
+        known = [read_json(run) for run in runs]
         most = np.array(known[0]["ceiling"])
         earned = np.array([one["returns"] for one in known])
         there = most > 0

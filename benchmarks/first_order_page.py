@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.files import write_atomically
+from jaxrod.files import read_json, write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "benchmarks" / "first_order"
@@ -88,7 +88,7 @@ SEEDS = """
 
 def write_pages() -> None:
     """Writes the page and its picture from the records there are."""
-    records = [json.loads(file.read_text()) for file in sorted(RECORDS.glob("*.json"))]
+    records = [read_json(file) for file in sorted(RECORDS.glob("*.json"))]
     cells = {
         (task, name): found
         for task in CASES

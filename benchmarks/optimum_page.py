@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.best_learners_page import same_episodes, section
-from jaxrod.files import write_atomically
+from jaxrod.files import read_json, write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "benchmarks" / "optimum"
@@ -25,7 +24,7 @@ def learners(case: int) -> list[tuple[str, float, int]]:
     found: dict[tuple[str, str], list[float]] = {}
     for folder in ("clean", "paper"):
         for file in sorted((ROOT / "benchmarks" / folder / "cells").glob("*.json")):
-            cell = json.loads(file.read_text())
+            cell = read_json(file)
             score = cell.get("evaluation_score")
             if cell["case"] == f"Case{case}" and score is not None:
                 key = cell["algorithm"], cell["variant"]
@@ -104,7 +103,7 @@ NAMES = (
 def write_pages(seed: int) -> None:
     """Writes the page and its picture from the records."""
     records = [
-        json.loads(file.read_text())
+        read_json(file)
         for task in CASES
         for plan in PLANS
         if (file := RECORDS / f"{task}{plan and '_' + plan}.json").exists()

@@ -7,6 +7,7 @@ import errno
 import io
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -21,16 +22,102 @@ class DamagedFileError(ValueError):
     """A file cannot be what it is there for."""
 
 
+class LinkedFileError(ValueError):
+    """Something in a folder leads out of it, and is not written through."""
+
+
+class UntrustedError(ValueError):
+    """A file names code that is not jaxrod's and that nobody has vouched for."""
+
+
+def refuse_link(path: Path) -> None:
+    """Refuses a file or folder that is a link, to be asked before writing there.
+
+    A folder that was unpacked from an archive may hold links to anywhere. The folder
+    that the user names may be a link itself; what lies in it may not.
+
+    Raises:
+        LinkedFileError: it is a link.
+    """
+    if path.is_symlink() or _is_junction(path):
+        raise LinkedFileError(
+            f"{path} is a link to {os.readlink(path)}, and nothing is written through "
+            "links that lie in the folder of a run: take the link away, or choose "
+            "another folder"
+        )
+
+
+def make_folder(path: Path) -> None:
+    """Makes a folder in one that was given, if it is not there.
+
+    Raises:
+        LinkedFileError: it is a link, wherever that leads.
+        OSError: it cannot be made; with its name.
+    """
+    refuse_link(path)
+    path.mkdir(parents=True, exist_ok=True)
+
+
+def open_to_write(path: Path, flags: int) -> int:
+    """Opens a file in a folder that was given, to be written to in its place.
+
+    Nothing is cut off: that is for the caller, once the file is known to be the right
+    one.
+
+    Args:
+        path: a plain file, under no other name; made if `flags` say so.
+        flags: those of `os.open`.
+
+    Returns:
+        The number of the open file.
+
+    Raises:
+        LinkedFileError: it is a link, has another name besides, or is no plain file.
+        OSError: it cannot be opened; with its name.
+    """
+    refuse_link(path)
+    # A pipe in its place must not keep the process waiting; Windows has neither flag.
+    flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+    try:
+        handle = os.open(path, flags, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO):
+            raise LinkedFileError(f"{path} is no plain file: take it away") from error
+        raise
+    found = os.fstat(handle)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+        os.close(handle)
+        what = "no plain file"
+        if stat.S_ISREG(found.st_mode):
+            what = f"one file with {found.st_nlink} names (hard links)"
+        raise LinkedFileError(
+            f"{path} is {what}, and what is written there would show elsewhere: put a "
+            "copy in its place, or take it away"
+        )
+    return handle
+
+
+def _is_junction(path: Path) -> bool:
+    """Whether it is what Windows has instead of a link to a folder."""
+    return bool(getattr(os.path, "isjunction", lambda path: False)(path))
+
+
 def write_atomically(
-    path: str | os.PathLike[str], content: bytes | Callable[[BinaryIO], object]
+    path: str | os.PathLike[str],
+    content: bytes | Callable[[BinaryIO], object],
+    *,
+    private: bool = False,
 ) -> None:
     """Replaces a file by new content in one step, whenever the process may die.
 
-    When this returns, the new content is on the disk.
+    When this returns, the new content is on the disk. A link is replaced itself; what
+    it leads to stays as it is.
 
     Args:
         path: file to write; its folder must exist.
         content: the bytes to write, or what writes them into an open file.
+        private: whether nobody but this user may read it.
 
     Raises:
         OSError: it cannot be written; with the name of the file.
@@ -50,10 +137,11 @@ def write_atomically(
                     file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            # mkstemp makes private files; give this one the permissions of any other.
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(temporary, 0o666 & ~mask)
+            if not private:
+                # mkstemp makes private files; give this one the usual permissions.
+                mask = os.umask(0)
+                os.umask(mask)
+                os.chmod(temporary, 0o666 & ~mask)
             os.replace(temporary, target)
         except BaseException:
             with suppress(OSError):
@@ -91,12 +179,15 @@ def reading(path: Path) -> Iterator[None]:
 
     Raises:
         DamagedFileError: anything was raised but by the operating system.
+        UntrustedError: it was raised before; the file is not damaged.
         OSError: the file cannot be opened.
     """
     try:
         yield
     except (DamagedFileError, ImportError):
         raise
+    except UntrustedError as error:
+        raise UntrustedError(f"{path}: {error}") from error
     except OSError as error:
         # Only the ones that opening raises know a file.
         if error.filename is None:
@@ -127,11 +218,43 @@ def read_json(path: Path) -> dict[str, Any]:
         OSError: the file cannot be opened.
     """
     with reading(path):
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text, parse_constant=_refuse_constant)
-        if not isinstance(content, dict):
-            raise ValueError(f"it holds {_shown(content)}, not an object")
-        return content
+        return parse_json(read_plain(path).decode())
+
+
+def parse_json(text: str) -> dict[str, Any]:
+    """Reads one object from JSON text.
+
+    Raises:
+        ValueError: it is no JSON, or none of an object; or an object in it has a key
+            twice, of which readers take one or the other.
+    """
+    content = json.loads(
+        text, parse_constant=_refuse_constant, object_pairs_hook=_without_doubles
+    )
+    if not isinstance(content, dict):
+        raise ValueError(f"it holds {_shown(content)}, not an object")
+    return content
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        double = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"it has the key {_shown(double)} twice")
+    return content
+
+
+def read_plain(path: Path) -> bytes:
+    """Reads a whole file; a pipe or a device would have no end.
+
+    Raises:
+        ValueError: it is neither a file nor a folder.
+        OSError: the file cannot be opened.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError("it is no plain file")
+    return path.read_bytes()
 
 
 def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
@@ -145,7 +268,7 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
         OSError: the file cannot be opened.
     """
     with reading(path):
-        text = path.read_bytes().decode()
+        text = read_plain(path).decode()
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
         columns, rows = next(lines, []), list(lines)
         if rows and len(rows[-1]) < len(columns) and not text.endswith("\n"):

@@ -19,7 +19,7 @@ from typing import Any
 
 from benchmarks.paper.plan import Cell
 from jaxrod.cli.sweeps.results import csv_of
-from jaxrod.files import write_atomically
+from jaxrod.files import DamagedFileError, make_folder, read_json, write_atomically
 
 COLUMNS = (
     "case",
@@ -53,12 +53,14 @@ class Records:
         self._records: dict[str, Record] = {}
         for file in sorted((out / "cells").glob("*.json")):
             try:
-                record = json.loads(file.read_text("utf-8"))
+                record = read_json(file)
                 _row(record)
                 self._records[file.stem] = {
                     **record,
                     "config": renamed(record["config"]),
                 }
+            except DamagedFileError:
+                raise
             except (ValueError, KeyError, TypeError) as error:
                 raise ValueError(f"{file} is damaged: {error!r}") from error
         self._stored_rows()
@@ -86,7 +88,7 @@ class Records:
             progress: the rows of its progress.csv.
         """
         for folder in ("cells", "curves"):
-            (self.out / folder).mkdir(parents=True, exist_ok=True)
+            make_folder(self.out / folder)
         rows = [{k: row[k] for k in CURVE} for row in thinned(progress)]
         write_atomically(self.curve(name), csv_of(CURVE, rows))
         text = json.dumps(record, indent=2, allow_nan=False) + "\n"

@@ -22,8 +22,9 @@ from jaxrod.cli.sweeps.process import (
 )
 from jaxrod.cli.sweeps.running import train_all
 from jaxrod.cli.sweeps.view import RunsView
+from jaxrod.files import refuse_link, write_atomically
 from jaxrod.installation.machine import processor
-from jaxrod.training import RunFolder, find_algorithm
+from jaxrod.training import RunFolder, algorithm_names, find_algorithm
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.lock import only_process
 from jaxrod.training.runs.recorded_settings import recorded
@@ -67,8 +68,11 @@ def run_grid(
                     "with --out"
                 )
     view = RunsView(cells, stream)
+    refuse_link(records.out / "runs")
+    for cell in cells:
+        refuse_link(_folder(cell, records).path)
     with only_process(records.out / "runs"):
-        (records.out / "runs" / ".gitignore").write_text("*\n")
+        write_atomically(records.out / "runs" / ".gitignore", b"*\n")
         waiting = []
         for cell in cells:
             record = records.get(cell)
@@ -118,7 +122,13 @@ def _completed(config: Mapping[str, Any]) -> dict[str, Any]:
 
     A new setting's default is what was done before there was a choice.
     """
-    default = find_algorithm(config["algorithm"]).config_type()
+    name = config["algorithm"]
+    if name not in algorithm_names():
+        raise ValueError(
+            f"a record names the algorithm {name!r:.80}, a grid has those of jaxrod "
+            f"alone: {', '.join(algorithm_names())}"
+        )
+    default = find_algorithm(name).config_type()
     return {**config, "settings": {**recorded(default), **config["settings"]}}
 
 

@@ -7,6 +7,7 @@ import itertools
 import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -323,13 +324,15 @@ def _save_mp4(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     height, width = first.shape[:2]
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate:g} -i -"
     coded = "-c:v libx264 -pix_fmt yuv420p -crf 20"
-    half = Path(path).with_suffix(".half.mp4")
     command = [program, "-y", "-loglevel", "error", *source.split(), *coded.split()]
-    with subprocess.Popen([*command, half], stdin=subprocess.PIPE) as process:
-        assert process.stdin is not None
-        for pixels in (first, *pictures):
-            process.stdin.write(pixels.tobytes())
-        process.stdin.close()
-    if process.returncode:
-        raise OSError(f"ffmpeg could not write {path}")
-    os.replace(half, path)
+    # A folder of its own, where no link can lie in the place of half a film.
+    with tempfile.TemporaryDirectory(dir=Path(path).parent) as folder:
+        half = Path(folder) / "half.mp4"
+        with subprocess.Popen([*command, half], stdin=subprocess.PIPE) as process:
+            assert process.stdin is not None
+            for pixels in (first, *pictures):
+                process.stdin.write(pixels.tobytes())
+            process.stdin.close()
+        if process.returncode:
+            raise OSError(f"ffmpeg could not write {path}")
+        os.replace(half, path)

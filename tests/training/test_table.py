@@ -81,3 +81,26 @@ def test_a_damaged_table_is_named(tmp_path, content, said):
     (tmp_path / "table.csv").write_bytes(content)
     with pytest.raises(ValueError, match=f"table.csv is damaged: .*{said}"):
         Table(tmp_path / "table.csv").read()
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("step,return\n0,0.0\n1,0.5\n2,\n3,1.5\n4,2.0\n", "row 3 .* column 'return'"),
+        ("step,return\n,0.0\n1,0.5\n2,1.0\n3,1.5\n4,2.0\n", "row 1 .* column 'step'"),
+        ("step,return\n0,\n1,0.5\n,1.0\n3,1.5\n4,2.0\n", "row 3 .* column 'step'"),
+    ],
+)
+def test_an_empty_value_is_named_by_its_row_and_column(table, lines, said):
+    """Of several one that has values above: a column may begin without any."""
+    mark = table.mark()
+    table.path.write_text(lines)
+    with pytest.raises(ValueError, match=rf"table\.csv has its 5 rows, but .*: {said}"):
+        Table(table.path).check(mark)
+
+
+def test_shorter_values_are_no_lost_rows(table):
+    mark = table.mark()
+    table.path.write_text(table.path.read_text().replace("0.5", "5"))
+    with pytest.raises(ValueError, match=r"its 5 rows, but .* have become shorter"):
+        Table(table.path).check(mark)

@@ -20,7 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.files import OBJECT, check_entries, reading, whole, write_atomically
+from jaxrod.files import (
+    OBJECT,
+    check_entries,
+    make_folder,
+    parse_json,
+    reading,
+    whole,
+    write_atomically,
+)
 from jaxrod.training.leaves import (
     described,
     differences_of_leaves,
@@ -87,7 +95,7 @@ class Checkpoints:
         }
         arrays = {name: to_array(leaf) for name, leaf in leaves.items()}
         arrays[_ABOUT] = np.array(json.dumps(about, allow_nan=False))
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         write_atomically(
             self.path(step),
             lambda file: np.savez(file, allow_pickle=False, **arrays),
@@ -143,8 +151,8 @@ def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             raise ValueError("it is torn")
         with np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        about = json.loads(str(arrays.pop(_ABOUT)[()]))
-        if not isinstance(about, dict) or about.get("format") != FORMAT:
+        about = parse_json(str(arrays.pop(_ABOUT)[()]))
+        if about.get("format") != FORMAT:
             raise ValueError(f"it is not of format {FORMAT}")
         check_entries(about, {"step": whole(0), "facts": OBJECT, "leaves": OBJECT})
         if set(about["leaves"]) != set(arrays):

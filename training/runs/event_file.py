@@ -12,6 +12,7 @@ file's.
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import time
@@ -19,7 +20,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.files import naming
+from jaxrod.files import make_folder, naming, open_to_write
 
 if TYPE_CHECKING:
     from tensorboardX.proto.event_pb2 import Event
@@ -69,7 +70,7 @@ class EventFile:
         now = time.time()
         self._began = now - wall_s
         with naming(folder):
-            folder.mkdir(exist_ok=True)
+            make_folder(folder)
             earlier = [
                 file for file in folder.iterdir() if re.fullmatch(NAMES, file.name)
             ]
@@ -118,7 +119,11 @@ class EventFile:
         )
 
     def _append(self, events: Iterable[Event]) -> None:
-        with naming(self.path), self.path.open("ab") as stream:
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+        with (
+            naming(self.path),
+            os.fdopen(open_to_write(self.path, flags), "ab") as stream,
+        ):
             stream.write(b"".join(map(_record, events)))
 
 

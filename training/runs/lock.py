@@ -18,6 +18,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from jaxrod.files import open_to_write
+
 NAME = ".jaxrod.lock"
 """The file that is locked; says which process holds it."""
 
@@ -40,6 +42,7 @@ def only_process(folder: Path) -> Iterator[None]:
 
     Raises:
         FolderInUseError: another process holds it, which is named.
+        jaxrod.files.LinkedFileError: the file of the lock is a link.
         OSError: the folder cannot be made or written to.
     """
     made = not folder.exists()
@@ -65,7 +68,7 @@ def only_process(folder: Path) -> Iterator[None]:
 def _take(file: Path) -> int:
     """Opens and locks the file."""
     while True:
-        lock = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        lock = open_to_write(file, os.O_RDWR | os.O_CREAT)
         try:
             _lock(lock)
         except OSError as error:
@@ -92,7 +95,7 @@ def _take(file: Path) -> int:
 def _is_still(lock: int, file: Path) -> bool:
     """Whether an open file is the one that has the name."""
     try:
-        return os.path.samestat(os.fstat(lock), os.stat(file))
+        return os.path.samestat(os.fstat(lock), os.lstat(file))
     except FileNotFoundError:
         return False
 

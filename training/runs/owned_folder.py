@@ -21,6 +21,7 @@ from jaxrod.files import (
     naming,
     read_json,
     reading,
+    refuse_link,
     write_atomically,
 )
 from jaxrod.training.runs.lock import only_process
@@ -92,6 +93,8 @@ class OwnedFolder:
         """Raises ValueError where writing here could cost what jaxrod did not write."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{self.path} is a file, not a folder")
+        for name in self._folders:
+            refuse_link(self.path / name)
         there = self._there()
         if not there:
             return

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 
 from jaxrod.envs import Environment
+from jaxrod.files import make_folder
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.leaves import from_array, named_leaves, to_array, with_leaves
@@ -274,6 +275,7 @@ class Run:
         if self.folder:
             names = ("task", "variant", "algorithm", "seed")
             about = {name: self.asked[name] for name in names}
+            make_folder(self.folder.policy)
             save_policy(policy, self.folder.policy, about)
 
     def _restore(self, template: Any) -> Any:

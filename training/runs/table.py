@@ -15,7 +15,11 @@ from jaxrod.files import (
     TEXT,
     check_entries,
     naming,
+    open_to_write,
     read_csv,
+    read_plain,
+    reading,
+    refuse_link,
     whole,
     write_atomically,
 )
@@ -58,7 +62,11 @@ class Table:
         added = _lines(row.values() for row in rows)
         if not self._columns:
             added = columns + added
-        with naming(self.path), self.path.open("ab") as stream:
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+        with (
+            naming(self.path),
+            os.fdopen(open_to_write(self.path, flags), "ab") as stream,
+        ):
             found = os.fstat(stream.fileno()).st_size
             if found != self._bytes:
                 raise ValueError(
@@ -79,8 +87,12 @@ class Table:
     def mark(self) -> Mark:
         """Waits until all rows are on the disk; returns what is there."""
         if self._bytes:
-            with naming(self.path), self.path.open("rb+") as stream:
-                os.fsync(stream.fileno())
+            with naming(self.path):
+                handle = open_to_write(self.path, os.O_RDWR)
+                try:
+                    os.fsync(handle)
+                finally:
+                    os.close(handle)
         return {
             "rows": self._rows,
             "bytes": self._bytes,
@@ -88,15 +100,26 @@ class Table:
         }
 
     def check(self, mark: Mark | None) -> None:
-        """Raises ValueError unless the file begins with what was marked."""
+        """Raises ValueError unless the file begins with what was marked.
+
+        What this process goes on writing to must not lead elsewhere, either.
+        """
+        refuse_link(self.path)
         if mark is None:
             return
         content = self._content()
         rows = max(content.count(b"\n") - 1, 0)
         if len(content) < mark["bytes"]:
+            if rows < mark["rows"]:
+                raise ValueError(
+                    f"{self.path} has {rows} complete rows, but the checkpoint counts "
+                    f"{mark['rows']}: rows are lost"
+                )
+            empty = _first_empty(content)
             raise ValueError(
-                f"{self.path} has {rows} complete rows, but the checkpoint counts "
-                f"{mark['rows']}: rows are lost"
+                f"{self.path} has its {rows} rows, but {len(content)} bytes where the "
+                f"checkpoint counts {mark['bytes']}: "
+                f"{empty or 'values have become shorter'}"
             )
         if hashlib.sha256(content[: mark["bytes"]]).hexdigest() != mark["sha256"]:
             raise ValueError(
@@ -133,12 +156,37 @@ class Table:
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def _content(self) -> bytes:
-        return self.path.read_bytes() if self.path.exists() else b""
+        if not self.path.exists():
+            return b""
+        with reading(self.path):
+            return read_plain(self.path)
 
 
 def check_mark(mark: Mapping[str, Any]) -> None:
     """Raises ValueError unless it can be the mark of a table."""
     check_entries(mark, {"rows": whole(0), "bytes": whole(0), "sha256": TEXT})
+
+
+def _first_empty(content: bytes) -> str | None:
+    """A place where a table has no value, in words.
+
+    First of all one in a column that has values above: some have none until an episode
+    has ended.
+    """
+    lines = list(csv.reader(io.StringIO(content.decode(errors="replace"), newline="")))
+    columns, rows = lines[0], lines[1:]
+    seen: set[int] = set()
+    places = []
+    for number, row in enumerate(rows, 1):
+        for k, value in enumerate(row[: len(columns)]):
+            if value:
+                seen.add(k)
+                continue
+            said = f"row {number} has an empty value in the column {columns[k]!r}"
+            if k in seen:
+                return said
+            places.append(said)
+    return places[0] if places else None
 
 
 def _lines(rows: Iterable[Iterable[Any]]) -> bytes:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxrod.cli.sweeps import process
-from jaxrod.cli.sweeps.process import Child, Ended, log_of, wait_for
+from jaxrod.cli.sweeps.process import Child, Ended, log_of, open_log, wait_for
 from jaxrod.training import RunFolder
 from jaxrod.training.runs.lock import FolderInUseError
 
@@ -189,7 +189,7 @@ def _waited_for(child: Child) -> Ended:
 
 
 def _add(log: Path, line: str) -> None:
-    with log.open("a", encoding="utf-8") as said:
+    with open_log(log) as said:
         said.write(line + "\n")
 
 

@@ -16,7 +16,9 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TextIO
 
+from jaxrod.files import open_to_write
 from jaxrod.training import RunFolder
 from jaxrod.training.runs.lock import FolderInUseError
 
@@ -103,7 +105,7 @@ class Child:
         self.cores = tuple(cores)
         self._log = log_of(folder)
         words = [*words, "--resume"] if folder.exists else words
-        with self._log.open("a", encoding="utf-8") as said:
+        with open_log(self._log) as said:
             said.write(f"$ jaxrod {shlex.join(words)}\n")
             said.flush()
             # A session of its own: the terminal's Ctrl-C must come from here, once.
@@ -187,6 +189,12 @@ def log_of(folder: RunFolder) -> Path:
     """What the process of a run said, beside its folder."""
     # Not `with_suffix`: names hold numbers such as 0.001.
     return folder.path.parent / f"{folder.path.name}.log"
+
+
+def open_log(log: Path) -> TextIO:
+    """Opens a log to be added to."""
+    handle = open_to_write(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    return os.fdopen(handle, "a", encoding="utf-8")
 
 
 def last_words(log: Path) -> str:
