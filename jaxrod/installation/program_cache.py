@@ -8,6 +8,9 @@ several machines. So there is a folder for every processor.
 JAX does not write whole files at once. Compressed by zlib each has a checksum: one that
 is damaged or half written is told and compiled anew. By zstandard it has none, and a
 process that takes a damaged one can die or worse. Then nothing is kept.
+
+What is taken from the disk is run. A folder that others can write to is refused, with a
+warning, and the program is compiled as if nobody had asked for the cache.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ import warnings
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
+
+from jaxrod.installation.private_folders import make_private_folder, shared_with
 
 VARIABLE = "JAXROD_CACHE"
 """Environment variable that asks for the cache: 1, or a folder."""
@@ -36,6 +41,10 @@ _LEVEL = "TF_CPP_MIN_LOG_LEVEL"
 
 class UncheckedCacheWarning(UserWarning):
     """JAX would keep compiled programs without a checksum; they are not kept."""
+
+
+class SharedCacheWarning(UserWarning):
+    """Others can write to the folder of compiled programs; none are kept or taken."""
 
 
 def without_checksum() -> bool:
@@ -55,7 +64,8 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
     """Has JAX keep what it compiles from now on, and take what is there.
 
     Args:
-        folder: where; by default `default_folder()`, or where JAX does so already.
+        folder: where; by default `default_folder()`, or where JAX does so already. It
+            is made for this user alone if it is not there.
 
     Returns:
         The folder; None where nothing is kept.
@@ -65,6 +75,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
 
     Warns:
         UncheckedCacheWarning: JAX would keep programs without a checksum.
+        SharedCacheWarning: others can write to the folder.
     """
     import jax
 
@@ -84,13 +95,23 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
     chosen = default_folder() if folder is None else Path(folder)
     chosen = chosen.expanduser().absolute()
     try:
-        chosen.mkdir(parents=True, exist_ok=True)
+        make_private_folder(chosen)
     except (OSError, ValueError) as error:
         # From the environment or an argument: either way a folder was meant.
         raise ValueError(
             f"the cache of compiled programs must be a folder that can be made, got "
             f"{str(chosen)!r}: {getattr(error, 'strerror', None) or error}"
         ) from error
+    why = shared_with(chosen)
+    if why is not None:
+        warnings.warn(
+            f"compiled programs are neither kept nor taken from the disk: {why}, and "
+            "what lies there is run. Take a folder of your own, with mode 0700, in "
+            f"folders of your own ({VARIABLE}=FOLDER)",
+            SharedCacheWarning,
+            stacklevel=3,
+        )
+        return None
     jax.config.update("jax_compilation_cache_dir", str(chosen))
     name = "jax_persistent_cache_min_compile_time_secs"
     if getattr(jax.config, name) == _JAX_SHORTEST:

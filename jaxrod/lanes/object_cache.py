@@ -4,17 +4,31 @@ Where JAX has a folder for compiled programs (`jax_compilation_cache_dir`), a ke
 object code is kept in it too, under a digest of its text, of the processor's features
 and of LLVM's version. A file begins with a digest of what follows: one that is damaged
 is compiled anew. Files are written whole or not at all.
+
+The digest has no key: whoever can write there can have any code run. So nothing is
+taken from a folder that others can write to, nor put there; kernels are then compiled
+anew, and a warning says so once.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 from pathlib import Path
 from typing import Any
 
 import jax
 
 from jaxrod.files import write_atomically
+from jaxrod.installation.private_folders import (
+    make_private_folder,
+    read_own,
+    shared_with,
+)
+
+_log = logging.getLogger("jaxrod.lanes")
+_told: set[Path] = set()
+"""Folders whose refusal was told."""
 
 _DIGEST = 32
 """Bytes of a digest."""
@@ -28,14 +42,13 @@ def keeps_objects(engine: Any, key: str) -> None:
         key: What the object code depends on, all of it.
     """
     path = _path(key)
-    if path is None:
+    if path is None or _is_refused(path.parent):
         return
 
     def kept(module: Any) -> bytes | None:
         del module
-        try:
-            found = path.read_bytes()
-        except OSError:
+        found = read_own(path)
+        if found is None:
             return None
         code = found[_DIGEST:]
         return code if hashlib.sha256(code).digest() == found[:_DIGEST] else None
@@ -43,13 +56,29 @@ def keeps_objects(engine: Any, key: str) -> None:
     def keep(module: Any, code: bytes) -> None:
         del module
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, hashlib.sha256(code).digest() + code)
+            make_private_folder(path.parent)
+            content = hashlib.sha256(code).digest() + code
+            write_atomically(path, content, private=True)
         except OSError:
             # A folder that is full or read-only costs time, not results.
             return
 
     engine.set_object_cache(keep, kept)
+
+
+def _is_refused(folder: Path) -> bool:
+    """Whether others could have put code there; told once for each folder."""
+    why = shared_with(folder)
+    if why is None:
+        return False
+    if folder not in _told:
+        _told.add(folder)
+        _log.warning(
+            "kernels are compiled anew and not kept on disk: %s, and machine code from "
+            "there could be anybody's. Take a folder of your own, with mode 0700",
+            why,
+        )
+    return True
 
 
 def _path(key: str) -> Path | None:

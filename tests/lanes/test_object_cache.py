@@ -1,5 +1,6 @@
 """Machine code on disk: found again, compiled anew where it is damaged or not there."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -71,6 +72,44 @@ def test_a_folder_that_cannot_be_written_does_no_harm(folder):
     folder.parent.joinpath("programs").write_text("a file, not a folder")
     engine_of("one").keep(None, b"code")
     assert engine_of("one").kept(None) is None
+
+
+needs_modes = pytest.mark.skipif(
+    not hasattr(os, "getuid"), reason="Windows has no owners and modes to look at"
+)
+
+
+@needs_modes
+def test_nothing_is_taken_from_a_shared_folder_and_it_is_told_once(folder, caplog):
+    engine_of("one").keep(None, b"code")
+    folder.chmod(0o777)
+    with caplog.at_level(logging.WARNING, "jaxrod.lanes"):
+        # Without a cache the engine compiles: nothing stops.
+        assert not hasattr(engine_of("one"), "kept")
+        assert not hasattr(engine_of("two"), "keep")
+    (record,) = caplog.records
+    assert "programs is writable by others (mode 0777)" in record.getMessage()
+    assert "\n" not in record.getMessage()
+
+
+@needs_modes
+@pytest.mark.parametrize("change", ["mode", "link", "pipe"])
+def test_a_file_that_others_may_have_written_is_not_taken(folder, change, tmp_path):
+    engine_of("one").keep(None, b"code")
+    (file,) = folder.iterdir()
+    assert file.stat().st_mode & 0o777 == 0o600
+    if change == "mode":
+        file.chmod(0o666)
+    else:
+        file.rename(tmp_path / "moved")
+        file.symlink_to(tmp_path / "moved") if change == "link" else os.mkfifo(file)
+    assert engine_of("one").kept(None) is None
+
+
+@needs_modes
+def test_the_folder_is_made_for_this_user_alone(folder):
+    engine_of("one").keep(None, b"code")
+    assert folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_without_a_folder_nothing_is_kept(folder):
