@@ -91,6 +91,12 @@ def test_unknown_words_exit_with_two(words, capsys):
         (FileNotFoundError(2, "No such file", "runs/x"), "runs/x: No such file", 2),
         (ModuleNotFoundError("x", name="flax.linen"), 'pip install "jaxrod[rl]"', 2),
         (jax_version.UnsoundJaxError("jax 0.10.2 is refused"), "0.10.2", 1),
+        (MemoryError("std::bad_alloc"), "fewer environments (--num-envs)", 2),
+        (
+            RuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
+            "more memory than there",
+            2,
+        ),
     ],
 )
 def test_an_error_is_one_sentence_on_stderr(error, sentence, code, command, capsys):

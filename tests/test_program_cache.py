@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,8 @@ import pytest
 
 import jaxrod
 from jaxrod import cli
-from jaxrod.installation import program_cache
+from jaxrod.installation import backend, program_cache
+from jaxrod.installation.private_folders import shared_with
 
 REFUSED = "Error reading persistent compilation cache entry"
 
@@ -133,6 +135,120 @@ def test_a_file_in_the_place_of_the_folder_is_refused_by_its_name(
     with pytest.raises(ValueError, match=r"must be a folder.*taken"):
         program_cache.keep_programs(taken.joinpath(*inside))
     assert taken.read_text() == "something else"
+
+
+SHARED = pytest.mark.skipif(
+    not hasattr(os, "getuid"), reason="Windows has no owners and modes to look at"
+)
+
+
+@SHARED
+def test_a_folder_that_others_write_to_is_refused_and_the_run_goes_on(
+    as_before, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
+    jax.config.update("jax_compilation_cache_dir", None)
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o777)
+    said = "neither kept nor taken .*shared is writable by others \\(mode 0777\\)"
+    with pytest.warns(program_cache.SharedCacheWarning, match=said):
+        assert program_cache.keep_programs(shared) is None
+    assert jax.config.jax_compilation_cache_dir is None
+
+
+def test_a_folder_that_is_made_is_for_this_user_alone(as_before, tmp_path, monkeypatch):
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
+    made = program_cache.keep_programs(tmp_path / "a" / "b")
+    if os.name == "posix":
+        assert [one.stat().st_mode & 0o777 for one in (made, made.parent)] == [
+            0o700
+        ] * 2
+
+
+@SHARED
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda folder: folder.chmod(0o755), None),
+        (lambda folder: folder.chmod(0o700), None),
+        (lambda folder: folder.rmdir(), None),
+        (lambda folder: folder.parent.chmod(0o1777), None),
+        (lambda folder: folder.chmod(0o770), "kept is writable by others .mode 0770"),
+        (lambda folder: folder.chmod(0o702), "kept is writable by others .mode 0702"),
+        (lambda folder: folder.parent.chmod(0o777), "above, above it, is writable"),
+        (lambda folder: folder.parent.chmod(0o770), "above, above it, is writable"),
+        (lambda folder: linked(folder), "kept is a link to"),
+    ],
+)
+def test_owner_and_mode_are_looked_at_as_ssh_does(change, said, tmp_path):
+    folder = tmp_path / "above" / "kept"
+    folder.mkdir(parents=True, mode=0o700)
+    folder.parent.chmod(0o755)
+    change(folder)
+    found = shared_with(folder)
+    assert found is None if said is None else re.search(said, found)
+
+
+@SHARED
+def test_a_folder_of_another_user_is_refused(tmp_path, monkeypatch):
+    me = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    assert f"of user {me}" in shared_with(tmp_path)
+
+
+def test_where_there_are_no_modes_nothing_is_looked_at(tmp_path, monkeypatch):
+    tmp_path.chmod(0o777)
+    monkeypatch.delattr(os, "getuid", raising=False)
+    assert shared_with(tmp_path) is None
+
+
+def linked(folder):
+    folder.rmdir()
+    (folder.parent / "real").mkdir(mode=0o700)
+    folder.symlink_to(folder.parent / "real")
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ("garbage", "got 'garbage', which is no file that can be read"),
+        ("/nowhere/flags", "got '/nowhere/flags', which is no file"),
+        ("-x=1", "got '-x=1' among them"),
+        ("--xla_cpu_enable_fast_math=false garbage", "got 'garbage' among them"),
+        ("--xla_dump_to='/tmp", "No closing quotation"),
+    ],
+)
+def test_xla_flags_that_are_none_are_refused_before_jax_starts(
+    flags, said, monkeypatch
+):
+    """XLA itself would end the process, or leave them out without a word."""
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    monkeypatch.setattr(backend, "_backend_is_running", lambda: False)
+    with pytest.raises(ValueError, match=f"XLA_FLAGS must be options .*{said}"):
+        jaxrod.configure_cpu(1)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        "",
+        "  ",
+        "--xla_cpu_enable_fast_math",
+        "--xla_that_a_later_release_has=1  --another=2",
+        "--xla_dump_to='/tmp/a b' --xla_dump_hlo_as_text",
+    ],
+)
+def test_flags_that_only_xla_can_judge_are_left_to_it(flags, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    assert backend.given_options() == flags.strip()
+
+
+def test_a_file_of_xla_flags_is_read(monkeypatch, tmp_path):
+    """With options of jaxrod's beside it, its name would be no name of a file."""
+    (tmp_path / "flags").write_text("--xla_a=1\n--xla_b=2\n")
+    monkeypatch.setenv("XLA_FLAGS", str(tmp_path / "flags"))
+    assert backend.given_options() == "--xla_a=1 --xla_b=2"
 
 
 def test_a_home_folder_may_be_short(as_before, tmp_path, monkeypatch):

@@ -60,6 +60,12 @@ class LearnerConfig:
     """Control steps of such an episode."""
 
 
+WIDEST_LAYER = 16_384
+"""Units of a hidden layer: weights from one such layer to the next take 1 GB."""
+
+MOST_LAYERS = 1_000
+"""Hidden layers: as many as the file of a policy holds."""
+
 LARGEST_COUNT = 2**31 - 1
 """Updates, sizes and turns of loops are counted in 32 bits."""
 
@@ -113,8 +119,16 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
     sizes = config.hidden_sizes
     if not isinstance(sizes, tuple):
         raise ValueError(f"hidden_sizes must be a tuple of sizes, got {sizes}")
+    if len(sizes) > MOST_LAYERS:
+        raise ValueError(
+            f"hidden_sizes must be at most {MOST_LAYERS} layers, got {len(sizes)}"
+        )
     for size in sizes:
-        _check_size(f"each of hidden_sizes {sizes}", size)
+        if check_count(f"each of hidden_sizes {sizes}", size, 1) > WIDEST_LAYER:
+            raise ValueError(
+                f"each of hidden_sizes must be at most {WIDEST_LAYER:,} units, got "
+                f"{size:,} units"
+            )
     if config.network is not None and not callable(config.network):
         raise ValueError(
             "network must be a function (role, output_size) -> flax module, got "

@@ -111,6 +111,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         unfit = isinstance(error, UnsoundJaxError | checkout.NoCheckoutError)
         return 1 if unfit else 2
     except Exception as error:
+        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+            print(
+                f"{command}: this needs more memory than there is: smaller networks, "
+                "fewer environments (--num-envs) or fewer elements need less "
+                f"({printable(str(error)[:200])})",
+                file=sys.stderr,
+            )
+            return 2
         # What a file of a run holds is checked where it is read. This is a fault of
         # ours, which only its traceback explains.
         traceback.print_exc()

@@ -9,7 +9,9 @@ on one thread.
 from __future__ import annotations
 
 import os
+import shlex
 import warnings
+from pathlib import Path
 
 import jax
 
@@ -46,8 +48,8 @@ def configure_cpu(
             `JAXROD_CACHE` says (1 or a folder), and not if it says nothing.
 
     Raises:
-        ValueError: If `devices` is not a positive integer, or `cache` is no
-            folder that can be made.
+        ValueError: If `devices` is not a positive integer, `cache` is no folder that
+            can be made, or `XLA_FLAGS` holds what are no options.
     """
     if devices is None:
         devices = available_cores()
@@ -62,7 +64,7 @@ def configure_cpu(
             stacklevel=2,
         )
         return
-    os.environ["XLA_FLAGS"] = with_backend_options(os.environ.get("XLA_FLAGS", ""))
+    os.environ["XLA_FLAGS"] = with_backend_options(given_options())
     jax.config.update("jax_num_cpu_devices", devices)
     if kept:
         keep_programs(None if kept is True else kept)
@@ -83,6 +85,36 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def given_options() -> str:
+    """The options that `XLA_FLAGS` gives: its text, or that of the file it names.
+
+    XLA ends the process at the first mistake. Which options it knows only XLA can say,
+    so what looks like one is left to it.
+
+    Raises:
+        ValueError: the text is neither options, each of which begins with two dashes,
+            nor the name of a file of them.
+    """
+    flags = os.environ.get("XLA_FLAGS", "").strip()
+    wanted = "must be options such as --xla_NAME=VALUE, or the name of a file of them"
+    if flags and not flags.startswith("-"):
+        try:
+            flags = " ".join(Path(flags).read_text().split())
+        except (OSError, ValueError) as error:
+            raise ValueError(
+                f"XLA_FLAGS {wanted}, got {flags!r:.80}, which is no file that can be "
+                "read; unset XLA_FLAGS if it is not meant"
+            ) from error
+    try:
+        words = shlex.split(flags)
+    except ValueError as error:
+        raise ValueError(f"XLA_FLAGS {wanted}, got {flags!r:.80}: {error}") from error
+    for word in words:
+        if not word.startswith("--"):
+            raise ValueError(f"XLA_FLAGS {wanted}, got {word!r:.80} among them")
+    return flags
 
 
 def with_backend_options(flags: str) -> str:

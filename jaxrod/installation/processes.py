@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
 from collections.abc import Callable
 
 JOINED_WITHIN = 30
 """Processes wait for each other for so long when they begin [s]."""
+
+LARGEST_PORT = 65_535
+"""Ports of computers are numbered so far."""
 
 LONGEST_WAIT = 604_800
 """They wait no longer than a week [s]."""
@@ -47,7 +52,8 @@ def join_processes(
             process is aborted.
 
     Raises:
-        ValueError: an argument makes no sense, or nothing says what the others are.
+        ValueError: an argument makes no sense, nothing says what the others are, or
+            another program has the coordinator's port.
         RuntimeError: they cannot be reached.
     """
     import jax
@@ -67,6 +73,13 @@ def join_processes(
             raise ValueError(
                 f"coordinator must be an address and a port, got {coordinator!r}"
             )
+        if not (port.isascii() and len(port) < 9 and 1 <= int(port) <= LARGEST_PORT):
+            raise ValueError(
+                f"the port of the coordinator must be 1 to {LARGEST_PORT}, got "
+                f"{port:.20}"
+            )
+        if count < 1:
+            raise ValueError(f"count of processes must be at least 1, got {count}")
         if not 0 <= index < count:
             raise ValueError(
                 f"index must be 0 to {count - 1} of {count} processes, got {index}"
@@ -79,6 +92,8 @@ def join_processes(
         raise ValueError(
             f"within must be a whole number of 1 to {LONGEST_WAIT} s, got {within} s"
         )
+    if coordinator is not None and index == 0:
+        _check_port(int(coordinator.rpartition(":")[2]))
     if not _last_words:
         _last_words.append(LastWords())
     _last_words[0](
@@ -97,6 +112,14 @@ def join_processes(
             heartbeat_timeout_seconds=LOST_AFTER,
             shutdown_timeout_seconds=PATIENCE,
         )
+    except jax.errors.JaxRuntimeError as error:
+        reason = (str(error).splitlines() or [""])[0]
+        if "RPC server" not in reason:
+            raise
+        raise ValueError(
+            "the first process cannot listen on the coordinator's port, which another "
+            f"program may have taken: choose another port ({reason})"
+        ) from error
     except ValueError as error:
         raise ValueError(
             "nothing that JAX knows (SLURM, Open MPI, Kubernetes) says which processes "
@@ -106,3 +129,19 @@ def join_processes(
         "jaxrod: JAX ended this process, as it does when another of the program is "
         f"lost or cannot be reached: {GO_ON}"
     )
+
+
+def _check_port(port: int) -> None:
+    """Raises ValueError where this process cannot listen on a port; JAX would wait."""
+    both = socket.has_dualstack_ipv6()
+    family = socket.AF_INET6 if both else socket.AF_INET
+    try:
+        # As a server does it: a connection that has just ended is no hindrance.
+        socket.create_server(("", port), family=family, dualstack_ipv6=both).close()
+    except OSError as error:
+        if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+            return  # Such as no network: JAX knows more.
+        raise ValueError(
+            f"the coordinator's port {port} cannot be listened on "
+            f"({os.strerror(error.errno)}): choose another"
+        ) from error

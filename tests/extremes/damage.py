@@ -139,10 +139,18 @@ WRONG = (
     {},
     {"name": "x"},
     [[]],
+    [10**9],
     float("nan"),
     float("inf"),
 )
 """Values that an entry of a JSON file may wrongly have."""
+
+
+def with_a_key_twice(file):
+    """The first entry is there once more, with another value."""
+    text = file.read_text()
+    name = next(iter(json.loads(text)))
+    file.write_text(f'{text.rstrip()[:-1]}, "{name}": "x"}}')
 
 
 def entries(file):
@@ -296,6 +304,7 @@ def of(file):
     if file.suffix in (".json", ".csv"):
         yield from AS_TEXT.items()
     if file.suffix == ".json":
+        yield "a key twice", with_a_key_twice
         yield from entries(file)
     if file.suffix == ".csv":
         yield from TABLES.items()

@@ -172,8 +172,25 @@ def test_what_is_sent_is_what_arrives():
         ((None, 2, 0), "together"),
         (("here", 2, 0), "address and a port"),
         (("127.0.0.1:1", 2, 2), "0 to 1"),
+        (("127.0.0.1:1234", 0, 0), "count of processes must be at least 1, got 0"),
+        (("127.0.0.1:0", 2, 0), "coordinator must be 1 to 65535, got 0"),
+        (("127.0.0.1:65536", 2, 0), "coordinator must be 1 to 65535, got 65536"),
+        (("127.0.0.1:999999", 2, 1), "coordinator must be 1 to 65535, got 999999"),
+        (
+            ("127.0.0.1:" + "9" * 5000, 2, 1),
+            "coordinator must be 1 to 65535, got 9{20}",
+        ),
     ],
 )
 def test_bad_processes_are_refused(given, word):
     with pytest.raises(ValueError, match=word):
         join_processes(*given)
+
+
+def test_a_port_that_another_program_has_is_told_at_once():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = f"port {port} cannot be listened on .*: choose another"
+        with pytest.raises(ValueError, match=said):
+            join_processes(f"127.0.0.1:{port}", 2, 0)
+    assert not jax.distributed.is_initialized()
