@@ -1,36 +1,49 @@
-"""A callable of somebody's own, found by `module:callable` or `file.py:callable`."""
+"""A callable of somebody's own, found by `module:callable` or `file.py:callable`.
+
+What a user types is the user's own say-so. What a file names may be anybody's: it is
+imported only where the user has vouched for its module (`check_trusted`). A list of
+what is too dangerous to call could not be complete; this is a list of what is allowed,
+and it is empty to begin with.
+"""
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import importlib
 import importlib.util
+import inspect
+import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from jaxrod.files import UntrustedError
 
 
 class _NotThereError(ValueError):
     """There is no such module or file."""
 
 
-def callable_at(where: str) -> Callable[..., Any]:
+def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..., Any]:
     """Imports what a path names.
 
     Args:
         where: `package.module:callable`, or `folder/file.py:callable` for a file that
-            imports nothing from beside it. What follows the colon may have dots.
+            imports nothing from beside it. What follows the colon is one plain name.
+        trust: for what a file names, see `check_trusted`; None for what the user names.
 
     Raises:
         ValueError: there is no such module, file or callable; it is of Python's own
             library; or importing it raises, with what it raised as the cause.
+        UntrustedError: see `check_trusted` and `check_home`.
         ModuleNotFoundError: it imports something that is not installed.
     """
+    if trust is not None:
+        check_trusted(where, trust)
     place, _, name = where.rpartition(":")
-    if not place or not _dotted(name):
+    if not place or not name.isidentifier():
         raise ValueError(
             "a task of your own must look like mypackage.mymodule:make_task or "
             f"folder/file.py:make_task, got {where!r}"
@@ -47,12 +60,88 @@ def callable_at(where: str) -> Callable[..., Any]:
             f"importing {place} raised {type(error).__name__}: {error}"
         ) from error
     try:
-        found = functools.reduce(getattr, name.split("."), module)
+        found = getattr(module, name)
     except AttributeError:
         raise ValueError(f"{place} has no {name!r}") from None
     if not callable(found):
         raise ValueError(f"{where} must be callable, got {found!r:.60}")
+    if trust is not None:
+        check_home(where, found, module, trust)
     return found
+
+
+def check_trusted(where: str, trust: Collection[str]) -> None:
+    """Refuses what a file names, unless the user has vouched for its module.
+
+    Nothing is imported here. A package does not vouch for the modules in it, nor a
+    module for its package, although importing it runs the package's `__init__.py`.
+
+    Args:
+        where: `package.module:NAME` or `folder/file.py:NAME`, with one plain name.
+        trust: names of modules, whole and with all their dots; paths of .py files; or
+            single import paths such as `package.module:NAME`.
+
+    Raises:
+        UntrustedError: its module is not among them, or is one of Python's own.
+        ValueError: it is no import path, or `trust` is a text instead of a tuple.
+    """
+    if isinstance(trust, str):
+        raise ValueError(f"trust must be a tuple of names, such as ({trust!r},)")
+    place, _, name = where.rpartition(":")
+    if not place or not name.isidentifier():
+        raise UntrustedError(
+            f"{where!r} is not imported: it must be module:NAME or file.py:NAME, and "
+            "NAME one plain name without dots"
+        )
+    if not _is_file(place) and not _dotted(place):
+        raise UntrustedError(
+            f"{where!r} is not imported: {place!r} is neither the name of a module nor "
+            "a .py file"
+        )
+    if _is_standard(place):
+        raise UntrustedError(
+            f"{where!r} is not imported: {place.partition('.')[0]!r} is a module of "
+            "Python's own, which no file may name"
+        )
+    if where in trust or place in trust:
+        return
+    if _is_file(place):
+        place = str(Path(place).resolve())
+        if any(_is_file(one) and str(Path(one).resolve()) == place for one in trust):
+            return
+    raise UntrustedError(
+        f"{where!r} is not of jaxrod itself and is not run because a file names it. If "
+        f"you trust {place}, say so: --trust {shlex.quote(place)}, in Python "
+        f"trust=({place!r},)"
+    )
+
+
+def check_home(
+    where: str, found: Any, module: ModuleType, trust: Collection[str]
+) -> None:
+    """Refuses what a trusted module has itself only imported from another package.
+
+    Somebody's module may well begin with `from os import system`; vouching for it is
+    no word for that.
+
+    Args:
+        where: the import path.
+        found: what is there.
+        module: in which it was found.
+        trust: see `check_trusted`; a single import path vouches for it in any case.
+
+    Raises:
+        UntrustedError: it is a function or class of another package.
+    """
+    if where in trust or not (inspect.isroutine(found) or isinstance(found, type)):
+        return
+    home = getattr(found, "__module__", None) or "builtins"
+    if home.partition(".")[0] != module.__name__.partition(".")[0]:
+        raise UntrustedError(
+            f"{where!r} is not run because a file names it: it is of {home}, and the "
+            f"trusted module has only imported it. If you mean it, say so: --trust "
+            f"{shlex.quote(where)}, in Python trust=({where!r},)"
+        )
 
 
 def spelt_out(where: str) -> str:
@@ -65,6 +154,10 @@ def _is_file(place: str) -> bool:
     return place.endswith(".py")
 
 
+def _is_standard(place: str) -> bool:
+    return place.partition(".")[0] in sys.stdlib_module_names
+
+
 def _dotted(name: str) -> bool:
     return all(part.isidentifier() for part in name.split("."))
 
@@ -72,8 +165,7 @@ def _dotted(name: str) -> bool:
 def _by_name(name: str) -> ModuleType:
     if not _dotted(name):
         raise _NotThereError(f"{name!r} is neither the name of a module nor a .py file")
-    if name.partition(".")[0] in sys.stdlib_module_names:
-        # What config.json names is called: not a shell, say.
+    if _is_standard(name):
         raise _NotThereError(f"{name!r} is a module of Python's own, without tasks")
     try:
         return importlib.import_module(name)

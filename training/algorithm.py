@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -141,15 +141,19 @@ def algorithm_names() -> tuple[str, ...]:
     return tuple(sorted(_ALGORITHMS))
 
 
-def find_algorithm(name: str) -> Algorithm:
+def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm:
     """Returns the algorithm called `name`.
 
     Args:
         name: one of `algorithm_names()`, or the import path of your own,
             `module:NAME`.
+        trust: for a name that a file holds, the modules that may be imported because
+            of it, see `jaxrod.envs.importing.check_trusted`; None for what the user
+            names.
 
     Raises:
         ValueError: there is none of this name, or what is there is no algorithm.
+        UntrustedError: a file names it, and it is not trusted.
         ImportError: an import path leads nowhere.
     """
     if name not in _ALGORITHMS and ":" not in name:
@@ -157,7 +161,8 @@ def find_algorithm(name: str) -> Algorithm:
         raise ValueError(
             f"algorithm must be one of {known}, or module:NAME; got {name!r}"
         )
-    found = find_object(_ALGORITHMS.get(name, name))
+    built_in = _ALGORITHMS.get(name)
+    found = find_object(built_in) if built_in else find_object(name, trust)
     if not isinstance(found, Algorithm):
         raise ValueError(
             f"algorithm {name!r} must be a jaxrod.training.Algorithm, it is "

@@ -5,31 +5,42 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from functools import reduce
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from jaxrod.envs.importing import check_home, check_trusted
 
-def find_object(path: str) -> Any:
+
+def find_object(path: str, trust: Collection[str] | None = None) -> Any:
     """Imports the object that an import path names.
 
     Modules are also looked for in the current folder.
 
     Args:
-        path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM".
+        path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM"; NAME is one
+            plain name, without dots.
+        trust: for what a file names, the modules that may be imported because of it,
+            see `jaxrod.envs.importing.check_trusted`; None for what the user names.
 
     Raises:
         ValueError: it is no import path.
+        UntrustedError: a file names it, and it is not trusted.
         ImportError: there is no such module or object, or importing it failed.
     """
     name, colon, attribute = path.partition(":")
-    if not (name and colon and attribute):
+    if not (name and colon and attribute.isidentifier()):
         raise ValueError(f"an import path is module:NAME, got {path!r}")
+    if trust is not None:
+        check_trusted(path, trust)
     module = _import(name, path)
     try:
-        return reduce(getattr, attribute.split("."), module)
+        found = getattr(module, attribute)
     except AttributeError:
         raise ImportError(f"{path}: module {name} has no {attribute}") from None
+    if trust is not None:
+        check_home(path, found, module, trust)
+    return found
 
 
 def import_path(value: Any) -> str | None:
@@ -52,9 +63,11 @@ def import_path_in(module: str, value: Any) -> str | None:
 
 
 def _path(module: str, name: str, value: Any) -> str | None:
+    if not name.isidentifier():  # Of a class, of a function, or a lambda.
+        return None
     try:
-        found = reduce(getattr, name.split("."), sys.modules[module])
-    except (AttributeError, KeyError):  # A lambda, or defined in a function.
+        found = getattr(sys.modules[module], name)
+    except (AttributeError, KeyError):
         return None
     importable = _importable(module)
     return f"{importable}:{name}" if found is value and importable else None

@@ -10,13 +10,14 @@ import argparse
 import json
 import time
 
-from jaxrod.cli import settings
+from jaxrod.cli import runs, settings
 
 EXAMPLES = """\
 examples:
   jaxrod evaluate runs/first
   jaxrod evaluate runs/first --episodes 100 --seed 7
   jaxrod evaluate runs/first --json              for a script: score, returns, ...
+  jaxrod evaluate runs/arm --trust my_module     a run of your own task or learner
 """
 
 
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
     )
+    runs.add_trust(parser)
     parser.add_argument(
         "--episodes", type=int, default=32, metavar="N", help="how many (default: 32)"
     )
@@ -40,14 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plays the episodes and prints how they went."""
     import jaxrod
-    from jaxrod.cli import runs
     from jaxrod.validation import check_seed
 
     if args.episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {args.episodes}")
     check_seed(args.seed)
     jaxrod.configure_cpu()
-    stored = runs.open_run(args.run_folder)
+    stored = runs.open_run(args.run_folder, args.trust)
     policy = stored.policy()
     from jaxrod.training import evaluate
 

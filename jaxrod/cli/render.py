@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import argparse
 
-from jaxrod.cli import settings
+from jaxrod.cli import runs, settings
 
 EXAMPLES = """\
 examples:
   jaxrod render runs/first
   jaxrod render runs/first --seed 3 --out episode3.html     another episode
   jaxrod render runs/first --seconds 3                      the first 3 s only
+  jaxrod render runs/arm --trust examples/own_task.py       a run of your own task
 """
 
 
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
     )
+    runs.add_trust(parser)
     parser.add_argument(
         "--out",
         type=settings.path,
@@ -46,14 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draws and prints the names of the files."""
     import jaxrod
-    from jaxrod.cli import pictures, runs
+    from jaxrod.cli import pictures
     from jaxrod.validation import check_seed
 
     if args.seconds is not None and not 0 < args.seconds < float("inf"):
         raise ValueError(f"seconds must be positive and finite, got {args.seconds} s")
     check_seed(args.seed)
     jaxrod.configure_cpu()
-    stored = runs.open_run(args.run_folder)
+    stored = runs.open_run(args.run_folder, args.trust)
     pictures.print_paths(pictures.draw_learning_curve(stored.path, stored.config))
     policy = stored.policy()
     pictures.print_paths(

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.cli.text import printable
-from jaxrod.files import read_json, reading
+from jaxrod.files import UntrustedError, read_json, reading
 
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
@@ -46,11 +47,13 @@ class StoredRun:
         path: its folder.
         config: what was asked for, as in `config.json`.
         env: the environment it was trained on.
+        trust: modules that may be imported because the run names them.
     """
 
     path: Path
     config: dict[str, Any]
     env: Environment
+    trust: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -62,6 +65,7 @@ class StoredRun:
 
         Raises:
             ValueError: there is none yet, or it is damaged or of another task.
+            UntrustedError: the run names an algorithm or a network of somebody's own.
         """
         from jaxrod.training import MLPPolicy, restore_policy
         from jaxrod.training.runs.folder import renamed
@@ -72,7 +76,7 @@ class StoredRun:
                 f"{self.path} holds no policy yet (no policy/policy.json): it is "
                 "saved with the first checkpoint and at the end of training"
             )
-        policy = restore_policy(self.path, self.env)
+        policy = restore_policy(self.path, self.env, trust=self.trust)
         file = folder / "policy.json"
         others = [
             f"{name} is {value!r}"
@@ -96,11 +100,30 @@ class StoredRun:
         return policy
 
 
-def open_run(path: Path) -> StoredRun:
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Declares `--trust`, for commands that open a run."""
+    parser.add_argument(
+        "--trust",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="import this module, by its whole name, or this .py file, where RUN names "
+        "it; may be given several times. Without it nothing runs but what is built in: "
+        "the folder of a run may be anybody's (docs/runs.md)",
+    )
+
+
+def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
     """Reads what the run in a folder was.
+
+    Args:
+        path: the folder.
+        trust: modules that may be imported because the run names them, see
+            `jaxrod.envs.importing.check_trusted`.
 
     Raises:
         ValueError: there is no run, or its `config.json` is damaged.
+        UntrustedError: its task is somebody's own, and not trusted.
     """
     from jaxrod import envs
 
@@ -112,7 +135,8 @@ def open_run(path: Path) -> StoredRun:
             f"and so cannot make again: {config.get('environment', task)}"
         )
     if task not in envs.names():
-        return StoredRun(path, config, _made_again(file, task, options))
+        env = _made_again(file, task, options, trust)
+        return StoredRun(path, config, env, tuple(trust))
     with reading(file):
         env = make_task(task, options)
         if env.name != task:
@@ -122,13 +146,17 @@ def open_run(path: Path) -> StoredRun:
                 f"'variant' is {config.get('variant')!r}, but what its 'env_options' "
                 f"make is {getattr(env, 'variant', None)!r}"
             )
-    return StoredRun(path, config, env)
+    return StoredRun(path, config, env, tuple(trust))
 
 
-def _made_again(file: Path, task: str, options: Mapping[str, Any]) -> Environment:
+def _made_again(
+    file: Path, task: str, options: Mapping[str, Any], trust: Collection[str]
+) -> Environment:
     """The environment of somebody's own task, which may have changed since."""
     try:
-        return make_task(task, options)
+        return make_task(task, options, trust)
+    except UntrustedError as error:
+        raise UntrustedError(f"the task of {file}: {error}") from error
     except ValueError as error:
         raise ValueError(f"the task of {file} cannot be made again: {error}") from error
 
@@ -151,22 +179,33 @@ def read_config(path: Path) -> dict[str, Any]:
     return RunFolder(path).config()
 
 
-def make_task(task: str, options: Mapping[str, Any]) -> Environment:
+def make_task(
+    task: str, options: Mapping[str, Any], trust: Collection[str] | None = None
+) -> Environment:
     """Makes the environment of a task; one's own is looked for in this folder, too.
 
     Args:
         task: as `jaxrod.envs.make` takes it.
         options: its options. Lists, of which JSON has no other kind, become tuples: an
             environment has to be hashable.
+        trust: for a task that a file names, see `open_run`; None for one that the user
+            names.
 
     Raises:
         ValueError: there is no such task, or it does not take these options.
+        UntrustedError: a file names it, and it is not trusted.
     """
     from jaxrod import envs
+    from jaxrod.envs.importing import callable_at, check_trusted
 
-    here = os.getcwd()
-    if task not in envs.names() and here not in sys.path:
+    here, own = os.getcwd(), ":" in task
+    if own and trust is not None:
+        # Before this folder is among those that modules come from.
+        check_trusted(task, trust)
+    if own and here not in sys.path:
         sys.path.insert(0, here)
+    if own and trust is not None:
+        callable_at(task, trust)
     return envs.make(task, **{name: _fixed(value) for name, value in options.items()})
 
 

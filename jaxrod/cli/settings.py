@@ -7,7 +7,7 @@ import ast
 import dataclasses
 import itertools
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -20,16 +20,28 @@ _USUAL = "default"
 """Word for the function that is used where a setting names none."""
 
 
-def configure(defaults: Any, stored: Mapping[str, Any], words: Sequence[str]) -> Any:
+def configure(
+    defaults: Any,
+    stored: Mapping[str, Any],
+    words: Sequence[str],
+    trust: Collection[str] = (),
+) -> Any:
     """The configuration: defaults, then the stored settings, then NAME=VALUE words.
+
+    Args:
+        defaults: settings of the learner.
+        stored: settings that a file holds.
+        words: what the user says, which is the user's own say-so.
+        trust: modules that may be imported because the file names them.
 
     Raises:
         ValueError: a name is unknown or a value is not of its kind.
+        UntrustedError: a stored setting is a function that is not trusted.
     """
     from jaxrod.training.runs.recorded_settings import restored
 
     known = {field.name for field in dataclasses.fields(defaults)}
-    settings = restored(defaults, stored)
+    settings = restored(defaults, stored, trust)
     changes = {}
     for word in words:
         name, equals, text = word.partition("=")

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.cli import settings
+from jaxrod.cli.runs import add_trust
 from jaxrod.cli.train_arguments import STEPS
 
 if TYPE_CHECKING:
@@ -92,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of the sweep; with --ray on a file system that all nodes share",
     )
+    add_trust(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
@@ -139,7 +141,9 @@ def run(args: argparse.Namespace) -> int:
 
     from jaxrod.cli.sweeps.plan import plan
     from jaxrod.cli.sweeps.results import Results
+    from jaxrod.installation.backend import given_options
 
+    given_options()  # What is wrong with them is told before JAX starts.
     # Runs are planned here and trained elsewhere: no GPU's memory is to be taken.
     jax.config.update("jax_platforms", "cpu")
     if args.ray is None and (args.cpus, args.gpus) != (None, None):
@@ -170,6 +174,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         with _place(args) as place:
             words = ["--checkpoint-seconds", str(args.checkpoint_seconds)]
+            words += [word for one in args.trust for word in ("--trust", one)]
             code = _train(runs, out, place, [*words, "--no-replay"])
         results = Results(runs, out)
         drawn = results.draw()
@@ -204,11 +209,15 @@ def _place(args: argparse.Namespace) -> Iterator[Any]:
 def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
     """Raises ValueError where a run cannot be begun or gone on with."""
     from jaxrod.cli.sweeps.planned import differs
+    from jaxrod.cli.sweeps.process import log_of
+    from jaxrod.files import refuse_link
 
     if out.exists() and not out.is_dir():
         raise ValueError(f"out must be a folder, {out} is a file")
     for run in runs:
         folder = _folder(run, out)
+        refuse_link(folder.path)
+        refuse_link(log_of(folder))
         folder.check_replaceable()
         how = differs(run, folder)
         if how:

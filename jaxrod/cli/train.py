@@ -19,14 +19,15 @@ what jaxrod has not written there stays as it is, with --overwrite too.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxrod.cli import settings
+from jaxrod.cli import runs, settings
 from jaxrod.cli.devices import devices_that_fit, first_of_each
 from jaxrod.cli.train_arguments import EXAMPLES, PUBLISHED, STEPS, add_arguments
 from jaxrod.files import reading
@@ -41,7 +42,6 @@ def run(args: argparse.Namespace) -> int:
         os.environ[program_cache.VARIABLE] = "1"
         program_cache.silence_false_alarms()
     import jaxrod
-    from jaxrod.cli import runs
     from jaxrod.envs import check_environment, names
     from jaxrod.envs.importing import spelt_out
     from jaxrod.installation.processes import JOINED_WITHIN, join_processes
@@ -61,27 +61,33 @@ def run(args: argparse.Namespace) -> int:
             raise ValueError(
                 f"{source} holds a run of {stored['task']}, not of {args.task}"
             )
-        with reading(source / "config.json"):
-            resolve(stored["algorithm"], None)
+        if args.algorithm in (None, stored["algorithm"]):
+            with reading(source / "config.json"):
+                resolve(stored["algorithm"], None, _trust(args))
     if args.like:
         assert stored
         # So that the folder is named after what is trained.
         args.algorithm = args.algorithm or stored["algorithm"]
         args.seed = stored["seed"] if args.seed is None else args.seed
     algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
-    learner, config = resolve(algorithm, None)
+    learner, config = resolve(algorithm, None, _trust(args))
     if "help" in args.set:
         print(settings.listing(config))
         return 0
-    if stored and algorithm == stored["algorithm"]:
-        assert source
-        with reading(source / "config.json"):
-            config = settings.configure(config, stored["settings"], [])
-            learner.validate(config, 1)
-            check_steps(stored["steps"], updates_of(learner, config))
     words = list(args.set)
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
+    said = settings.configure(config, {}, words)
+    # Whatever the user has just said is trusted, under its other names, too.
+    trust = _trust(args, said)
+    if stored and algorithm == stored["algorithm"]:
+        assert source
+        given = {word.partition("=")[0] for word in words}
+        kept = {k: v for k, v in stored["settings"].items() if k not in given}
+        with reading(source / "config.json"):
+            config = settings.configure(config, kept, [], trust)
+            learner.validate(config, 1)
+            check_steps(stored["steps"], updates_of(learner, config))
     config = settings.configure(config, {}, words)
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     # Before somebody's own task is imported, which may compute at once.
@@ -96,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
             "--distributed"
         )
     if source:
-        runs.open_run(source)
+        runs.open_run(source, trust)
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
@@ -167,12 +173,13 @@ def run(args: argparse.Namespace) -> int:
     if result.folder is None:
         return 130 if summary["status"] == "interrupted" else 0
     if summary["status"] == "interrupted":
+        needed = "".join(f" --trust {one}" for one in _modules(algorithm, config))
         print(
-            f"continue with: jaxrod train {args.task} --resume --out {out}",
+            f"continue with: jaxrod train {args.task} --resume --out {out}{needed}",
             file=sys.stderr,
         )
         return 130
-    pictures = _draw(out, result.policy, replay=not args.no_replay)
+    pictures = _draw(out, result.policy, trust, replay=not args.no_replay)
     if args.json:
         print(json.dumps({**summary, "run": str(out)}, indent=2))
         return 0
@@ -184,6 +191,38 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
+    """Modules and import paths that may be imported where a file names them.
+
+    Args:
+        args: those of the command: what --trust names, and what else the user names.
+        said: settings as the user has given them.
+    """
+    from jaxrod.envs.importing import spelt_out
+
+    typed = (args.task, spelt_out(args.task), args.algorithm or "")
+    # The name of what is built in is no word for a module of the same name.
+    paths = [word for word in typed if ":" in word]
+    return (*args.trust, *paths, *_functions(said))
+
+
+def _modules(algorithm: str, config: Any) -> list[str]:
+    """Modules that a run of these is resumed with, besides that of its task."""
+    paths = [algorithm, *_functions(config)]
+    usual = () if config is None else _functions(type(config)())
+    named = {path.rpartition(":")[0] for path in paths if path not in usual}
+    return sorted(filter(None, named))
+
+
+def _functions(settings: Any) -> list[str]:
+    """Import paths of the settings that are functions."""
+    from jaxrod.training.import_path import import_path
+
+    fields = () if settings is None else dataclasses.fields(settings)
+    values = [getattr(settings, field.name) for field in fields]
+    return [path for one in values if callable(one) and (path := import_path(one))]
+
+
 def _logs(args: argparse.Namespace, out: Path) -> bool:
     """Whether to keep an event file: as asked for, else as the run that goes on."""
     from jaxrod.training import RunFolder
@@ -193,11 +232,13 @@ def _logs(args: argparse.Namespace, out: Path) -> bool:
     return bool(args.log == "tensorboard")
 
 
-def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
+def _draw(
+    out: Path, policy: Any, trust: Collection[str], replay: bool
+) -> list[Path | None]:
     """Draws what there is to draw of a finished run."""
-    from jaxrod.cli import pictures, runs
+    from jaxrod.cli import pictures
 
-    stored = runs.open_run(out)
+    stored = runs.open_run(out, trust)
     drawn = [pictures.draw_learning_curve(out, stored.config)]
     if replay:
         drawn.append(pictures.write_replay(stored, policy))
@@ -206,8 +247,6 @@ def _draw(out: Path, policy: Any, replay: bool) -> list[Path | None]:
 
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """The result in words."""
-    from jaxrod.cli import runs
-
     final = summary["final_score"]
     score = "no episode was completed"
     if final is not None:
@@ -257,8 +296,6 @@ def short_name(task: str) -> str:
 
 
 def _default_variant(task: str) -> str | None:
-    from jaxrod.cli import runs
-
     return getattr(runs.make_task(task, {}), "variant", None)
 
 

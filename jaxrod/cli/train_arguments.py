@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from jaxrod.cli import settings
+from jaxrod.cli import runs, settings
 
 STEPS = 10_000_000
 """Control steps by default: the published budget."""
@@ -26,6 +26,7 @@ examples:
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
+  jaxrod train tracking --resume --out runs/mine --trust my_module   ... goes on
   jaxrod train tracking --log tensorboard                  and: tensorboard --logdir .
   jaxrod train tracking --json > result.json               for a script: summary.json
 
@@ -96,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="begin a new run with the options, settings, steps and seed of the run in "
         "the folder RUN; what is given besides counts instead",
     )
+    runs.add_trust(parser)
     parser.add_argument(
         "--num-envs",
         type=int,

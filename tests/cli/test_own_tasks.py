@@ -132,9 +132,13 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
     config = json.loads((folder / "config.json").read_text())
     assert config["task"] == task
     assert config["env_options"] == {"length": 7, "start": [1, 2]}
-    found = run_json("evaluate", folder, "--episodes", 2, "--json")
+    for command in ("evaluate", "render"):
+        code, _, err = run(command, folder)
+        assert code == 2 and "say so: --trust package_of_mine.tasks, in" in err
+    trust = ("--trust", "package_of_mine.tasks")
+    found = run_json("evaluate", folder, "--episodes", 2, "--json", *trust)
     assert found["task"] == task and max(found["lengths"]) <= 7
-    code, out, err = run("render", folder)
+    code, out, err = run("render", folder, *trust)
     assert code == 0 and "learning_curve.png" in out
     assert "no replay: line does not say what to draw" in err
     code, _, err = run("train", task, "--resume", "--option", "length=8")
@@ -147,7 +151,7 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
     os.utime(file, (1, 1))
     del sys.modules["package_of_mine.tasks"]
     importlib.invalidate_caches()
-    code, _, err = run("evaluate", folder)
+    code, _, err = run("evaluate", folder, *trust)
     assert code == 2 and err.count("\n") == 1
     assert f"the task of {folder}/config.json cannot be made again: " in err
     assert "has no option 'length', it has size, name, start" in err
@@ -161,6 +165,7 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
         ("nowhere.py:make_task", [], "there is no file "),
         ("package_of_mine/tasks:make_task", [], "is neither the name of a module nor"),
         ("package_of_mine.tasks:", [], "must look like mypackage.mymodule:make_task"),
+        ("package_of_mine.tasks:Line.step", [], "must look like mypackage.mymodule:"),
         (":make_task", [], "must look like mypackage.mymodule:make_task"),
         ("os:system", ["command=true"], "'os' is a module of Python's own"),
         ("package_of_mine.tasks:task", [], "package_of_mine.tasks has no 'task'"),

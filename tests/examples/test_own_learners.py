@@ -89,7 +89,10 @@ def test_an_algorithm_of_ones_own_learns_and_resumes_bit_by_bit(tmp_path, exampl
     assert len(resumed.progress) == 1
     assert_same(whole.state, resumed.state)
     assert whole.episodes.returns == resumed.episodes.returns
-    assert_same(whole.policy, restore_policy(tmp_path / "part", env))
+    with pytest.raises(ValueError, match="--trust own_algorithm"):
+        restore_policy(tmp_path / "part", env)
+    stored = restore_policy(tmp_path / "part", env, trust=("own_algorithm",))
+    assert_same(whole.policy, stored)
     assert whole.summary["final_score"] > env.optimal_return - 0.7
     assert evaluate(env, whole.policy, episodes=200).mean > env.optimal_return - 0.4
 
@@ -108,12 +111,16 @@ def test_an_algorithm_of_ones_own_is_found_by_its_import_path(
         "episode_steps": 20,
         "spread": 0.4,
     }
-    found = json.loads(command("evaluate", folder, "--episodes", 5, "--json"))
-    policy = restore_policy(folder, make("trivial"))
+    trust = ("--trust", "own_algorithm", "--json")
+    found = json.loads(command("evaluate", folder, "--episodes", 5, *trust))
+    policy = restore_policy(folder, make("trivial"), trust=("own_algorithm",))
     scores = evaluate(make("trivial"), policy, episodes=5, seed=1).returns
     assert found["returns"] == scores.tolist()
-    words = ("train", "trivial", "--resume", "--out", folder, "--json")
-    assert json.loads(command(*words)) == summary
+    words = ("train", "trivial", "--resume", "--out", folder)
+    assert json.loads(command(*words, *trust)) == summary
+    # Typed once more, it needs no other word.
+    typed = ("--algorithm", path, "--json")
+    assert json.loads(command(*words, *typed)) == summary
 
 
 @pytest.mark.slow
@@ -132,13 +139,14 @@ def test_a_network_of_ones_own_trains_and_resumes_bit_by_bit(
     settings = json.loads((part / "config.json").read_text())["settings"]
     assert settings["network"] == "own_network:residual"
     # All that is known of the network is its import path.
-    words = ("train", "trivial", "--resume", "--out", part, "--json")
+    trust = ("--trust", "own_network", "--json")
+    words = ("train", "trivial", "--resume", "--out", part, *trust)
     resumed = json.loads(command(*words))
     assert resumed["final_score"] == whole.summary["final_score"]
-    stored = restore_policy(part, make("trivial"))
+    stored = restore_policy(part, make("trivial"), trust=("own_network",))
     assert isinstance(stored, NetworkPolicy) and "LayerNorm_0" in stored.weights
     assert_same(whole.policy, stored)
-    words = ("evaluate", part, "--episodes", 16, "--seed", 0, "--json")
+    words = ("evaluate", part, "--episodes", 16, "--seed", 0, *trust)
     assert json.loads(command(*words))["score"] == resumed["evaluation_score"]
     assert resumed["evaluation_score"] > make("trivial").optimal_return - 1
     with pytest.raises(ValueError, match=r"no multilayer perceptron: .*like="):

@@ -68,8 +68,9 @@ def test_it_trains_goes_on_and_is_evaluated_and_drawn(shell, tmp_path, monkeypat
     assert json.loads(again)["env_steps"] == 32
     # From another folder, too.
     monkeypatch.chdir(tmp_path)
-    found = json.loads(shell("evaluate", folder, "--episodes", "2", "--json"))
+    trust = ("--trust", ROOT / "examples" / "own_task.py")
+    found = json.loads(shell("evaluate", folder, "--episodes", "2", "--json", *trust))
     assert found["task"] == config["task"] and found["lengths"] == [100, 100]
-    out = shell("render", folder, "--seconds", "0.1")
+    out = shell("render", folder, "--seconds", "0.1", *trust)
     assert str(folder / "replay.html") in out.split()
     assert "own_task.py:make_task, ppo, seed 0" in (folder / "replay.html").read_text()

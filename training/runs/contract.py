@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from typing import Any
 
 import jax
@@ -15,19 +16,23 @@ from jaxrod.training.algorithm import Algorithm, Metrics, find_algorithm
 from jaxrod.validation import check_count
 
 
-def resolve(algorithm: str | Algorithm, config: Any) -> tuple[Algorithm, Any]:
+def resolve(
+    algorithm: str | Algorithm, config: Any, trust: Collection[str] | None = None
+) -> tuple[Algorithm, Any]:
     """The algorithm of a name, and its configuration.
 
     Args:
         algorithm: a name, an import path or an `Algorithm`.
         config: its configuration, None for the defaults.
+        trust: for a name that a file holds, see `find_algorithm`.
 
     Raises:
+        UntrustedError: a file names it, and it is not trusted.
         ValueError: there is no such algorithm, the configuration is of another one, or
             either is not what `Algorithm` says; with the name of what is wrong.
     """
     if isinstance(algorithm, str):
-        algorithm = find_algorithm(algorithm)
+        algorithm = find_algorithm(algorithm, trust)
     if not isinstance(algorithm, Algorithm):
         raise ValueError(
             "algorithm must be a name, an import path or a jaxrod.training.Algorithm, "

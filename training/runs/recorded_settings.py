@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxrod.files import UntrustedError
 from jaxrod.training.import_path import find_object, import_path
 
 KINDS: dict[type, str] = {
@@ -36,22 +37,27 @@ def recorded(settings: Any) -> dict[str, Any]:
     }
 
 
-def restored(defaults: Any, stored: Mapping[str, Any]) -> Any:
+def restored(
+    defaults: Any, stored: Mapping[str, Any], trust: Collection[str] = ()
+) -> Any:
     """Settings from what `config.json` keeps of them.
 
     Args:
         defaults: settings of the learner; those that are not stored stay.
         stored: what was kept; what is no setting of the learner is left out.
+        trust: modules that may be imported because the file names them, see
+            `jaxrod.envs.importing.check_trusted`; what is as by default needs none.
 
     Raises:
         ValueError: one is not of its kind.
+        UntrustedError: one is a function that is not trusted.
         ImportError: a function is not found.
     """
     known = {field.name for field in dataclasses.fields(defaults)}
     return dataclasses.replace(
         defaults,
         **{
-            name: _restored(name, value, getattr(defaults, name))
+            name: _restored(name, value, getattr(defaults, name), trust)
             for name, value in stored.items()
             if name in known
         },
@@ -73,15 +79,18 @@ def is_function(default: Any) -> bool:
     return default is None or callable(default)
 
 
-def find_function(name: str, path: Any) -> Any:
+def find_function(name: str, path: Any, trust: Collection[str] | None = None) -> Any:
     """The function that a setting names.
 
     Args:
         name: of the setting.
         path: its import path; None stands for itself.
+        trust: for a path that a file holds, see `restored`; None for what the user
+            names.
 
     Raises:
         ValueError: it is no import path, or not that of a function.
+        UntrustedError: a file names it, and it is not trusted.
         ImportError: it is not found.
     """
     if path is None:
@@ -89,7 +98,9 @@ def find_function(name: str, path: Any) -> Any:
     if not isinstance(path, str):
         raise ValueError(f"{name} must be {FUNCTION}, got {path!r:.60}")
     try:
-        found = find_object(path)
+        found = find_object(path, trust)
+    except UntrustedError as error:
+        raise UntrustedError(f"{name}: {error}") from error
     except ValueError as error:
         raise ValueError(f"{name} must be {FUNCTION}: {error}") from error
     if not callable(found):
@@ -103,8 +114,9 @@ def _recorded(name: str, value: Any) -> Any:
     path = import_path(value)
     if path is None:
         raise ValueError(
-            f"{name} must be a function or class of a module that can be imported, so "
-            f"that the run can be resumed and evaluated, got {value!r:.80}"
+            f"{name} must be a function or class at the top level of a module that can "
+            "be imported, so that the run can be resumed and evaluated, got "
+            f"{value!r:.80}"
         )
     return path
 
@@ -120,10 +132,11 @@ def _checked(name: str, value: Any) -> Any:
     return value
 
 
-def _restored(name: str, value: Any, default: Any) -> Any:
+def _restored(name: str, value: Any, default: Any, trust: Collection[str]) -> Any:
     """A stored value, of the same kind as the default."""
     if is_function(default):
-        return find_function(name, value)
+        usual = callable(default) and value == import_path(default)
+        return default if usual else find_function(name, value, trust)
     kind = type(default)
     if kind is float and type(value) is int:
         return float(value)

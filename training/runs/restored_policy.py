@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,11 @@ from jaxrod.training.runs.recorded_settings import restored
 
 
 def restore_policy(
-    run: str | Path, env: Environment, *, env_params: Any = None
+    run: str | Path,
+    env: Environment,
+    *,
+    env_params: Any = None,
+    trust: Collection[str] = (),
 ) -> Policy:
     """Reads the policy of a run.
 
@@ -27,10 +32,14 @@ def restore_policy(
         run: folder of the run.
         env: the environment it was trained on.
         env_params: parameters of the environment, None for its own.
+        trust: modules that may be imported because the run names them, such as
+            `("my_learners",)`: those of an algorithm or a network of your own. The
+            policies of built-in algorithms and networks need none.
 
     Raises:
         ValueError: there is no run, it has no policy yet, or a file is damaged; with
             its name.
+        UntrustedError: the run names an algorithm or a network that is not trusted.
         ImportError: the algorithm or a network that it was trained with is not found.
     """
     folder = RunFolder(run)
@@ -38,8 +47,8 @@ def restore_policy(
     if not needs_structure(folder.policy):
         return load_policy(folder.policy)
     with reading(folder.path / CONFIG):
-        algorithm, config = resolve(stored["algorithm"], None)
-        config = restored(config, stored["settings"])
+        algorithm, config = resolve(stored["algorithm"], None, trust)
+        config = restored(config, stored["settings"], trust)
     like = untrained_policy(env, algorithm, config, env_params=env_params)
     return load_policy(folder.policy, like)
 
