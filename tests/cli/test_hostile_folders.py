@@ -15,7 +15,7 @@ import pytest
 from benchmarks.paper.plan import plan
 from benchmarks.paper.records import COLUMNS
 from extremes.damage import Malicious
-from jaxrod.cli import settings
+from jaxrod.cli import settings, train
 from jaxrod.cli.runs import open_run
 from jaxrod.cli.sweeps.process import open_log
 from jaxrod.envs.trivial import Trivial
@@ -419,3 +419,11 @@ def test_a_record_of_a_grid_imports_nothing(place, run):
     code, _, err = run(*GRID, place / "run", "--dry-run")
     assert code == 2 and "names the algorithm 'evil_module:ALGORITHM'" in err
     assert not (place / "mark").exists()
+
+
+def test_a_run_that_is_stopped_says_with_which_flags_it_goes_on(place, monkeypatch):
+    (place / "evil_module.py").write_text("def make(role, outputs): ...\n")
+    monkeypatch.syspath_prepend(place)
+    own = PPOConfig(network=importlib.import_module("evil_module").make)
+    assert train._modules("ppo", PPOConfig()) == []
+    assert train._modules("mine:ALGORITHM", own) == ["evil_module", "mine"]
