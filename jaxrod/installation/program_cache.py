@@ -25,7 +25,7 @@ from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
-from jaxrod.installation.private_folders import make_private_folder, shared_with
+from jaxrod.private_folders import make_private_folder, shared_with
 
 VARIABLE = "JAXROD_CACHE"
 """Environment variable that asks for the cache: 1, or a folder."""

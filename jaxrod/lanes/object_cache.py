@@ -20,7 +20,7 @@ from typing import Any
 import jax
 
 from jaxrod.files import write_atomically
-from jaxrod.installation.private_folders import (
+from jaxrod.private_folders import (
     make_private_folder,
     read_own,
     shared_with,
