@@ -71,10 +71,11 @@ def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..
 
 
 def check_trusted(where: str, trust: Collection[str]) -> None:
-    """Refuses what a file names, unless the user has vouched for its module.
+    """Refuses what a file names, unless the user trusts its module.
 
-    Nothing is imported here. A package does not vouch for the modules in it, nor a
-    module for its package, although importing it runs the package's `__init__.py`.
+    Nothing is imported here. Trust in a package does not extend to its modules, nor
+    trust in a module to its package, although importing the module runs the package's
+    `__init__.py`.
 
     Args:
         where: `package.module:NAME` or `folder/file.py:NAME`, with one plain name.
@@ -128,7 +129,7 @@ def check_home(
         where: the import path.
         found: what is there.
         module: in which it was found.
-        trust: see `check_trusted`; a single import path vouches for it in any case.
+        trust: see `check_trusted`; a single import path is trusted in any case.
 
     Raises:
         UntrustedError: it is a function or class of another package.

@@ -34,7 +34,7 @@ def main() -> None:
     env, folder = make("trivial"), "runs/own_network"
     config = PPOConfig(num_envs=32, rollout_steps=64, network=residual)
     train(env, "ppo", steps=100_000, config=config, out=folder, overwrite=True)
-    # The run names this file, which is imported because you vouch for it.
+    # The run names this file, which is imported because you say that you trust it.
     policy = restore_policy(folder, env, trust=("own_network",))
     print(f"mean return {evaluate(env, policy, episodes=100).mean:.2f}")
 

@@ -72,7 +72,7 @@ def open_to_write(path: Path, flags: int) -> int:
         The number of the open file.
 
     Raises:
-        LinkedFileError: it is a link, has another name besides, or is no plain file.
+        LinkedFileError: it is a link, has a second name, or is not a plain file.
         OSError: it cannot be opened; with its name.
     """
     refuse_link(path)

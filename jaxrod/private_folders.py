@@ -14,12 +14,12 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def shared_with(folder: Path) -> str | None:
-    """The reason why others may change what lies in a folder; None where they cannot.
+    """The reason why others may change the content of a folder; None if they cannot.
 
-    As of `ssh`: the folder is this user's, no link, and writable by nobody else; the
-    folders above it are this user's or the system's, and writable by others only where
-    nobody can take away what is not theirs (as in /tmp). Windows has no such modes:
-    there it is always None, and so it is for a folder that is not there.
+    The folder must belong to this user, not be a link, and be writable by nobody else.
+    The folders above it must belong to this user or to the system, and may be writable
+    by others only if they are sticky, like /tmp. Windows has no such modes: there the
+    answer is always None, as it is for a folder that does not exist.
     """
     if not hasattr(os, "getuid"):
         return None
@@ -31,11 +31,11 @@ def shared_with(folder: Path) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        return f"{folder} cannot be looked at: {error.strerror}"
+        return f"{folder} cannot be examined: {error.strerror}"
     if stat.S_ISLNK(found.st_mode):
         return f"{folder} is a link to {os.readlink(folder)}"
     if found.st_uid != os.getuid():
-        return f"{folder} is of user {found.st_uid}, not of user {os.getuid()}"
+        return f"{folder} belongs to user {found.st_uid}, not to user {os.getuid()}"
     if found.st_mode & _OTHERS_WRITE:
         return f"{folder} is writable by others (mode {found.st_mode & 0o7777:04o})"
     for parent, mode in modes.items():

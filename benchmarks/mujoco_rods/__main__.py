@@ -114,7 +114,7 @@ def lines_here(table: Table) -> Iterator[str]:
 
 
 def describe_references() -> str:
-    """The references in words."""
+    """A paragraph on the references."""
     exact = errors.deflections()
     swing, stiff = errors.swing(), errors.swing(stretches=False)
     middle = np.asarray(scenes.HANGING.length / 2)

@@ -60,7 +60,7 @@ def cantilever() -> Problem:
 
 
 def swinging(amplitude: float = scenes.AMPLITUDE) -> Problem:
-    """The swinging cable, looked at a hundred times a second."""
+    """The swinging cable, sampled a hundred times a second."""
     scene = scenes.SWINGING
     x, y, z = scenes.straight(scene).T
     return Problem(

@@ -143,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.cli.sweeps.results import Results
     from jaxrod.installation.backend import given_options
 
-    given_options()  # What is wrong with them is told before JAX starts.
+    given_options()  # Mistakes in them are reported before JAX starts.
     # Runs are planned here and trained elsewhere: no GPU's memory is to be taken.
     jax.config.update("jax_platforms", "cpu")
     if args.ray is None and (args.cpus, args.gpus) != (None, None):
@@ -207,7 +207,7 @@ def _place(args: argparse.Namespace) -> Iterator[Any]:
 
 
 def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
-    """Raises ValueError where a run cannot be begun or gone on with."""
+    """Raises ValueError where a run can be neither begun nor continued."""
     from jaxrod.cli.sweeps.planned import differs
     from jaxrod.cli.sweeps.process import log_of
     from jaxrod.files import refuse_link

@@ -207,7 +207,7 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
 
 
 def _modules(algorithm: str, config: Any) -> list[str]:
-    """Modules that a run of these is resumed with, besides that of its task."""
+    """Modules to trust when such a run is resumed, other than its task's."""
     paths = [algorithm, *_functions(config)]
     usual = () if config is None else _functions(type(config)())
     named = {path.rpartition(":")[0] for path in paths if path not in usual}

@@ -26,7 +26,7 @@ examples:
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
-  jaxrod train tracking --resume --out runs/mine --trust my_module   ... goes on
+  jaxrod train tracking --resume --out runs/mine --trust my_module   ... continued
   jaxrod train tracking --log tensorboard                  and: tensorboard --logdir .
   jaxrod train tracking --json > result.json               for a script: summary.json
 

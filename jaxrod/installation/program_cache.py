@@ -6,8 +6,8 @@ processor can do is not known to be among them, and a home directory may be shar
 several machines. So there is a folder for every processor.
 
 JAX does not write whole files at once. Compressed by zlib each has a checksum: one that
-is damaged or half written is told and compiled anew. By zstandard it has none, and a
-process that takes a damaged one can die or worse. Then nothing is kept.
+is damaged or half written is reported and compiled again. By zstandard it has none, and
+a process that takes a damaged one can die or worse. Then nothing is kept.
 
 What is taken from the disk is run. A folder that others can write to is refused, with a
 warning, and the program is compiled as if nobody had asked for the cache.

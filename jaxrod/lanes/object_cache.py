@@ -3,11 +3,11 @@
 Where JAX has a folder for compiled programs (`jax_compilation_cache_dir`), a kernel's
 object code is kept in it too, under a digest of its text, of the processor's features
 and of LLVM's version. A file begins with a digest of what follows: one that is damaged
-is compiled anew. Files are written whole or not at all.
+is compiled again. Files are written whole or not at all.
 
-The digest has no key: whoever can write there can have any code run. So nothing is
-taken from a folder that others can write to, nor put there; kernels are then compiled
-anew, and a warning says so once.
+The digest has no key: whoever can write to the folder can have any code run. So kernels
+are neither read from nor written to a folder that others can write to. They are
+compiled again instead, and one warning says so.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jaxrod.private_folders import (
 
 _log = logging.getLogger("jaxrod.lanes")
 _told: set[Path] = set()
-"""Folders whose refusal was told."""
+"""Folders whose refusal has been reported."""
 
 _DIGEST = 32
 """Bytes of a digest."""
@@ -67,15 +67,15 @@ def keeps_objects(engine: Any, key: str) -> None:
 
 
 def _is_refused(folder: Path) -> bool:
-    """Whether others could have put code there; told once for each folder."""
+    """Whether others could have put code there; reported once for each folder."""
     why = shared_with(folder)
     if why is None:
         return False
     if folder not in _told:
         _told.add(folder)
         _log.warning(
-            "kernels are compiled anew and not kept on disk: %s, and machine code from "
-            "there could be anybody's. Take a folder of your own, with mode 0700",
+            "kernels are not kept on disk: %s, and machine code from there could be "
+            "anybody's. Use a folder of your own, with mode 0700",
             why,
         )
     return True

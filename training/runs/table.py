@@ -102,7 +102,7 @@ class Table:
     def check(self, mark: Mark | None) -> None:
         """Raises ValueError unless the file begins with what was marked.
 
-        What this process goes on writing to must not lead elsewhere, either.
+        The file that this process continues must not be a link either.
         """
         refuse_link(self.path)
         if mark is None:
@@ -168,7 +168,7 @@ def check_mark(mark: Mapping[str, Any]) -> None:
 
 
 def _first_empty(content: bytes) -> str | None:
-    """A place where a table has no value, in words.
+    """The first place where a table lacks a value, as a phrase.
 
     First of all one in a column that has values above: some have none until an episode
     has ended.
