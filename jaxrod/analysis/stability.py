@@ -27,19 +27,30 @@ Damping enters the limit as added inertia. Solved exactly in the kick (consisten
 a rate $g$ makes of an inertia $m$ the inertia $m\,\frac{gh}2\coth\frac{gh}2$, as a
 factor after the kick (PyElastica mode) $m\,(1+e^{gh})/2$, and explicit drag of rate
 $c$ takes $m\,ch/2$ away. With these inertias the step is stable exactly while
-$h\,\omega_{\max} < 2$.
+$h\,\omega_{\max} < 2$. As $h\,\omega_{\max}$ grows with $h$, the one step where it is 2
+is bracketed and then found to rounding.
+
+Three things make the bound smaller than the limit. All that may touch is taken to
+touch. Stiffness and drag are added as if one motion felt both: friction drags along a
+surface, contact is stiff across it, and the step that each allows alone is up to 1.62
+times as large (the golden ratio, where both allow the same). In PyElastica mode motions
+that decay by more than 1.28 in an exponent within a step are taken to decay less: there
+the bound grows in proportion to the rate, while the limit may have no end. Friction
+drags what moves and what turns; each is given its share by inertia without damping, so
+that the bound of rods that only turn with much damping is up to five times too small.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from jaxrod.analysis.bracket import Bracket
 from jaxrod.analysis.frequency import (
     InertiaFactors,
     Vibration,
@@ -58,6 +69,14 @@ from jaxrod.validation import as_array
 Details = TypeVar("Details")
 
 MODE_NAMES = ("shear and bending", "stretch", "twist")
+_MOST_ROUNDS = 100
+"""Far more than are needed: halving alone takes sixty."""
+_DECAY_SLOPE = 0.5
+"""Bound on what damping adds to inertia, over its exponent, if solved exactly."""
+_FACTOR_TURN = 1.2784645427610738
+"""Where 1 + exp x = x exp x."""
+_FACTOR_SLOPE = 1.7955607383343108
+"""(1 + exp x) / 2x there: the same bound of rates multiplied after the kick."""
 
 
 @pytree
@@ -73,6 +92,9 @@ class StableStep:
     angular_frequency: Float[Array, ""]
     """The highest angular frequency without damping: a bound, or as measured at the
     given state [rad/s]."""
+    uncertainty: Float[Array, ""]
+    """Share by which the step that balances damping or drag may be larger than was
+    found: rounding for the bound, a thousandth at a given state, zero without [1]."""
 
     @property
     def limiting_mode(self) -> str:
@@ -165,9 +187,15 @@ def _bounded(scene: Scene, safety: Array) -> StableStep:
         frequencies = frequency_bounds(scene, factors)
         return jnp.max(frequencies), frequencies
 
-    step, undamped, frequencies = _largest_step(scene, bounds, lambda h: h, rounds=16)
-    mode, element = jnp.divmod(jnp.argmax(frequencies), frequencies.shape[1])
-    return StableStep(safety * step, element, mode, 2 / undamped)
+    shape = len(MODE_NAMES), scene.rod.n_elements
+    dtype = scene.rod.rest_lengths.dtype
+    found = _largest_step(
+        scene, bounds, jnp.zeros(shape, dtype), 64 * float(jnp.finfo(dtype).eps)
+    )
+    mode, element = jnp.divmod(jnp.argmax(found.details), shape[1])
+    return StableStep(
+        safety * found.step, element, mode, 2 / found.undamped, found.uncertainty
+    )
 
 
 @jax.jit
@@ -176,13 +204,13 @@ def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
         vibration = fastest_vibration(scene, state, factors)
         return vibration.angular_frequency, vibration
 
-    # The bound accounts for damping roughly, and is a near start.
-    bound = _bounded(scene, jnp.ones_like(safety))
-
-    def start(undamped: Array) -> Array:
-        return bound.dt * jnp.minimum(0.5 * undamped * bound.angular_frequency, 1)
-
-    step, undamped, motion = _largest_step(scene, measure, start, rounds=6)
+    nothing = Vibration(
+        jnp.zeros((), state.positions.dtype),
+        jnp.zeros_like(state.positions),
+        jnp.zeros_like(state.angular_momenta),
+    )
+    found = _largest_step(scene, measure, nothing, 1e-3)
+    motion = found.details
     nodes = motion.displacements
     axial = jnp.sum(nodes[:, 1:] * state.directors[2] ** 2, axis=0)
     across = jnp.sum(nodes[:, 1:], axis=0) - axial
@@ -191,51 +219,111 @@ def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
     )
     mode = jnp.argmax(jnp.sum(energies, axis=1))
     element = jnp.argmax(jnp.sum(energies, axis=0))
-    return StableStep(safety * step, element, mode, 2 / undamped)
+    return StableStep(
+        safety * found.step, element, mode, 2 / found.undamped, found.uncertainty
+    )
+
+
+_Search = tuple[Array, Array, Bracket, Any]
+"""Round, the step without damping, bracket of the logarithm of the step over that, and
+what else is known."""
+
+
+class _Found(NamedTuple):
+    """The step at which h times the frequency is 2, and what else is known."""
+
+    step: Array
+    undamped: Array
+    """The step without damping and drag [s]."""
+    uncertainty: Array
+    """Width of the bracket, of which the step is the lower end [1]."""
+    details: Any
+    """Those of the last measurement."""
 
 
 def _largest_step(
     scene: Scene,
     measure: Callable[[InertiaFactors], tuple[Array, Details]],
-    start: Callable[[Array], Array],
-    rounds: int,
-) -> tuple[Array, Array, Details]:
+    nothing: Details,
+    tolerance: float,
+) -> _Found:
     """The step h at which h times the frequency, damping included, is 2.
 
     Args:
         scene: The scene.
         measure: Gives the highest frequency for given factors of the inertias, and
             anything else that is known of it.
-        start: Gives the first guess from the limit without damping.
-        rounds: Number of improvements of the guess.
-
-    Returns:
-        The step, the limit without damping, and what else is known.
+        nothing: Of the same kind as what else is known.
+        tolerance: Width of the bracket that is narrow enough [1].
     """
     if not _is_damped(scene):
         frequency, details = measure(no_damping(scene.rod))
-        return 2 / frequency, 2 / frequency, details
+        limit = 2 / frequency
+        return _Found(limit, limit, jnp.zeros_like(limit), details)
+    dtype = scene.rod.rest_lengths.dtype
+    floor = 16 * float(jnp.finfo(dtype).eps)
 
     # All in one loop, so that what is measured is compiled once. Round 0 is without
-    # damping. Added inertia grows with the step, inertia taken away shrinks: the
-    # geometric mean converges for both, and in the last round the smaller of the two
-    # is on the safe side.
-    def improve(step: Array, k: Array) -> tuple[Array, tuple[Array, Details]]:
-        damped = _inertia_factors(scene, step)
+    # damping and gives the bracket.
+    def unfinished(carry: _Search) -> Array:
+        k, _, bracket, _ = carry
+        return (k < 2) | ((bracket.width > tolerance) & (k < _MOST_ROUNDS))
+
+    def look(carry: _Search) -> _Search:
+        k, undamped, bracket, _ = carry
+        step = undamped * jnp.exp(bracket.place)
+        raw = _inertia_factors(scene, step)
         factors = jax.tree.map(
-            lambda a, b: jnp.where(k == 0, a, b), no_damping(scene.rod), damped
+            lambda a, b: jnp.where(k == 0, a, jnp.maximum(b, floor)),
+            no_damping(scene.rod),
+            raw,
         )
         frequency, details = measure(factors)
-        limit = 2 / frequency
-        better = jnp.where(
-            k <= rounds, jnp.sqrt(step * limit), jnp.minimum(step, limit)
+        # Numbers of effects may be of more digits than those of the rod.
+        limit = (2 / frequency).astype(dtype)
+        details = jax.tree.map(lambda a, b: a.astype(b.dtype), details, nothing)
+        # Where drag takes all inertia away nothing is stable.
+        least = jnp.minimum(jnp.min(raw[0]), jnp.min(raw[1]))
+        room = jnp.where(least > floor, jnp.tanh(jnp.log(limit / step)), -1)
+        begun = Bracket.between(*_brackets(scene, limit))
+        bracket = jax.tree.map(
+            lambda a, b: jnp.where(k == 0, a, b), begun, bracket.narrowed(room, floor)
         )
-        return jnp.where(k == 0, start(limit), better), (limit, details)
+        return k + 1, jnp.where(k == 0, limit, undamped), bracket, details
 
-    first = jnp.ones((), scene.rod.rest_lengths.dtype)
-    step, (limits, details) = lax.scan(improve, first, jnp.arange(rounds + 2))
-    step = _no_overshoot(scene, step)
-    return step, limits[0], jax.tree.map(lambda a: a[-1], details)
+    zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+    first = jnp.asarray(0), one, Bracket.between(zero - 1, one), nothing
+    _, undamped, bracket, details = lax.while_loop(unfinished, look, first)
+    step = undamped * jnp.exp(bracket.lower)
+    return _Found(step, undamped, bracket.width, details)
+
+
+def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
+    """Logarithms of steps, over that without damping, between which the step is.
+
+    With the largest rate of drag everywhere, and no damping, the balance is a quadratic
+    equation; so it is with the largest rate of damping and no drag. No step is larger
+    than what takes all inertia of any node or element away.
+    """
+    rates, drags = _rates(scene)
+    slope = _DECAY_SLOPE if scene.method.law == "consistent" else _FACTOR_SLOPE
+    worst, slowest = (jnp.zeros_like(undamped) for _ in range(2))
+    gone = jnp.full_like(undamped, jnp.inf)
+    for rate, drag in zip(rates, drags, strict=True):
+        added = jnp.zeros_like(undamped) if rate is None else slope * rate * undamped
+        taken = jnp.zeros_like(undamped) if drag is None else 0.5 * drag * undamped
+        worst = jnp.maximum(worst, jnp.max(taken))
+        slowest = jnp.maximum(slowest, jnp.max(added))
+        net = jnp.max(taken - added)
+        runs_out = net > 0
+        gone = jnp.minimum(
+            gone, jnp.where(runs_out, 1 / jnp.where(runs_out, net, 1), jnp.inf)
+        )
+    lower = 2 / (worst + jnp.sqrt(worst * worst + 4))
+    upper = jnp.minimum(0.5 * (slowest + jnp.sqrt(slowest * slowest + 4)), gone)
+    # Apart by more than rounding.
+    lower, upper = jnp.log(lower) - 1e-3, jnp.log(upper) + 1e-3
+    return lower.astype(undamped.dtype), upper.astype(undamped.dtype)
 
 
 def _total(scene: Scene, name: str) -> Array | None:
@@ -254,39 +342,36 @@ def _is_damped(scene: Scene) -> bool:
     return damping_rates(scene) is not None or drags != (None, None)
 
 
-def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
-    """Effective over true masses and rotary inertias of a rod with damping."""
+def _rates(
+    scene: Scene,
+) -> tuple[tuple[Array | None, Array | None], tuple[Array | None, Array | None]]:
+    """Rates of damping and of explicit drag [1/s], each of nodes and of turning."""
     rod = scene.rod
-    rates = damping_rates(scene)
-    drags = (_total(scene, "node_drag"), _total(scene, "element_drag"))
     transverse, polar = rod.inertias
     least = jnp.minimum(transverse, polar) if scene.method.twist else transverse
-    inertias = (rod.node_masses, least)
+    nodes, elements = _total(scene, "node_drag"), _total(scene, "element_drag")
+    drags = (
+        None if nodes is None else nodes / rod.node_masses,
+        None if elements is None else elements / least,
+    )
+    return damping_rates(scene) or (None, None), drags
+
+
+def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
+    """Effective over true masses and rotary inertias of a rod with damping.
+
+    Not above zero where nothing is stable, however soft the rod is.
+    """
     added = _added_by_decay if scene.method.law == "consistent" else _added_by_factor
     factors = []
-    for k in range(2):
-        factor = jnp.ones_like(inertias[k])
-        if rates is not None:
-            factor = factor + added(rates[k] * dt)
-        drag = drags[k]
+    for rate, drag, one in zip(*_rates(scene), no_damping(scene.rod), strict=True):
+        factor = one
+        if rate is not None:
+            factor = factor + added(rate * dt)
         if drag is not None:
-            factor = factor - 0.5 * dt * drag / inertias[k]
-        # Past this drag nothing is stable; the root must stay real.
-        factors.append(jnp.maximum(factor, 1e-3))
+            factor = factor - 0.5 * dt * drag
+        factors.append(factor.astype(one.dtype))
     return factors[0], factors[1]
-
-
-def _no_overshoot(scene: Scene, dt: Array) -> Array:
-    """A step at which explicit drag alone does not turn motion around twice as fast.
-
-    Where it is far stiffer than all springs, no frequency says so.
-    """
-    drags = (_total(scene, "node_drag"), _total(scene, "element_drag"))
-    inertias = (scene.rod.node_masses, jnp.min(scene.rod.inertias, axis=0))
-    for drag, inertia in zip(drags, inertias, strict=True):
-        if drag is not None:
-            dt = jnp.minimum(dt, 2 / jnp.max(drag / inertia))
-    return dt
 
 
 def _added_by_decay(exponent: Array) -> Array:
@@ -298,8 +383,13 @@ def _added_by_decay(exponent: Array) -> Array:
 
 
 def _added_by_factor(exponent: Array) -> Array:
-    """(1 + exp x) / 2 - 1, for rates multiplied by exp(-x) after the kick."""
-    return 0.5 * jnp.expm1(jnp.minimum(exponent, 60))
+    """(1 + exp x) / 2 - 1, for rates multiplied by exp(-x) after the kick.
+
+    From the least of (1 + exp x) / 2x on, in proportion to x instead: so steps times
+    frequencies grow with the step, with drag or without, and have one balance.
+    """
+    grown = 0.5 * jnp.expm1(jnp.minimum(exponent, _FACTOR_TURN))
+    return jnp.where(exponent < _FACTOR_TURN, grown, _FACTOR_SLOPE * exponent - 1)
 
 
 def frequency_bounds(

@@ -1,0 +1,77 @@
+"""A bracket of the place where a falling function is zero, and how it is narrowed.
+
+Chandrupatla's method: inverse quadratic interpolation through the last three places
+where it can be trusted, else halving. One value of the function for each narrowing, and
+no derivative.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.structure import pytree
+
+
+@pytree
+class Bracket:
+    """Two places between which a falling function is zero, and where to look next."""
+
+    place: Float[Array, ""]
+    """Where to look next."""
+    last: tuple[Array, Array]
+    """The place that was looked at last, and the value there."""
+    other: tuple[Array, Array]
+    """The other end, and the value there, of opposite sign."""
+    former: tuple[Array, Array]
+    """A former end, and the value there."""
+
+    @staticmethod
+    def between(lower: Array, upper: Array) -> Bracket:
+        """A bracket of two places at which nothing was worked out."""
+        # Guesses of the values, as of a function that falls like a hyperbolic tangent:
+        # only their signs have to be right.
+        guess = jnp.tanh(0.5 * (upper - lower))
+        return Bracket(
+            0.5 * (lower + upper), (lower, guess), (upper, -guess), (upper, -guess)
+        )
+
+    @property
+    def width(self) -> Float[Array, ""]:
+        """Distance of the ends."""
+        return jnp.abs(self.other[0] - self.last[0])
+
+    @property
+    def lower(self) -> Float[Array, ""]:
+        """The end at which the function is not negative."""
+        return jnp.minimum(self.last[0], self.other[0])
+
+    def narrowed(self, value: Array, shift: float) -> Bracket:
+        """The bracket once the value at its `place` is known.
+
+        Args:
+            value: Of the function there.
+            shift: Least distance from either end at which to look next.
+        """
+        same = (value >= 0) == (self.last[1] >= 0)
+        last = self.place, value
+        former = jax.tree.map(lambda a, b: jnp.where(same, a, b), self.last, self.other)
+        other = jax.tree.map(lambda a, b: jnp.where(same, a, b), self.other, self.last)
+        (x1, f1), (x2, f2), (x3, f3) = last, other, former
+        share = jnp.asarray(0.5, x1.dtype)
+        place = (x1 - x2) / _not_zero(x3 - x2)
+        height = (f1 - f2) / _not_zero(f3 - f2)
+        trusted = (height**2 < place) & ((1 - height) ** 2 < 1 - place)
+        apart = _not_zero(x2 - x1)
+        curved = f1 / _not_zero(f2 - f1) * f3 / _not_zero(f2 - f3) + (
+            (x3 - x1) / apart * f1 / _not_zero(f3 - f1) * f2 / _not_zero(f3 - f2)
+        )
+        share = jnp.where(trusted, curved, share)
+        margin = jnp.minimum(shift / jnp.abs(apart), 0.5)
+        share = jnp.clip(share, margin, 1 - margin)
+        return Bracket(x1 + share * (x2 - x1), last, other, former)
+
+
+def _not_zero(a: Array) -> Array:
+    return jnp.where(a == 0, 1, a)
