@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxrod.actuation.along_rod import middle_places, resampled_along
 from jaxrod.actuation.section_load import at_nodes
 from jaxrod.effects.base import Effect, Reach, StabilityBound
-from jaxrod.effects.time import Timed, as_timed
+from jaxrod.effects.time import Timed, as_timed_vector
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
@@ -174,7 +174,7 @@ def magnetisation(
     if moments.ndim == 1:
         moments = moments[:, None]
     if not isinstance(field, MagneticField):
-        field = as_timed("field", field, "T", (3,))
+        field = as_timed_vector("field", field, "T", (3,))
     return Magnetisation(moments, field)
 
 
@@ -194,7 +194,7 @@ def linear_field(
         ValueError: If an argument is out of range or of the wrong shape.
     """
     return LinearField(
-        as_timed("flux_density", flux_density, "T", (3,)),
-        as_timed("gradient", gradient, "T/m", (3, 3)),
+        as_timed_vector("flux_density", flux_density, "T", (3,)),
+        as_timed_vector("gradient", gradient, "T/m", (3, 3)),
         as_array("extent", extent, "m", positive=True),
     )

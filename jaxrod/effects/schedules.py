@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.effects.time import Clock, Schedule
+from jaxrod.effects.time import Clock, Schedule, norm
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
@@ -34,6 +34,11 @@ class Ramp(Schedule):
         """The larger of both values."""
         return jnp.maximum(jnp.abs(self.first), jnp.abs(self.last))
 
+    @property
+    def largest_norm(self) -> Array:
+        """The longer of both values."""
+        return jnp.maximum(norm(self.first), norm(self.last))
+
 
 @pytree
 class Sine(Schedule):
@@ -58,6 +63,12 @@ class Sine(Schedule):
         """Mean and amplitude together."""
         return jnp.abs(self.mean) + jnp.abs(self.amplitude)
 
+    @property
+    def largest_norm(self) -> Array:
+        """The longer of mean plus and mean less amplitude."""
+        up, down = self.mean + self.amplitude, self.mean - self.amplitude
+        return jnp.maximum(norm(up), norm(down))
+
 
 @pytree
 class Table(Schedule):
@@ -81,6 +92,11 @@ class Table(Schedule):
     def largest(self) -> Array:
         """The largest of all values."""
         return jnp.max(jnp.abs(self.values), axis=0)
+
+    @property
+    def largest_norm(self) -> Array:
+        """The longest of all values."""
+        return jnp.max(norm(self.values, each=True))
 
 
 @pytree

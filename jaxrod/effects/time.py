@@ -116,6 +116,56 @@ class Schedule(ABC):
     def largest(self) -> Any:
         """Bound on the size of every component at all times, of the same shape."""
 
+    @property
+    def largest_norm(self) -> Any:
+        """Bound on the root of the sum of all squares at all times.
+
+        The same whichever way axes point, if a subclass works it out from its values.
+        """
+        return norm(self.largest)
+
+
+@pytree
+class VectorInSpace(Schedule):
+    """A schedule of what bounds take by its norm alone, such as a field in the world.
+
+    Its largest has that norm, and every component that any value has: so bounds are the
+    same if all is turned, and checks of planes see what may leave them.
+    """
+
+    schedule: Any
+    """Of the values."""
+
+    def __call__(self, clock: Clock) -> Any:
+        """The value at a time."""
+        return self.schedule(clock)
+
+    @property
+    def largest(self) -> Any:
+        """The largest of every component, made as long as the longest value."""
+        largest = self.schedule.largest
+        long = norm(largest)
+        nothing = long == 0
+        return largest * (self.largest_norm / jnp.where(nothing, 1, long))
+
+    @property
+    def largest_norm(self) -> Any:
+        """Of the schedule."""
+        return self.schedule.largest_norm
+
+
+def norm(values: Array, *, each: bool = False) -> Array:
+    """Root of the sum of squares.
+
+    Args:
+        values: The numbers.
+        each: Whether along all axes but the first.
+    """
+    axes = tuple(range(1, jnp.ndim(values))) if each else None
+    squares = jnp.sum(values * values, axis=axes)
+    nothing = squares == 0
+    return jnp.where(nothing, 0, jnp.sqrt(jnp.where(nothing, 1, squares)))
+
 
 Timed = Numbers | Schedule
 """A number, a vector or an array of numbers, or a schedule of such."""
@@ -147,6 +197,17 @@ def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
         tree,
         is_leaf=is_schedule,
     )
+
+
+def as_timed_vector(
+    name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
+) -> Any:
+    """An argument that may depend on time and whose norm alone is in bounds, checked.
+
+    As `as_timed`, which says what the arguments are.
+    """
+    checked = as_timed(name, value, unit, *shapes, **limits)
+    return VectorInSpace(checked) if is_schedule(checked) else checked
 
 
 def as_timed(
