@@ -102,6 +102,7 @@ _NAMES = {
     "effects.loads": (
         "EndLoad",
         "ExponentialDamping",
+        "FollowerEndLoad",
         "FollowerLoad",
         "Gravity",
         "UniformLoad",

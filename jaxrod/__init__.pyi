@@ -101,6 +101,7 @@ from jaxrod.effects.immersion import buoyancy as buoyancy
 from jaxrod.effects.immersion import with_added_mass as with_added_mass
 from jaxrod.effects.loads import EndLoad as EndLoad
 from jaxrod.effects.loads import ExponentialDamping as ExponentialDamping
+from jaxrod.effects.loads import FollowerEndLoad as FollowerEndLoad
 from jaxrod.effects.loads import FollowerLoad as FollowerLoad
 from jaxrod.effects.loads import Gravity as Gravity
 from jaxrod.effects.loads import UniformLoad as UniformLoad

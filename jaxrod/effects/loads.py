@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect, Reach, StabilityBound
-from jaxrod.effects.ends import End, at_end, check_end, only_at_end
+from jaxrod.effects.ends import End, at_end, check_end, only_at_end, place
 from jaxrod.effects.time import Timed, as_timed
 from jaxrod.geometry import vectors
-from jaxrod.geometry.matrices import Matrix, skew
+from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
@@ -52,37 +52,60 @@ class EndLoad(Effect):
     force: Float[Array, "3"]
     """On the end node, world frame [N]."""
     couple: Float[Array, "3"]
-    """On the end element, world frame, or material frame if `follower` [N m]."""
+    """On the end element, world frame [N m]."""
     end: End = static(default="finish")
     """Which end."""
-    follower: bool = static(default=False)
-    """Whether the couple turns with the end element."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """The force and the couple."""
-        couple = vectors.split(self.couple)
-        if not self.follower:
-            couple = to_material(
-                directors(at_end(motion.orientation, self.end)), couple
-            )
+        frame = directors(at_end(motion.orientation, self.end))
+        couple = to_material(frame, vectors.split(self.couple))
+        return self._at_end(rod, vectors.split(self.force), couple)
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
+        """None: force and couple are constant in the world frame."""
+        return None
+
+    def _at_end(self, rod: Rod, force: Vec3, couple: Vec3) -> Loads:
+        """A force [N] and a material couple [N m], zero but for the end."""
         return Loads(
-            forces=only_at_end(vectors.split(self.force), rod.n_elements + 1, self.end),
+            forces=only_at_end(force, rod.n_elements + 1, self.end),
             couples=only_at_end(couple, rod.n_elements, self.end),
         )
 
-    def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Of the couple, if it turns with the element."""
-        if not self.follower:
-            return None
+
+@pytree
+class FollowerEndLoad(EndLoad):
+    """A force and couple on one end of the rod that turn with its end element.
+
+    Both are in the material frame of that element. They have no potential.
+    """
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The force, turned with the end element, and the couple."""
         frame = directors(at_end(motion.orientation, self.end))
-        rows = skew(to_world(frame, vectors.split(self.couple)))
-        x, y, z = (only_at_end(row, rod.n_elements, self.end) for row in rows)
-        return x, y, z
+        force = to_world(frame, vectors.split(self.force))
+        return self._at_end(rod, force, vectors.split(self.couple))
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """The force, which turns with the end element, on that and on the end node."""
+        index = 0 if self.end == "start" else -1
+        size = jnp.sqrt(jnp.sum(self.force**2))
+        # Force times turn times displacement: by Young's inequality at most half of
+        # the squares of both, in a length that balances mass and rotary inertia.
+        least = jnp.min(rod.inertias[:, index])
+        scale = jnp.sqrt(least / rod.node_masses[index])
+        return StabilityBound(
+            nodes=place(size / scale, rod.n_elements + 1, self.end),
+            elements=place(size * scale, rod.n_elements, self.end),
+        )
 
     @property
     def twists(self) -> str | None:
-        """The couple, if it turns with the element."""
-        return "follower=True" if self.follower else None
+        """The loads, which turn with the end element."""
+        return "follower=True"
 
 
 @pytree
@@ -190,17 +213,19 @@ def end_load(
     """A force and couple on one end.
 
     Args:
-        force: On the end node, world frame `(3,)`, or a schedule of such [N].
-        couple: On the end element `(3,)`, or a schedule of such [N m]; world frame, or
-            material frame if `follower`.
+        force: On the end node `(3,)`, or a schedule of such [N]; world frame, or the
+            material frame of the end element if `follower`.
+        couple: On the end element, likewise [N m].
         end: "start" or "finish".
-        follower: Whether the couple turns with the end element.
+        follower: Whether force and couple turn with the end element. Then a force
+            along d3 stays along the rod, and one along d1 or d2 stays across it. For
+            a couple alone that turns beside a force that does not, list two loads.
     """
-    return EndLoad(
+    kind = FollowerEndLoad if follower else EndLoad
+    return kind(
         force=as_timed("force", force, "N", (3,)),
         couple=as_timed("couple", couple, "N m", (3,)),
         end=check_end(end),
-        follower=bool(follower),
     )
 
 

@@ -121,13 +121,16 @@ def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT, twist=0.0, dampin
             dtype=jnp.float64,
         )
     slow = jaxrod.exponential_damping(damping)
-    load = jaxrod.end_load(pull, (0.0, 0.0, twist), follower=True)
+    loads = (
+        jaxrod.end_load(pull),
+        jaxrod.end_load(couple=(0.0, 0.0, twist), follower=True),
+    )
     law = {"method": jaxrod.pyelastica()}
     fixed = jaxrod.fixed_end(state["one"], end=held)
     system = jaxrod.make_system(
         {
             "one": jaxrod.make_scene(rods["one"], fixed, slow, **law),
-            "two": jaxrod.make_scene(rods["two"], load, slow, **law),
+            "two": jaxrod.make_scene(rods["two"], *loads, slow, **law),
         },
         join(("one", "finish"), ("two", "start"), state),
         state=state,

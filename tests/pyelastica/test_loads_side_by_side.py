@@ -45,18 +45,31 @@ def swing(size):
     return Swing(jnp.asarray(size), jnp.asarray(NORMAL), jnp.asarray(roll))
 
 
+class EndFollower(elastica.NoForces):
+    """A force in the frame of the last element, as users of theirs write it."""
+
+    def __init__(self, force):
+        self.force = force
+
+    def apply_forces(self, system, time=0.0):
+        """Adds it."""
+        frame = system.director_collection[..., -1]
+        system.external_forces[..., -1] += self.force @ frame
+
+
 SIZES = {
     "EndpointForces, ramped up on both ends": 1.0,
     "EndpointForcesSinusoidal": 0.4,
     "UniformTorques": 0.5,
     "UniformForces": 5.0,
+    "NoForces subclass, a force that turns with the end": 2.0,
 }
 """Of each load over the rod's bending stiffness."""
 
 
 def ours(rod, sizes):
-    """Their four loads here; one program, whatever their sizes are."""
-    ends, swings, couple, force = sizes
+    """Their loads here; one program, whatever their sizes are."""
+    ends, swings, couple, force, follower = sizes
     # Theirs is the total, shared equally by elements; of equal ones that is per length.
     share = END / float(np.sum(rod.rest_lengths))
     return [
@@ -65,12 +78,13 @@ def ours(rod, sizes):
         jaxrod.end_load(swing(swings), end="start"),
         jaxrod.end_load(swing(-0.7 * swings)),
         jaxrod.uniform_load(force * share, couple * share),
+        jaxrod.end_load(follower * END, follower=True),
     ]
 
 
 def theirs(sizes):
     """The classes and their arguments."""
-    ends, swings, couple, force = sizes
+    ends, swings, couple, force, follower = sizes
     return [
         (elastica.EndpointForces, ends * START, ends * END, RAMP),
         (
@@ -83,6 +97,7 @@ def theirs(sizes):
         ),
         (elastica.UniformTorques, couple, END),
         (elastica.UniformForces, force, END),
+        (EndFollower, follower * END),
     ]
 
 
