@@ -23,6 +23,7 @@ except ModuleNotFoundError as missing:
         name="brax",
     ) from missing
 
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.adapters.brax_patch import patched_jax
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
@@ -131,7 +132,11 @@ class BraxEnv(Env):
         Args:
             state: state from `reset` or from the step before.
             action: in [-1, 1], shape (action_size,).
+
+        Raises:
+            ValueError: the action has another shape.
         """
+        action = action_of_size(action, self.env.action_size)
         running = state.pipeline_state
         following = self._advance(state, action)
         # brax repeats an action past the end of an episode: nothing moves any more.

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from jaxrod.envs.actions import action_of_size
 from jaxrod.structure import pytree
 
 
@@ -86,6 +87,7 @@ class Trivial:
         dict[str, Array],
     ]:
         """Moves the point; see the class."""
+        action = action_of_size(action, self.action_size)
         position = state.position + params.stride * action[0]
         steps = state.steps + 1
         terminated = jnp.abs(position) > params.edge

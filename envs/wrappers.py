@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt
 
+from jaxrod.envs.actions import check_action_shape
 from jaxrod.envs.protocol import Environment
 from jaxrod.structure import pytree
 
@@ -160,7 +161,12 @@ class VectorEnvironment:
             restart_phase: where the elapsed step count of episodes that start now
                 starts [control steps]. Above 0 they end that much earlier and do not
                 count.
+
+        Raises:
+            ValueError: the actions have another shape.
         """
+        shape = (state.ticks.shape[0], self.env.action_size)
+        check_action_shape("actions", action, shape)
         ticks = state.ticks + 1
         observation, states, reward, terminated, truncated, info = jax.vmap(
             self.env.step, in_axes=(0, 0, 0, None)

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from jaxtyping import Array, Bool, Float, Key, UInt8
 
+from jaxrod.envs.actions import check_action_shape
 from jaxrod.envs.adapters.packing import Layout, Packed, layout
 from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
 from jaxrod.envs.protocol import Environment
@@ -121,9 +122,7 @@ class Batch:
         """
         packed = self.packed()
         actions = np.asarray(actions)
-        shape = (self.num_envs, self.env.action_size)
-        if actions.shape != shape:
-            raise ValueError(f"actions must have shape {shape}, got {actions.shape}")
+        check_action_shape("actions", actions, (self.num_envs, self.env.action_size))
         actions = actions.astype(self._dtype)
         program = self._programs[waiting is not None]
         self._packed, (arrays, others) = program.step(

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from jaxrod.envs.actions import check_action_shape
 from jaxrod.envs.adapters.gymnasium_batch import METADATA, Batch, observed
 from jaxrod.envs.adapters.packing import Packed
 from jaxrod.envs.protocol import Environment
@@ -94,6 +95,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._ended:
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset")
         before = self._batch.packed()
+        check_action_shape("action", action, (self._batch.env.action_size,))
         step = self._batch.step(np.asarray(action)[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._ended = terminated or truncated

@@ -36,6 +36,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     Bonus,
@@ -49,7 +50,6 @@ from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.wandering_target import wander
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.curved_arm import N_SEGMENTS, CurvedArm, curved_arm
-from jaxrod.envs.tasks.actions import action_of_size
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
 

@@ -49,6 +49,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.gripper_body import (
@@ -59,7 +60,6 @@ from jaxrod.envs.soft_bodies.gripper_body import (
     GripperBody,
     gripper_body,
 )
-from jaxrod.envs.tasks.actions import action_of_size
 from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import SystemState

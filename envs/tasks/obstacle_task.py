@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, contact, control_spline, freeze
 from jaxrod.contacts.bodies import Body
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -39,7 +40,6 @@ from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.published.arm import published_arm
 from jaxrod.envs.snapshot import Snapshot
-from jaxrod.envs.tasks.actions import action_of_size
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers

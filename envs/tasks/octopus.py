@@ -34,6 +34,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.soft_bodies.octopus_body import (
@@ -43,7 +44,6 @@ from jaxrod.envs.soft_bodies.octopus_body import (
     OctopusBody,
     octopus_body,
 )
-from jaxrod.envs.tasks.actions import action_of_size
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
 from jaxrod.systems.assembly import SystemState

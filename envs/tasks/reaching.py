@@ -36,6 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, control_spline, freeze
+from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -54,7 +55,6 @@ from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.published.arm import published_arm
 from jaxrod.envs.snapshot import Snapshot
-from jaxrod.envs.tasks.actions import action_of_size
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import importlib
+import re
 
 import jax
 import jax.numpy as jnp
@@ -365,3 +366,12 @@ def test_without_brax_a_sentence_says_what_to_install(monkeypatch):
     pretend_missing(monkeypatch, "brax", "jaxrod.envs.brax_env")
     with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[brax\]"'):
         importlib.import_module("jaxrod.envs.brax_env")
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (1, 1)])
+def test_an_action_of_another_shape_is_refused_as_it_was_given(shape):
+    env = adapter.BraxEnv(Trivial())
+    state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
+    words = re.escape(f"action must have shape (1,), got {shape}")
+    with pytest.raises(ValueError, match=words):
+        jax.eval_shape(env.step, state, jnp.zeros(shape))

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import importlib
 import os
+import re
 import subprocess
 import sys
 
@@ -390,3 +391,17 @@ def test_every_id_is_the_functional_environment_to_rounding(name):
     rounding = 5e-5
     _, truncated = check_same(make(task, variant=variant, **SHORT), envs, 6, rounding)
     assert truncated > 0
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (1, 1)])
+def test_an_action_of_another_shape_is_refused_as_it_was_given(shape):
+    one = GymnasiumEnv(Trivial())
+    one.reset(seed=0)
+    words = re.escape(f"action must have shape {one.action_space.shape}, got {shape}")
+    with pytest.raises(ValueError, match=words):
+        one.step(np.zeros(shape, np.float32))
+    many = GymnasiumVectorEnv(Trivial(), num_envs=2)
+    many.reset(seed=0)
+    words = re.escape(f"actions must have shape {many.action_space.shape}, got {shape}")
+    with pytest.raises(ValueError, match=words):
+        many.step(np.zeros(shape, np.float32))

@@ -1,6 +1,7 @@
 """Stable Baselines 3 sees what the functional environments do, bit for bit."""
 
 import importlib
+import re
 
 import gymnasium
 import numpy as np
@@ -195,3 +196,12 @@ def test_without_the_library_a_sentence_says_what_to_install(monkeypatch):
     pretend_missing(monkeypatch, "stable_baselines3", "jaxrod.envs.stable_baselines")
     with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[sb3\]"'):
         importlib.import_module("jaxrod.envs.stable_baselines")
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (1, 1)])
+def test_actions_of_another_shape_are_refused_as_they_were_given(shape):
+    envs = adapter.StableBaselinesVecEnv("trivial", 2)
+    envs.reset()
+    words = re.escape(f"actions must have shape (2, 1), got {shape}")
+    with pytest.raises(ValueError, match=words):
+        envs.step(np.zeros(shape, np.float32))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,16 @@ def run(batch, state, actions, params):
 def actions_for(steps, num_envs, scale=1.0):
     key = jax.random.key(7)
     return scale * jax.random.uniform(key, (steps, num_envs, 1), minval=-1, maxval=1)
+
+
+@pytest.mark.parametrize("shape", [(1,), (3, 1), (4, 2), (4,)])
+def test_actions_of_another_shape_are_refused_as_they_were_given(shape):
+    batch = VectorEnvironment(Trivial())
+    params = batch.env.default_params()
+    state = batch.reset(jax.random.key(0), 4, params)
+    words = re.escape(f"actions must have shape (4, 1), got {shape}")
+    with pytest.raises(ValueError, match=words):
+        jax.eval_shape(batch.step, state, jnp.zeros(shape), params)
 
 
 @dataclasses.dataclass(frozen=True)
