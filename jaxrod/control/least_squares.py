@@ -5,9 +5,9 @@ With residuals $r(z)$, their Jacobian $J$ and a ridge $\rho$ about $z_0$, a step
 $$(J^T J + \rho I + \mu D)\, d = -\big(J^T r + \rho (z - z_0)\big), \qquad
 D = \mathrm{diag}(J^T J) + \rho I$$
 
-over the unknowns that are not held at a bound, and is cut off at the bounds. It is
-taken if the sum of squares falls; then $\mu$ is divided by 3, and multiplied by 4
-otherwise.
+over the unknowns that are not held at a bound, and is cut off at the bounds. Six steps,
+for dampings $\mu$ around that of the last one (`LADDER`), are tried as one batch. The
+best is taken if the sum of squares falls; otherwise the next six have more damping.
 
 Jacobians are columns by forward mode where there are fewer unknowns than residuals, and
 rows by reverse mode otherwise; the ridge costs neither, so that six residuals of 132
@@ -33,8 +33,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.structure import pytree
 
-FASTER, SLOWER = 3.0, 4.0
-"""Divisor of the damping after a step that is taken, and factor otherwise."""
+LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
+"""Dampings that are tried at once, in those of the last step [1]; the most is first."""
 MOST_DAMPING = 1e12
 """With more of it no step is worth trying."""
 
@@ -54,7 +54,7 @@ class LeastSquares:
     converged: Bool[Array, ""]
     """Whether a step would change the cost, or the solution, by less than asked."""
     iterations: Int[Array, ""]
-    """Points tried after the first."""
+    """Batches of steps that were tried."""
     costs: Float[Array, " iterations"]
     """Cost of the best point after each of them; NaN where there was none."""
 
@@ -96,7 +96,7 @@ def least_squares(
             as `start`.
         centre: What the ridge pulls to, a number or as `start`; `start` by default.
         damping: Of the first step, a share of the diagonal [1].
-        iterations: Points tried after the first, at most.
+        iterations: Batches of steps that are tried, at most.
         tolerance: Relative change of the cost, or of every unknown, below which it is
             done; by default eps to the power of 3/4 of the precision.
         mode: `"forward"` or `"reverse"`, how Jacobians are made; by default whichever
@@ -124,6 +124,7 @@ def least_squares(
     middle = first if centre is None else _like(centre, start, 0)
     small = float(jnp.finfo(dtype).eps) ** 0.75 if tolerance is None else tolerance
     forward = mode == "forward" or (mode is None and first.size <= count)
+    ladder = jnp.asarray(LADDER, dtype)
     evaluated = _by_columns(flat) if forward else _by_rows(flat)
 
     def total(values: Array, point: Array) -> Array:
@@ -149,16 +150,27 @@ def least_squares(
         now = jnp.where(better, values, search.residuals)
         jacobian = jnp.where(better, slopes, search.jacobian)
         least = jnp.where(better, cost, search.cost)
-        change = jnp.where(better, 1 / FASTER, SLOWER)
-        mu = jnp.where(begun, search.damping * change, search.damping)
-        step = _step(jacobian, now, rho, rho * (point - middle), mu, point, low, high)
+        # Beyond all that failed; not zero, from which no factor leads back.
+        mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
+        dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
+
+        def stepped(mu: Array) -> Array:
+            pull = rho * (point - middle)
+            step = _step(jacobian, now, rho, pull, mu, point, low, high)
+            return jnp.clip(point + step, low, high)
+
+        candidates = jax.vmap(stepped)(dampings)
+        costs = jax.vmap(lambda z: total(flat(z), z))(candidates)
+        # Where none is finite the shortest step is the best guess.
+        best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
+        chosen = jnp.arange(ladder.size) == best
         return _Search(
             point=point,
             residuals=now,
             jacobian=jacobian,
             cost=least,
-            damping=jnp.asarray(mu, dtype),
-            candidate=jnp.clip(point + step, low, high),
+            damping=jnp.sum(jnp.where(chosen, dampings, 0)),
+            candidate=jnp.sum(jnp.where(chosen[:, None], candidates, 0), axis=0),
             tried=search.tried + 1,
             converged=done,
             costs=search.costs.at[search.tried].set(least),

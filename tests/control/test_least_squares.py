@@ -25,6 +25,43 @@ def test_a_known_minimum_is_found(mode):
     assert np.all(np.diff(costs) <= 0)
 
 
+@pytest.mark.parametrize("batched", [False, True])
+def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, batched):
+    start = jnp.asarray([-1.0, 1.0], dtype)
+
+    def made(point):
+        return rosenbrock({"a": point[0], "b": point[1]})
+
+    def search(start):
+        return least_squares(made, start, damping=3e-3, iterations=40)
+
+    values, slopes = np.asarray(made(start)), np.asarray(jax.jacfwd(made)(start))
+    normal = slopes.T @ slopes
+    damped = normal + 3e-3 * np.diag(np.diag(normal))
+    alone = np.asarray(start) - np.linalg.solve(damped, slopes.T @ values)
+    assert np.sum(np.asarray(made(jnp.asarray(alone))) ** 2) > np.sum(values**2)
+
+    if batched:
+        found = jax.jit(jax.vmap(search))(jnp.stack([start, -start]))
+        found = jax.tree.map(lambda leaf: leaf[0], found)
+    else:
+        found = jax.jit(search)(start)
+    costs = np.asarray(found.costs[: int(found.iterations) + 1])
+    assert found.costs.dtype == dtype
+    assert np.all(np.diff(costs[costs > 1e-4]) < 0), "each batch has a better point"
+    np.testing.assert_allclose(found.solution, [1, 1], atol=1e-3)
+
+
+@pytest.mark.parametrize("damping", [1e-12, 1e9])
+def test_a_first_damping_that_is_far_off_costs_few_iterations(damping):
+    start = jnp.asarray([-1.2, 1.0])
+    found = least_squares(
+        lambda z: rosenbrock({"a": z[0], "b": z[1]}), start, damping=damping
+    )
+    assert bool(found.converged) and int(found.iterations) < 40
+    np.testing.assert_allclose(found.solution, [1, 1], atol=1e-8)
+
+
 def linear(seed, rows, columns):
     random = np.random.default_rng(seed)
     return random.normal(size=(rows, columns)), random.normal(size=rows)
