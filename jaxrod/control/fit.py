@@ -77,7 +77,7 @@ class Fit:
     converged: Bool[Array, ""]
     """Whether what remains is less than a tenth of a standard deviation."""
     iterations: Int[Array, ""]
-    """Points tried after the first."""
+    """Iterations that were made."""
     at_bound: Bool[Array, " p"]
     """Which parameters a bound holds; their standard deviations mean little."""
     freedoms: Int[Array, ""]

@@ -37,7 +37,7 @@ def levenberg_marquardt(
     Args:
         problem: The problem.
         n_knots: Knots in time, equally spaced.
-        iterations: Points tried after the first, at most.
+        iterations: Batches of steps that are tried, at most.
         ridge: Cost of the mean squared number of the knots; it chooses among many
             controls that do the same.
         damping: Of the first step, a share of the diagonal [1].
