@@ -202,25 +202,41 @@ class RodContact(TouchingRods):
         """Stiffness and drag as if all of every rod touched its partners.
 
         The square of what a spring sees of both rods is at most twice the sum of the
-        squares of either; of the four parts of a slip, four times.
+        squares of either. The four parts of a slip, both rods' moves and turns, are
+        shared by inertia.
         """
-        return {name: self._bound(parts[name]) for name in self.members}
+        easiest = None
+        if self.friction_drag is not None:
+            eases = [_ease(parts[name]) for name in self.members]
+            easiest = jnp.max(jnp.stack(eases))
+        return {name: self._bound(parts[name], easiest) for name in self.members}
 
-    def _bound(self, own: Parts) -> StabilityBound:
-        assert own.linear_density is not None and own.rest_lengths is not None
-        assert own.radii is not None
+    def _bound(self, own: Parts, easiest: Array | None) -> StabilityBound:
+        """Bounds on one member; the largest ease of all, if there is friction."""
+        assert own.linear_density is not None
         # A node stands for as much length as it has of the mass.
         lengths = self.partners * own.node_masses / jnp.min(own.linear_density)
-        drag, sides, turning = self.damping, 2, None
-        if self.friction_drag is not None:
-            rub = self.friction_drag
-            drag, sides = rub if drag is None else jnp.maximum(drag, rub), 4
-            turning = 4 * self.partners * drag * own.rest_lengths * own.radii**2
+        stiffness = 2 * self.stiffness * lengths
+        drag = None if self.damping is None else 2 * self.damping * lengths
+        if easiest is None:
+            return StabilityBound(nodes=stiffness, node_drag=drag)
+        assert self.friction_drag is not None
+        rate = self.partners * self.friction_drag * (_ease(own) + easiest)
+        # Dashpots act across the surfaces that slip drags along.
+        rub = rate * own.node_masses
         return StabilityBound(
-            nodes=2 * self.stiffness * lengths,
-            node_drag=None if drag is None else sides * drag * lengths,
-            element_drag=turning,
+            nodes=stiffness,
+            node_drag=rub if drag is None else jnp.maximum(drag, rub),
+            element_drag=rate * jnp.min(own.inertias, axis=0),
         )
+
+
+def _ease(own: Parts) -> Array:
+    """Largest speed of a rod's surface per impulse along it, times length [m/kg]."""
+    assert own.linear_density is not None and own.rest_lengths is not None
+    assert own.radii is not None
+    inertia = jnp.min(own.inertias, axis=0) / own.rest_lengths
+    return jnp.max(1 / own.linear_density + own.radii**2 / inertia)
 
 
 def rod_contact(

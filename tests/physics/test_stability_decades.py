@@ -148,7 +148,7 @@ DRAGS = [1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 6.0]
 
 
 def hanging_over_a_cylinder(drag, n=100):
-    """A rope over the top half turn of a cylinder, 1 kHz of contact and more."""
+    """A rope for a cylinder, with contact as stiff as a quarter of its stretching."""
     radius, modulus, line = 1e-3, 3e5, 1000.0 * np.pi * 1e-6
     rod, _ = jaxrod.straight_rod(
         n,

@@ -125,6 +125,13 @@ def paired(count, **numbers):
     return jaxrod.make_system(scenes, law), state
 
 
+def glued(damping):
+    """Two rods glued side by side."""
+    scenes, state = rods((0.0, 0.0, 0.0), (0.0, 0.0, 2 * RADIUS))
+    law = jaxrod.glue(*scenes, state, damping=damping, **STIFF)
+    return jaxrod.make_system(scenes, law), state
+
+
 LINE, CROSSING = jaxrod.rod_contact, jaxrod.crossing_contact
 SLAB, BALL = jaxrod.box((0, 0, -0.2), (0.2,) * 3), jaxrod.sphere((0, 0, -0.3), 0.3)
 POINT = 0.3 / N / 5
@@ -143,6 +150,15 @@ CASES = {
     "rod_contact of two rods, dashpots and friction": (
         lambda: stacked(2, LINE, partners=1, **FRICTION),
         SAFE,
+    ),
+    "rod_contact of two rods, friction far above all springs": (
+        lambda: stacked(2, LINE, partners=1, **FRICTION | {"damping": 3e4}),
+        SHARP,
+    ),
+    "rod_contact of two rods, friction and springs alike": (
+        # Friction drags along surfaces that springs act across: the golden ratio.
+        lambda: stacked(2, LINE, partners=1, **FRICTION | {"damping": 1e3}),
+        1.62,
     ),
     "crossing_contact of two rods, partners=1": (
         lambda: stacked(2, CROSSING, partners=1, stiffness=1e9),
@@ -180,6 +196,12 @@ CASES = {
     "body_contact of one point of a rod on a light ball, touching given": (
         lambda: on_body(BALL, 10.0, touching=POINT),
         SAFE,
+    ),
+    "glue of two rods": (lambda: glued(1.0), SAFE),
+    "glue of two rods, dashpots far above all springs": (lambda: glued(1e5), SAFE),
+    "ball_joint of two rods, springs and dashpots alike": (
+        lambda: joined(lambda *ends: ball(*ends, damping=1e2)),
+        SHARP,
     ),
     "ball_joint of two rods": (lambda: joined(ball), SHARP),
     "ball_joint of a rod and a light body": (lambda: joined(ball, 10.0), SHARP),
