@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MOST_ARROWS = 284
+MOST_ARROWS = 287
 """Between rooms; there were 541 between 123 when most files were rooms of their own."""
 
 

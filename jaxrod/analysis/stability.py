@@ -43,6 +43,7 @@ that the bound of rods that only turn with much damping is up to five times too 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar, overload
 
 import jax
@@ -183,15 +184,10 @@ def compression(
 
 @jax.jit
 def _bounded(scene: Scene, safety: Array) -> StableStep:
-    def bounds(factors: InertiaFactors) -> tuple[Array, Array]:
-        frequencies = frequency_bounds(scene, factors)
-        return jnp.max(frequencies), frequencies
-
     shape = len(MODE_NAMES), scene.rod.n_elements
     dtype = scene.rod.rest_lengths.dtype
-    found = _largest_step(
-        scene, bounds, jnp.zeros(shape, dtype), 64 * float(jnp.finfo(dtype).eps)
-    )
+    rounding = 64 * float(jnp.finfo(dtype).eps)
+    found = _largest_step(_bounds, rounding, (scene, None), jnp.zeros(shape, dtype))
     mode, element = jnp.divmod(jnp.argmax(found.details), shape[1])
     return StableStep(
         safety * found.step, element, mode, 2 / found.undamped, found.uncertainty
@@ -200,16 +196,12 @@ def _bounded(scene: Scene, safety: Array) -> StableStep:
 
 @jax.jit
 def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
-    def measure(factors: InertiaFactors) -> tuple[Array, Vibration]:
-        vibration = fastest_vibration(scene, state, factors)
-        return vibration.angular_frequency, vibration
-
     nothing = Vibration(
         jnp.zeros((), state.positions.dtype),
         jnp.zeros_like(state.positions),
         jnp.zeros_like(state.angular_momenta),
     )
-    found = _largest_step(scene, measure, nothing, 1e-3)
+    found = _largest_step(_vibration, 1e-3, (scene, state), nothing)
     motion = found.details
     nodes = motion.displacements
     axial = jnp.sum(nodes[:, 1:] * state.directors[2] ** 2, axis=0)
@@ -241,23 +233,40 @@ class _Found(NamedTuple):
     """Those of the last measurement."""
 
 
+_Model = tuple[Scene, RodState | None]
+_Measure = Callable[[_Model, InertiaFactors], tuple[Array, Any]]
+
+
+def _bounds(model: _Model, factors: InertiaFactors) -> tuple[Array, Array]:
+    """The bound on the highest frequency, and that of every element and motion."""
+    frequencies = frequency_bounds(model[0], factors)
+    return jnp.max(frequencies), frequencies
+
+
+def _vibration(model: _Model, factors: InertiaFactors) -> tuple[Array, Vibration]:
+    """The highest frequency at a state, and the motion that has it."""
+    scene, state = model
+    assert state is not None
+    vibration = fastest_vibration(scene, state, factors)
+    return vibration.angular_frequency, vibration
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _largest_step(
-    scene: Scene,
-    measure: Callable[[InertiaFactors], tuple[Array, Details]],
-    nothing: Details,
-    tolerance: float,
+    measure: _Measure, tolerance: float, model: _Model, nothing: Any
 ) -> _Found:
     """The step h at which h times the frequency, damping included, is 2.
 
     Args:
-        scene: The scene.
         measure: Gives the highest frequency for given factors of the inertias, and
             anything else that is known of it.
-        nothing: Of the same kind as what else is known.
         tolerance: Width of the bracket that is narrow enough [1].
+        model: The scene, and the state at which to measure.
+        nothing: Details of the same kind as those that `measure` gives.
     """
+    scene = model[0]
     if not _is_damped(scene):
-        frequency, details = measure(no_damping(scene.rod))
+        frequency, details = measure(model, no_damping(scene.rod))
         limit = 2 / frequency
         return _Found(limit, limit, jnp.zeros_like(limit), details)
     dtype = scene.rod.rest_lengths.dtype
@@ -278,7 +287,7 @@ def _largest_step(
             no_damping(scene.rod),
             raw,
         )
-        frequency, details = measure(factors)
+        frequency, details = measure(model, factors)
         # Numbers of effects may be of more digits than those of the rod.
         limit = (2 / frequency).astype(dtype)
         details = jax.tree.map(lambda a, b: a.astype(b.dtype), details, nothing)
@@ -296,6 +305,41 @@ def _largest_step(
     _, undamped, bracket, details = lax.while_loop(unfinished, look, first)
     step = undamped * jnp.exp(bracket.lower)
     return _Found(step, undamped, bracket.width, details)
+
+
+@_largest_step.defjvp
+def _largest_step_jvp(
+    measure: _Measure, tolerance: float, primals: Any, tangents: Any
+) -> tuple[_Found, _Found]:
+    r"""The derivative of the step, from the balance that defines it.
+
+    With $y = \log h$ and $b(y) = \log(2/\omega(y)) - y = 0$, $dy = -db/b'(y)$. The
+    search itself is not differentiated.
+    """
+    (model, nothing), (moved, _) = primals, tangents
+    found = _largest_step(measure, tolerance, model, nothing)
+
+    def unhurried(model: _Model) -> Array:
+        return 2 / measure(model, no_damping(model[0].rod))[0]
+
+    def balance(model: _Model, height: Array) -> Array:
+        factors = _inertia_factors(model[0], jnp.exp(height))
+        return jnp.log(2 / measure(model, factors)[0]) - height
+
+    _, undamped_rate = jax.jvp(unhurried, (model,), (moved,))
+    undamped_rate = undamped_rate.astype(found.undamped.dtype)
+    if _is_damped(model[0]):
+        height = jnp.log(found.step)
+        _, change = jax.jvp(lambda m: balance(m, height), (model,), (moved,))
+        _, slope = jax.jvp(
+            lambda y: balance(model, y), (height,), (jnp.ones_like(height),)
+        )
+        step_rate = (-found.step * change / slope).astype(found.step.dtype)
+    else:
+        step_rate = undamped_rate
+    # What limits the step is a place, and has no derivative.
+    still = jax.tree.map(jnp.zeros_like, found)
+    return found, still._replace(step=step_rate, undamped=undamped_rate)
 
 
 def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
@@ -434,9 +478,15 @@ def frequency_bounds(
         across, along = across + anchored, along + anchored
     squares = jnp.stack([_larger_root(across, rocking + bend, coupling), along, twist])
     # A rod sheared at rest couples stretch with turning, at most by this much.
-    sheared = jnp.sqrt(rod.rest_strains[0] ** 2 + rod.rest_strains[1] ** 2)
+    sheared = _root(rod.rest_strains[0] ** 2 + rod.rest_strains[1] ** 2)
     tilting = sheared * jnp.sqrt(jnp.maximum(shear, stretch) * lengths / least)
-    return jnp.sqrt(squares) + tilting[None, :]
+    return _root(squares) + tilting[None, :]
+
+
+def _root(number: Array) -> Array:
+    """Square root with slope zero at zero."""
+    positive = number > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, number, 1)), 0)
 
 
 def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
@@ -451,7 +501,7 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
     # rods are beyond float32.
     unit = jnp.maximum(first, second)
     half_difference, coupled = 0.5 * (first - second) / unit, coupling / unit
-    root = jnp.sqrt(half_difference * half_difference + coupled * coupled)
+    root = _root(half_difference * half_difference + coupled * coupled)
     return 0.5 * (first + second) + unit * root
 
 
