@@ -8,6 +8,17 @@ import jaxrod
 from examples.loading import load
 
 
+def test_a_small_nest_runs_and_begins_to_fall():
+    with jax.enable_x64(True):
+        system, state, dt = load("nest").nest(20)
+        after = jaxrod.advance(system, state, dt, 40)
+        lists = after["neighbours"]
+        assert lists.missed <= 0 and lists.moved < 1 and lists.used > 20
+        time = 40 * float(dt)
+        speed = np.asarray(after["rods"].velocities)[:, 2].mean()
+        assert -1.01 * 9.81 * time < speed < 0
+
+
 @pytest.mark.slow
 def test_rods_settle_in_the_cylinder_and_no_contact_is_missed():
     with jax.enable_x64(True):
