@@ -971,7 +971,7 @@ def test_systems_with_lists_run_within_grad(listed):
         return {name: jnp.sum(state[name].velocities[:, 2] ** 2) for name in start}
 
     one = dict.fromkeys(start, 1.0)
-    # Within jit it is half the work to compile.
+    # By itself, without jit, it takes longer to compile.
     slope = jax.jit(jax.grad(lambda factors: sum(heights(factors).values())))(one)
     h = 1e-5
     ahead, back = (heights(dict.fromkeys(start, 1 + k * h)) for k in (1, -1))
