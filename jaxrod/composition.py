@@ -17,9 +17,10 @@ from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import check_drag
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
-from jaxrod.validation import check_held, check_kind, is_traced
+from jaxrod.validation import check_held, check_kind, is_traced, knows_constants
 
 
+@knows_constants
 def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scene:
     """A scene: a rod and all that acts on it.
 

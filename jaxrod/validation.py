@@ -8,18 +8,23 @@ wherever they stand in a nest of lists and tuples.
 
 from __future__ import annotations
 
+import functools
 import math
 import numbers
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, ArrayLike
 
 Numbers = ArrayLike | Sequence[Any]
 """A number, a vector or an array of numbers, as a caller may give it."""
+
+Given = ParamSpec("Given")
+Made = TypeVar("Made")
 
 MOST = 2**31 - 1
 """The largest count: of steps, of iterations."""
@@ -28,6 +33,26 @@ MOST = 2**31 - 1
 def is_traced(*values: Any) -> bool:
     """Whether any leaf is a tracer, whose value cannot be looked at."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
+    """The same function, in which what follows from known values is known too.
+
+    Inside `jax.jit` JAX traces every operation, even one on arrays that were made
+    outside: `float(jnp.min(radii))` fails there although `is_traced(radii)` is false.
+    For functions that look at values: checks, and numbers that become structure.
+    """
+
+    @functools.wraps(function)
+    def knowing(*args: Given.args, **kwargs: Given.kwargs) -> Made:
+        # Elsewhere everything known stays known, and the option below would have
+        # JAX compile each operation once more.
+        if not is_traced(lax.neg(np.float32(0))):
+            return function(*args, **kwargs)
+        with jax.ensure_compile_time_eval():
+            return function(*args, **kwargs)
+
+    return knowing
 
 
 def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:

@@ -11,9 +11,10 @@ from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene, scene_of
 from jaxrod.statics.freedoms import freedoms
-from jaxrod.validation import check_count, is_traced
+from jaxrod.validation import check_count, is_traced, knows_constants
 
 
+@knows_constants
 def natural_frequencies(
     scene: Scene, state: RodState, n_modes: int | None = None
 ) -> np.ndarray:

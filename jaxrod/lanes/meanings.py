@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrod.jax_internals.primitives import evaluate, new_primitive
+from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.cycle import Cycle, Plan, chosen, filled, parted, tangent_cycle
 
 run_p = new_primitive("jaxrod_run")
@@ -54,7 +55,7 @@ def _cycles(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
     def segment(carry: list[Any], _: None) -> tuple[list[Any], list[Any]]:
         return _scanned(once, carry, every), carry
 
-    after, kept = lax.scan(segment, list(carry), None, length=whole)
+    after, kept = scan(segment, list(carry), None, length=whole)
     if rest:
         kept = [
             jnp.concatenate([rows, last[None]])
@@ -110,7 +111,7 @@ def _adjoint(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
     if rest:
         state = backwards(state, [rows[-1] for rows in kept], rest)
         kept = [rows[:-1] for rows in kept]
-    state, _ = lax.scan(
+    state, _ = scan(
         lambda state, carry: (backwards(state, carry, plan.every), None),
         state,
         list(kept),
@@ -148,4 +149,4 @@ MEANINGS = {
 def _scanned(
     once: Callable[[list[Any]], list[Any]], carry: list[Any], length: int
 ) -> list[Any]:
-    return lax.scan(lambda c, _: (once(c), None), carry, None, length=length)[0]
+    return scan(lambda c, _: (once(c), None), carry, None, length=length)[0]

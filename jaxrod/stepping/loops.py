@@ -10,6 +10,7 @@ import jax
 from jax import lax
 from jaxtyping import Array
 
+from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.steps import stepped
 from jaxrod.stepping.one_by_one import one_by_one
 
@@ -61,12 +62,12 @@ def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Ca
     remembered = jax.checkpoint(function)
 
     def inner(carry: Carry, length: int) -> Carry:
-        return lax.scan(lambda c, _: (remembered(c), None), carry, length=length)[0]
+        return scan(lambda c, _: (remembered(c), None), carry, length=length)[0]
 
     if n_times < 64:
         return inner(carry, n_times)
     block = math.isqrt(n_times)
     blocks, rest = divmod(n_times, block)
     checkpointed = jax.checkpoint(lambda c: inner(c, block), prevent_cse=False)
-    carry = lax.scan(lambda c, _: (checkpointed(c), None), carry, length=blocks)[0]
+    carry = scan(lambda c, _: (checkpointed(c), None), carry, length=blocks)[0]
     return inner(carry, rest) if rest else carry

@@ -6,11 +6,11 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxrod.composite import Composite, Stepper
 from jaxrod.effects.time import Clock
+from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.choice import lane_mode
 from jaxrod.scene import Evolvable, Model
 from jaxrod.stepping.checks import (
@@ -259,7 +259,7 @@ def _rollout_compiled(
         return after, after
 
     counts = None if first is None else jnp.arange(records, dtype=jnp.int32)
-    _, states = lax.scan(record, state, counts, length=records)
+    _, states = scan(record, state, counts, length=records)
     return jax.tree.map(
         lambda first, rest: jnp.concatenate([first[None], rest]), state, states
     )

@@ -44,6 +44,7 @@ from jaxrod.systems.runs import (
 )
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
 from jaxrod.systems.ties import Tie, merged
+from jaxrod.validation import knows_constants
 
 
 @pytree
@@ -114,6 +115,7 @@ class System(Assembly, Composite):
         return system_angular_momentum(self, state)
 
 
+@knows_constants
 def make_system(
     members: Mapping[str, Member],
     *couplings: Coupling | Sequence[Coupling],
