@@ -147,7 +147,7 @@ _NAMES = {
     "stepping.checks": ("UnstableStepWarning",),
     "stepping.memory": ("with_memory",),
     "stepping.runs": ("advance", "rollout", "rollout_times", "step"),
-    "structure": ("memory", "pytree", "static"),
+    "structure": ("Leaf", "memory", "pytree", "static"),
     "systems.body_contact": ("BodyContact", "body_contact"),
     "systems.coupling": ("Coupling",),
     "systems.crossing_contact": ("CrossingContact", "crossing_contact"),

@@ -174,6 +174,7 @@ from jaxrod.stepping.runs import advance as advance
 from jaxrod.stepping.runs import rollout as rollout
 from jaxrod.stepping.runs import rollout_times as rollout_times
 from jaxrod.stepping.runs import step as step
+from jaxrod.structure import Leaf as Leaf
 from jaxrod.structure import memory as memory
 from jaxrod.structure import pytree as pytree
 from jaxrod.structure import static as static

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import jax
 
@@ -13,6 +13,24 @@ from jaxrod.installation.jax_version import require_sound_jax
 require_sound_jax()
 
 T = TypeVar("T")
+
+if TYPE_CHECKING:
+    from jaxrod.effects.time import Schedule
+
+    class Leaf:
+        """A field for an array, which may be made with a number or a schedule.
+
+        In hooks of effects it is an array: `make_scene` converts numbers, and a run
+        puts a schedule's value in its place.
+        """
+
+        def __get__(self, owner: Any, kind: Any = None) -> jax.Array:
+            """The array."""
+
+        def __set__(self, owner: Any, value: jax.typing.ArrayLike | Schedule) -> None:
+            """What it is made with."""
+else:
+    Leaf = jax.Array
 
 
 def static(**options: Any) -> Any:

@@ -20,7 +20,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-Numbers = ArrayLike | Sequence[Any]
+Numbers = ArrayLike | list[Any] | tuple[Any, ...]
 """A number, a vector or an array of numbers, as a caller may give it."""
 
 Given = ParamSpec("Given")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -136,6 +137,15 @@ class Loads:
     """Forces on the `n + 1` nodes, world frame [N]."""
     couples: Vec3 | None = None
     """Couples on the `n` elements, material frame [N m]."""
+
+    if TYPE_CHECKING:
+        # For type checkers, which do not count what `tuple(...)` holds.
+        def __init__(
+            self,
+            forces: tuple[Array, ...] | None = None,
+            couples: tuple[Array, ...] | None = None,
+        ) -> None:
+            """Loads of three components each."""
 
 
 def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:
