@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from collections.abc import Callable
+from typing import Any, TypeVar, dataclass_transform
 
 import jax
 
@@ -14,23 +15,25 @@ require_sound_jax()
 
 T = TypeVar("T")
 
-if TYPE_CHECKING:
-    from jaxrod.effects.time import Schedule
+Given = jax.typing.ArrayLike | Callable[[Any], Any]
+"""A number, an array or a schedule, which is called with a clock."""
 
-    class Leaf:
-        """A field for an array, which may be made with a number or a schedule.
 
-        In hooks of effects it is an array: `make_scene` converts numbers, and a run
-        puts a schedule's value in its place.
-        """
+class Leaf:
+    """A field for an array, which may be made with a number or a schedule.
 
-        def __get__(self, owner: Any, kind: Any = None) -> jax.Array:
-            """The array."""
+    An annotation, never made. In hooks of effects the field is an array: `make_scene`
+    converts numbers, and a run puts a schedule's value in its place.
+    """
 
-        def __set__(self, owner: Any, value: jax.typing.ArrayLike | Schedule) -> None:
-            """What it is made with."""
-else:
-    Leaf = jax.Array
+    # Type checkers read from these what a field gives and what it is made with.
+    def __get__(self, owner: Any, kind: Any = None) -> jax.Array:
+        """The array."""
+        raise NotImplementedError
+
+    def __set__(self, owner: Any, value: Given) -> None:
+        """Takes a number, an array or a schedule."""
+        raise NotImplementedError
 
 
 def static(**options: Any) -> Any:
