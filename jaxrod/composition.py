@@ -12,6 +12,7 @@ from jaxtyping import Array
 from jaxrod.effects.base import Effect
 from jaxrod.effects.held import check_held_once
 from jaxrod.effects.memory import memory_fields
+from jaxrod.effects.own_classes import check_own_class, check_own_loads
 from jaxrod.effects.time import at_clock, clock_at, depends_on_time
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import check_drag
@@ -34,10 +35,12 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             `planar("xy", pyelastica())`.
 
     Raises:
-        ValueError: If the scene is not one for the method, or two effects hold the same
-            node along the same axis, or the same element.
+        ValueError: If the scene is not one for the method, two effects hold the same
+            node along the same axis, or the same element, or the loads of an effect
+            do not fit the rod.
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
-            method is not a `Method`.
+            method is not a `Method`; if the class of an effect is no pytree, defines
+            no hook, or nearly one.
     """
     check_kind("rod", rod, Rod)
     held = []
@@ -46,6 +49,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
+        check_own_class(effect, Effect, "an effect")
         now = at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype))
         now.check(rod)
         held += [(type(effect).__name__, part) for part in now.held(rod)]
@@ -61,6 +65,8 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     listed = _in_type(dtype, "effects", tuple(effects))
     method = _in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
+    for effect in scene.at(0.0).effects:
+        check_own_loads(effect, rod)
     _check_evolution(scene)
     check_drag(scene)
     method.check(scene.at(0.0))

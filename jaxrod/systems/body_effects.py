@@ -15,6 +15,7 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
 from jaxrod.effects.memory import remembers
+from jaxrod.effects.own_classes import check_own_class
 from jaxrod.effects.time import at_clock, clock_at
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import split_quaternion
@@ -50,6 +51,7 @@ def check_body_effects(name: str, bodies: RigidBodies) -> None:
                 f"member {name!r}: effects must be jaxrod effects, got "
                 f"{type(effect).__name__}"
             )
+        check_own_class(effect, Effect, "an effect")
         kind = type(effect)
         for hook in _OF_RODS:
             if getattr(kind, hook) is not getattr(Effect, hook):

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
 from jaxrod.composite import Composite, Stepper
+from jaxrod.effects.own_classes import check_own_class
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.scene import Scene
@@ -170,6 +171,7 @@ def make_system(
 def _flat(couplings: Any) -> Any:
     for coupling in couplings:
         if isinstance(coupling, Coupling):
+            check_own_class(coupling, Coupling, "a coupling")
             yield coupling
         elif isinstance(coupling, Sequence) and not isinstance(coupling, str):
             yield from _flat(coupling)

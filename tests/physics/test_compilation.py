@@ -259,7 +259,10 @@ def test_memory_of_the_gradient_of_a_thousand_steps(batch, record):
 
 @pytree
 class Nothing(jaxrod.Effect):
-    """An effect that overrides no hook."""
+    """An effect that overrides no hook that a step calls."""
+
+    def energy(self, rod, state):
+        return 0.0
 
 
 def test_an_effect_costs_only_what_it_does(record, request):

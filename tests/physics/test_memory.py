@@ -199,6 +199,9 @@ def test_memory_is_not_taken_for_that_of_other_effects(rod_and_state):
     class Spring(jaxrod.Effect):
         rest: jax.Array = jaxrod.memory(default=0.0)
 
+        def after_step(self, rod, motion, dt):
+            return self
+
     other = jaxrod.make_scene(rod, jaxrod.gravity((0.0, 0.0, 0.0)), Spring())
     with pytest.raises(ValueError, match="memory must be of the effects"):
         jaxrod.advance(other, after, DT, 1)

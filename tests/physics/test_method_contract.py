@@ -276,7 +276,10 @@ def test_every_consequence_is_differentiable_and_the_same_in_a_batch(method):
 
 @pytree
 class Nothing(jaxrod.Effect):
-    """Overrides no hook."""
+    """Overrides no hook that a step calls."""
+
+    def energy(self, rod, state):
+        return 0.0
 
 
 def one_step(method, *effects):

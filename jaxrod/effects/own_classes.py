@@ -1,0 +1,155 @@
+"""Checks of classes that users write: hooks that are meant, pytrees, loads that fit.
+
+Without them a slip of the pen is silent (a hook that nobody calls) or ends deep inside
+JAX. Classes of jaxrod are not looked at: they have tests.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.rods.motion import Loads
+from jaxrod.rods.rod import Rod
+
+ALIKE = 0.85
+"""Likeness of two names, by `difflib`, from which one is taken for the other."""
+
+
+def check_own_class(thing: Any, base: type, noun: str) -> None:
+    """Checks the class of an effect or a coupling that is not one of jaxrod's.
+
+    Args:
+        thing: The effect or coupling.
+        base: The base, whose public names are the hooks.
+        noun: "an effect" or "a coupling", for messages.
+
+    Raises:
+        TypeError: If the class is no pytree, if a method has nearly the name of a hook
+            that the class does not define, or if it defines no hook at all.
+    """
+    kind = type(thing)
+    if _is_of_jaxrod(kind):
+        return
+    if jax.tree_util.all_leaves([thing]):
+        raise TypeError(
+            f"{kind.__name__} is not a pytree: write @jaxrod.pytree above the line "
+            f"class {kind.__name__}(...), and give it its numbers as fields"
+        )
+    words = _slip(kind, base, noun)
+    if words is not None:
+        raise TypeError(words)
+
+
+def check_own_loads(effect: Effect, rod: Rod) -> None:
+    """Checks kind and shapes of the loads of an effect that is not one of jaxrod's.
+
+    They are traced, not computed. Of many rods at once they are not looked at.
+
+    Args:
+        effect: The effect at a moment: its schedules replaced by numbers.
+        rod: The rod.
+
+    Raises:
+        TypeError: If it returns something other than `jaxrod.Loads`.
+        ValueError: If forces or couples do not fit the rod.
+    """
+    kind = type(effect)
+    gives = kind.loads is not Effect.loads or kind.loads_after is not Effect.loads_after
+    if _is_of_jaxrod(kind) or not gives or rod.rest_lengths.ndim != 1:
+        return
+
+    def look(effect: Effect, rod: Rod) -> None:
+        motion = trial_motion(rod)
+        none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
+        _check_loads(kind, effect.loads_after(rod, motion, none), rod.n_elements)
+
+    jax.eval_shape(look, effect, rod)
+
+
+def _check_loads(kind: type, found: Any, n_elements: int) -> None:
+    """Raises unless what was returned is `Loads` for so many elements."""
+    name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
+    if not isinstance(found, Loads):
+        raise TypeError(
+            f"{kind.__name__}.{name} must return jaxrod.Loads(forces=(x, y, z), "
+            f"couples=(x, y, z)), got {_described(found)}"
+        )
+    for what, count, of in (
+        ("forces", n_elements + 1, "nodes"),
+        ("couples", n_elements, "elements"),
+    ):
+        given = getattr(found, what)
+        if given is not None and not _fits(given, count):
+            raise ValueError(
+                f"{kind.__name__}.{name} must return {what} as three components of "
+                f"shape ({count},), one number for each of the {count} {of}, got "
+                f"{_described(given)}"
+            )
+
+
+def _fits(given: Any, count: int) -> bool:
+    """Whether it is three components that can be added to those of the rod."""
+    if isinstance(given, jax.Array):
+        return given.shape == (3, count)
+    if not isinstance(given, tuple | list) or len(given) != 3:
+        return False
+    return all(jnp.shape(part) in ((count,), (1,), ()) for part in given)
+
+
+def _described(given: Any) -> str:
+    """What was given, by its shape or shapes."""
+    if isinstance(given, tuple | list):
+        shapes = ", ".join(str(jnp.shape(part)) for part in given)
+        return f"{len(given)} of shapes {shapes}"
+    if isinstance(given, jax.Array):
+        return f"an array of shape {given.shape}"
+    return type(given).__name__
+
+
+def _is_of_jaxrod(kind: type) -> bool:
+    return kind.__module__.startswith("jaxrod.")
+
+
+@functools.cache
+def _slip(kind: type, base: type, noun: str) -> str | None:
+    """What is wrong with the methods of a class, in words."""
+    bases = [each for each in kind.__mro__ if issubclass(each, base)]
+    hooks = {n for each in bases if _is_of_jaxrod(each) for n in _public(each)}
+    own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}
+    for name in sorted(own - hooks):
+        meant = difflib.get_close_matches(name, hooks - own, 1, ALIKE)
+        # Beside the hook itself, a helper may be called much like it.
+        if meant and not difflib.get_close_matches(name, hooks & own, 1, ALIKE):
+            return (
+                f"{kind.__name__}.{name} is not a hook of {noun} and would never be "
+                f"called: is {meant[0]} meant? If it is a helper, give it a name less "
+                "like a hook's, or a leading underscore"
+            )
+    hooks = _public(base)
+    defined = [n for n in hooks if getattr(kind, n) is not getattr(base, n)]
+    if not defined:
+        return (
+            f"{kind.__name__} defines no hook of {noun}, and would do nothing; the "
+            f"hooks are {', '.join(sorted(hooks))}"
+        )
+    return None
+
+
+def _public(kind: type) -> set[str]:
+    """Names of the public methods that a class itself defines, and of `reach`."""
+    return {
+        name
+        for name, value in vars(kind).items()
+        if not name.startswith("_") and (_is_method(value) or name == "reach")
+    }
+
+
+def _is_method(value: Any) -> bool:
+    return callable(value) or isinstance(value, property | classmethod | staticmethod)

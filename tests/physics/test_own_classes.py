@@ -1,0 +1,147 @@
+"""Slips in classes that users write are refused by name when the scene is made."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxrod
+from jaxrod.structure import pytree
+from physics.rods import arm
+
+
+class Bare(jaxrod.Effect):
+    """Not a pytree."""
+
+    def loads(self, rod, motion):
+        return jaxrod.Loads()
+
+
+@pytree
+class Misspelt(jaxrod.Effect):
+    """One letter short."""
+
+    def load(self, rod, motion):
+        return jaxrod.Loads()
+
+
+@pytree
+class Idle(jaxrod.Effect):
+    """No hook at all."""
+
+    def strength(self):
+        return 1.0
+
+
+@pytree
+class Helped(jaxrod.Effect):
+    """A hook, and helpers, one of which is called nearly like it."""
+
+    size: jax.Array
+
+    def loads(self, rod, motion):
+        return self.load(motion)
+
+    def load(self, motion):
+        x, y, z = motion.position
+        return jaxrod.Loads(forces=(self.size * x, 0 * y, 0 * z))
+
+    def strength(self):
+        return self.size
+
+
+@pytree
+class Undecorated(Helped):
+    """A pytree whose subclass below is none."""
+
+
+class Forgotten(Undecorated):
+    """Without the decorator of its base."""
+
+
+@pytree
+class Returning(jaxrod.Effect):
+    """Returns what it is given for a rod of five elements."""
+
+    what: str = jaxrod.structure.static()
+
+    def loads(self, rod, motion):
+        one, node = jnp.ones(5), jnp.ones(6)
+        return {
+            "array": jnp.ones((3, 6)),
+            "tuple": (node, node, node),
+            "few nodes": jaxrod.Loads(forces=(one, one, one)),
+            "two": jaxrod.Loads(forces=(node, node)),
+            "many elements": jaxrod.Loads(couples=(node, node, node)),
+            "fits": jaxrod.Loads(forces=(node, node, node), couples=(one, one, one)),
+        }[self.what]
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (Bare(), "Bare is not a pytree: write @jaxrod.pytree above"),
+        (Forgotten(jnp.ones(())), "Forgotten is not a pytree"),
+        (Misspelt(), "Misspelt.load is not a hook .* is loads meant"),
+        (Idle(), "Idle defines no hook of an effect"),
+    ],
+)
+def test_a_slip_in_a_class_is_refused_by_name(effect, words):
+    rod, _ = arm(5)
+    with pytest.raises(TypeError, match=words):
+        jaxrod.make_scene(rod, effect)
+
+
+@pytest.mark.parametrize(
+    ("what", "error", "words"),
+    [
+        ("array", TypeError, r"must return jaxrod.Loads.*array of shape \(3, 6\)"),
+        ("tuple", TypeError, r"must return jaxrod.Loads.*3 of shapes \(6,\), \(6,\)"),
+        ("few nodes", ValueError, r"forces .*shape \(6,\).* 6 nodes, got 3 .*\(5,\)"),
+        ("two", ValueError, r"forces .*shape \(6,\).*got 2 of shapes"),
+        ("many elements", ValueError, r"couples .*shape \(5,\).* 5 elements, got 3"),
+    ],
+)
+def test_loads_that_do_not_fit_are_refused_with_both_shapes(what, error, words):
+    rod, _ = arm(5)
+    with pytest.raises(error, match=rf"Returning.loads .*{words}"):
+        jaxrod.make_scene(rod, Returning(what))
+
+
+def test_helpers_and_loads_that_fit_are_taken():
+    rod, _ = arm(5)
+    jaxrod.make_scene(rod, Helped(jnp.ones(())), Returning("fits"))
+    jax.jit(lambda rod: jaxrod.make_scene(rod, Returning("fits")))(rod)
+
+
+class BareCoupling(jaxrod.Coupling):
+    """Not a pytree."""
+
+    def loads(self, seen):
+        return {}
+
+
+@pytree
+class MisspeltCoupling(jaxrod.Coupling):
+    """One letter too many."""
+
+    def constrains(self, seen):
+        return {}
+
+
+@pytree
+class IdleCoupling(jaxrod.Coupling):
+    """No hook at all."""
+
+
+@pytest.mark.parametrize(
+    ("coupling", "words"),
+    [
+        (BareCoupling(), "BareCoupling is not a pytree"),
+        (MisspeltCoupling(), "MisspeltCoupling.constrains .* is constrain meant"),
+        (IdleCoupling(), "IdleCoupling defines no hook of a coupling"),
+    ],
+)
+def test_a_slip_in_a_coupling_is_refused_by_name(coupling, words):
+    rod, _ = arm(5)
+    with pytest.raises(TypeError, match=words):
+        jaxrod.make_system({"one": jaxrod.make_scene(rod)}, coupling)
