@@ -115,6 +115,7 @@ _NAMES = {
     "effects.slender_body": ("SlenderBodyDrag", "slender_body_drag"),
     "effects.supports": ("Hinge", "Pin", "hinge", "pin"),
     "effects.time": ("Clock", "Schedule"),
+    "effects.unlikely": ("UnlikelyWarning",),
     "installation.backend": ("configure_cpu",),
     "lanes.choice": ("LaneChoice", "lane_choices", "use_lanes"),
     "methods.consistent": ("Consistent", "consistent"),

@@ -124,6 +124,7 @@ from jaxrod.effects.supports import hinge as hinge
 from jaxrod.effects.supports import pin as pin
 from jaxrod.effects.time import Clock as Clock
 from jaxrod.effects.time import Schedule as Schedule
+from jaxrod.effects.unlikely import UnlikelyWarning as UnlikelyWarning
 from jaxrod.geometry import rotations as rotations
 from jaxrod.geometry import vectors as vectors
 from jaxrod.installation.backend import configure_cpu as configure_cpu

@@ -14,6 +14,7 @@ from jaxrod.effects.held import check_held_once
 from jaxrod.effects.memory import memory_fields
 from jaxrod.effects.own_classes import check_own_class, check_own_loads
 from jaxrod.effects.time import at_clock, clock_at, depends_on_time
+from jaxrod.effects.unlikely import warn_of_thickness
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import check_drag
 from jaxrod.rods.rod import Rod
@@ -43,6 +44,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             no hook, or nearly one.
     """
     check_kind("rod", rod, Rod)
+    warn_of_thickness(rod)
     held = []
     for effect in effects:
         if not isinstance(effect, Effect):

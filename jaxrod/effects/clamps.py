@@ -60,6 +60,12 @@ class Clamp(Effect):
     """Which end is clamped."""
     position: Float[Array, "3"] | None = None
     """Where the wall is [m]; only `health` asks. `None`: wherever the end node is."""
+    made_for: int | None = static(default=None)
+    """Elements of the rod whose state it was made from, if it was."""
+
+    def check(self, rod: Rod) -> None:
+        """Raises if it was made from a state of another rod."""
+        _check_made_for("clamp", self.made_for, rod)
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
         """Rotation from the wall to the end element, coupling, and moment [N m]."""
@@ -111,7 +117,7 @@ class Clamp(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
         """Held by the middle of the new end element, which a curved rod turns."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
-        return replace(self, orientation=frame)
+        return replace(self, orientation=frame, made_for=_fitting(self, new_rod))
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """The end node and the end element."""
@@ -155,11 +161,17 @@ class FixedEnd(Effect):
     """How the end element is held (w, x, y, z)."""
     end: End = static(default="start")
     """Which end is held."""
+    made_for: int | None = static(default=None)
+    """Elements of the rod whose state it was made from, if it was."""
+
+    def check(self, rod: Rod) -> None:
+        """Raises if it was made from a state of another rod."""
+        _check_made_for("fixed_end", self.made_for, rod)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
         """Held by the middle of the new end element, which a curved rod turns."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
-        return replace(self, orientation=frame)
+        return replace(self, orientation=frame, made_for=_fitting(self, new_rod))
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """The end node and the end element."""
@@ -203,6 +215,20 @@ class FixedEnd(Effect):
         )
 
 
+def _check_made_for(name: str, count: int | None, rod: Rod) -> None:
+    """Raises where a wall was made from a state with another number of elements."""
+    if count is not None and count != rod.n_elements:
+        raise ValueError(
+            f"{name}(state) must be given a state of the rod it holds: the state has "
+            f"{count} elements, the rod {rod.n_elements}"
+        )
+
+
+def _fitting(wall: Clamp | FixedEnd, rod: Rod) -> int | None:
+    """The elements of another rod, for a wall that was made for one."""
+    return None if wall.made_for is None else rod.n_elements
+
+
 def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:
     """The force needed at an end node, and a couple on the end element."""
     assert needed.forces is not None
@@ -237,7 +263,8 @@ def clamp(state: RodState, end: End = "start") -> Clamp:
     check_kind("state", state, RodState)
     check_one(state)
     index = 0 if check_end(end) == "start" else -1
-    return Clamp(state.orientations[:, index], end, state.positions[:, index])
+    count = state.orientations.shape[1]
+    return Clamp(state.orientations[:, index], end, state.positions[:, index], count)
 
 
 def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
@@ -245,4 +272,5 @@ def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
     check_kind("state", state, RodState)
     check_one(state)
     index = 0 if check_end(end) == "start" else -1
-    return FixedEnd(state.positions[:, index], state.orientations[:, index], end)
+    count = state.orientations.shape[1]
+    return FixedEnd(state.positions[:, index], state.orientations[:, index], end, count)

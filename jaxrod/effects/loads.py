@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.ends import End, at_end, check_end, only_at_end, place
 from jaxrod.effects.time import Timed, as_timed
+from jaxrod.effects.unlikely import warn_of_weight
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import directors, to_material, to_world
@@ -35,6 +36,10 @@ class Gravity(Effect):
         masses = rod.node_masses
         g = self.acceleration
         return Loads(forces=(masses * g[0], masses * g[1], masses * g[2]))
+
+    def check(self, rod: Rod) -> None:
+        """Warns of a rod that its own weight would stretch tenfold."""
+        warn_of_weight(rod, self.acceleration)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
         """None: the weight is constant."""

@@ -1,0 +1,60 @@
+"""Warnings of numbers that can hardly be meant: ratios, whatever the units are."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.rods.rod import Rod
+from jaxrod.validation import is_traced
+
+MOST_STRETCH = 9.0
+"""Strain under its own weight, hanging, above which a rod is ten times as long."""
+
+
+class UnlikelyWarning(UserWarning):
+    """Numbers that can hardly be meant together, such as some in other units."""
+
+
+def warn_of_thickness(rod: Rod) -> None:
+    """Warns of a rod that is thicker than it is long; not where it is traced."""
+    if is_traced(rod) or rod.rest_lengths.ndim != 1:
+        return
+    radius, length = float(np.max(rod.radii)), float(np.sum(rod.rest_lengths))
+    if radius > length:
+        _warn(
+            f"the radius of the rod, {radius:.3g} m, is {radius / length:.3g} times "
+            f"its length, {length:.3g} m: are both in the same unit?"
+        )
+
+
+def warn_of_weight(rod: Rod, acceleration: Array) -> None:
+    """Warns of a rod that its own weight would stretch tenfold; not where traced.
+
+    Args:
+        rod: The rod.
+        acceleration: Of gravity `(3,)` [m/s^2].
+    """
+    if is_traced(rod, acceleration) or rod.rest_lengths.ndim != 1:
+        return
+    g = np.asarray(acceleration, np.float64)
+    weight = float(np.sum(rod.element_masses)) * float(np.sqrt(np.sum(g * g)))
+    stiffness = float(np.min(rod.shear_stretch_stiffness[2]))
+    if weight > MOST_STRETCH * stiffness:
+        _warn(
+            f"the weight of the rod, {weight:.3g} N, is {weight / stiffness:.3g} times "
+            f"its stiffness against stretching, {stiffness:.3g} N, and would stretch "
+            "it more than tenfold: are youngs_modulus in Pa, density in kg/m^3 and "
+            "acceleration in m/s^2, or all in units that go together?"
+        )
+
+
+def _warn(words: str) -> None:
+    warnings.warn(
+        f'{words} warnings.simplefilter("ignore", jaxrod.UnlikelyWarning) silences '
+        "this.",
+        UnlikelyWarning,
+        stacklevel=5,
+    )
