@@ -44,15 +44,19 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             no hook, or nearly one.
     """
     check_kind("rod", rod, Rod)
-    warn_of_thickness(rod)
-    held = []
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
             )
         check_own_class(effect, Effect, "an effect")
-        now = at_clock(effect, clock_at(0.0, rod.rest_lengths.dtype))
+    dtype = rod.rest_lengths.dtype
+    listed = _in_type(dtype, "effects", effects)
+    # Only now: a number that the type cannot hold is refused before it is warned of.
+    warn_of_thickness(rod)
+    held = []
+    for effect in effects:
+        now = at_clock(effect, clock_at(0.0, dtype))
         now.check(rod)
         held += [(type(effect).__name__, part) for part in now.held(rod)]
     check_held_once(held, rod.n_elements)
@@ -63,8 +67,6 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             "method must be one such as jaxrod.consistent() or jaxrod.planar('xy'), "
             f"got {method!r}"
         )
-    dtype = rod.rest_lengths.dtype
-    listed = _in_type(dtype, "effects", tuple(effects))
     method = _in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
     for effect in scene.at(0.0).effects:

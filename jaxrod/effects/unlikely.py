@@ -19,10 +19,13 @@ class UnlikelyWarning(UserWarning):
 
 
 def warn_of_thickness(rod: Rod) -> None:
-    """Warns of a rod that is thicker than it is long; not where it is traced."""
-    if is_traced(rod) or rod.rest_lengths.ndim != 1:
+    """Warns of a rod that is thicker than it is long."""
+    radii, lengths = rod.radii, rod.rest_lengths
+    # What is worked out of numbers that are known is traced, too, inside jax.jit.
+    if is_traced(radii, lengths) or lengths.ndim != 1:
         return
-    radius, length = float(np.max(rod.radii)), float(np.sum(rod.rest_lengths))
+    radius = float(np.max(np.asarray(radii)))
+    length = float(np.sum(np.asarray(lengths)))
     if radius > length:
         _warn(
             f"the radius of the rod, {radius:.3g} m, is {radius / length:.3g} times "
@@ -31,17 +34,19 @@ def warn_of_thickness(rod: Rod) -> None:
 
 
 def warn_of_weight(rod: Rod, acceleration: Array) -> None:
-    """Warns of a rod that its own weight would stretch tenfold; not where traced.
+    """Warns of a rod that its own weight would stretch tenfold.
 
     Args:
         rod: The rod.
         acceleration: Of gravity `(3,)` [m/s^2].
     """
-    if is_traced(rod, acceleration) or rod.rest_lengths.ndim != 1:
+    masses, stretching = rod.element_masses, rod.shear_stretch_stiffness
+    known = not is_traced(masses, stretching, acceleration)
+    if not known or rod.rest_lengths.ndim != 1:
         return
     g = np.asarray(acceleration, np.float64)
-    weight = float(np.sum(rod.element_masses)) * float(np.sqrt(np.sum(g * g)))
-    stiffness = float(np.min(rod.shear_stretch_stiffness[2]))
+    weight = float(np.sum(np.asarray(masses))) * float(np.sqrt(np.sum(g * g)))
+    stiffness = float(np.min(np.asarray(stretching)[2]))
     if weight > MOST_STRETCH * stiffness:
         _warn(
             f"the weight of the rod, {weight:.3g} N, is {weight / stiffness:.3g} times "

@@ -104,6 +104,9 @@ class Fall(jaxrod.Effect):
 
     rate: jax.Array
 
+    def energy(self, rod, state):
+        return 0.0
+
 
 TRANSFORMATIONS = {
     "grad": jax.grad,

@@ -2,6 +2,7 @@
 
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,6 +38,17 @@ def test_a_modulus_in_other_units_is_warned_of_where_there_is_gravity(unit):
         # Ten thousand times as stiff is soft, and may be meant.
         stiff, _ = arm(4, **numbers | {"youngs_modulus": 1.2e3 / unit})
         jaxrod.make_scene(stiff, weight)
+
+
+@pytest.mark.filterwarnings("ignore::jaxrod.effects.unlikely.UnlikelyWarning")
+def test_scenes_are_made_where_a_program_is_traced():
+    """Numbers that are known there may be warned of, others are not looked at."""
+    rod, state = arm(4, radius=50.0, youngs_modulus=10.0)
+    effects = jaxrod.gravity(), jaxrod.clamp(state)
+    jax.jit(lambda: jaxrod.make_scene(rod, *effects))()
+    jax.vmap(lambda rod: jaxrod.make_scene(rod, *effects))(
+        jax.tree.map(lambda leaf: leaf[None], rod)
+    )
 
 
 @pytest.mark.parametrize("hold", [jaxrod.clamp, jaxrod.fixed_end])
