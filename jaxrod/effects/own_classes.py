@@ -42,7 +42,8 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
             f"{kind.__name__} is not a pytree: write @jaxrod.pytree above the line "
             f"class {kind.__name__}(...), and give it its numbers as fields"
         )
-    words = _slip(kind, base, noun)
+    # A class is hashable, which checkers of types do not know of `type`.
+    words = _slip(kind, base, noun)  # type: ignore[arg-type]
     if words is not None:
         raise TypeError(words)
 
