@@ -47,7 +47,7 @@ def codesign(
             differentiable.
         design: Where the design begins, any pytree of floats.
         n_knots: Knots in time, equally spaced.
-        iterations: Batches of steps that are tried, at most.
+        iterations: Iterations, at most.
         ridge: Cost of the mean squared number of the knots: the effort.
         lower: Smallest numbers of the design, a number or as `design`.
         upper: Largest ones.

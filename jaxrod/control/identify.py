@@ -61,7 +61,7 @@ def identify(
             thousandth of the start by default.
         upper: Largest values, a thousand times the start by default. An explicit step
             size must be stable up to them.
-        iterations: Batches of steps that are tried, at most.
+        iterations: Iterations, at most.
         damping: Of the first step, a share [1]. More of it makes shorter first steps.
         tolerance: As in `least_squares`.
         mode: `"forward"` or `"reverse"`, as in `least_squares`.

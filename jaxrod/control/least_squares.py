@@ -5,9 +5,11 @@ With residuals $r(z)$, their Jacobian $J$ and a ridge $\rho$ about $z_0$, a step
 $$(J^T J + \rho I + \mu D)\, d = -\big(J^T r + \rho (z - z_0)\big), \qquad
 D = \mathrm{diag}(J^T J) + \rho I$$
 
-over the unknowns that are not held at a bound, and is cut off at the bounds. Six steps,
-for dampings $\mu$ around that of the last one (`LADDER`), are tried as one batch. The
-best is taken if the sum of squares falls; otherwise the next six have more damping.
+over the unknowns that are not held at a bound, and is cut off at the bounds. It is
+taken if the sum of squares falls; then $\mu$ is divided by 3, and multiplied by 4
+otherwise. Or six steps, for dampings around that of the last one (`LADDER`), are tried
+as one batch: the best is taken if the sum of squares falls, and otherwise the next six
+have more damping.
 
 Jacobians are columns by forward mode where there are fewer unknowns than residuals, and
 rows by reverse mode otherwise; the ridge costs neither, so that six residuals of 132
@@ -33,6 +35,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.structure import pytree
 
+FASTER, SLOWER = 3.0, 4.0
+"""Divisor of the damping after a step that is taken, and factor otherwise."""
 LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
 """Dampings that are tried at once, in those of the last step [1]; the most is first."""
 MOST_DAMPING = 1e12
@@ -54,7 +58,7 @@ class LeastSquares:
     converged: Bool[Array, ""]
     """Whether a step would change the cost, or the solution, by less than asked."""
     iterations: Int[Array, ""]
-    """Batches of steps that were tried."""
+    """Iterations that were made; the first looks at the start."""
     costs: Float[Array, " iterations"]
     """Cost of the best point after each of them; NaN where there was none."""
 
@@ -84,6 +88,7 @@ def least_squares(
     iterations: int = 50,
     tolerance: float | None = None,
     mode: str | None = None,
+    several: bool = False,
 ) -> LeastSquares:
     """Unknowns that make the sum of squares of residuals least. Pure; traceable.
 
@@ -96,11 +101,14 @@ def least_squares(
             as `start`.
         centre: What the ridge pulls to, a number or as `start`; `start` by default.
         damping: Of the first step, a share of the diagonal [1].
-        iterations: Batches of steps that are tried, at most.
+        iterations: Iterations, at most.
         tolerance: Relative change of the cost, or of every unknown, below which it is
             done; by default eps to the power of 3/4 of the precision.
         mode: `"forward"` or `"reverse"`, how Jacobians are made; by default whichever
             needs fewer passes.
+        several: Whether each iteration tries six dampings as a batch. This pays where
+            a batch of residuals costs hardly more than one set of them, as in
+            trajectories; not where residuals are solved for, as in equilibria.
 
     Returns:
         The best point; one whose residuals are not all finite is never taken.
@@ -150,27 +158,38 @@ def least_squares(
         now = jnp.where(better, values, search.residuals)
         jacobian = jnp.where(better, slopes, search.jacobian)
         least = jnp.where(better, cost, search.cost)
-        # Beyond all that failed; not zero, from which no factor leads back.
-        mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
-        dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
 
         def stepped(mu: Array) -> Array:
             pull = rho * (point - middle)
             step = _step(jacobian, now, rho, pull, mu, point, low, high)
             return jnp.clip(point + step, low, high)
 
-        candidates = jax.vmap(stepped)(dampings)
-        costs = jax.vmap(lambda z: total(flat(z), z))(candidates)
-        # Where none is finite the shortest step is the best guess.
-        best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
-        chosen = jnp.arange(ladder.size) == best
+        def best_of_six() -> tuple[Array, Array]:
+            # Beyond all that failed; not zero, from which no factor leads back.
+            mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
+            dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
+            candidates = jax.vmap(stepped)(dampings)
+            costs = jax.vmap(lambda z: total(flat(z), z))(candidates)
+            # Where none is finite the shortest step is the best guess.
+            best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
+            chosen = jnp.arange(ladder.size) == best
+            candidate = jnp.sum(jnp.where(chosen[:, None], candidates, 0), axis=0)
+            return jnp.sum(jnp.where(chosen, dampings, 0)), candidate
+
+        def next_one() -> tuple[Array, Array]:
+            change = jnp.where(better, 1 / FASTER, SLOWER)
+            mu = jnp.where(begun, search.damping * change, search.damping)
+            mu = jnp.asarray(mu, dtype)
+            return mu, stepped(mu)
+
+        mu, candidate = best_of_six() if several else next_one()
         return _Search(
             point=point,
             residuals=now,
             jacobian=jacobian,
             cost=least,
-            damping=jnp.sum(jnp.where(chosen, dampings, 0)),
-            candidate=jnp.sum(jnp.where(chosen[:, None], candidates, 0), axis=0),
+            damping=mu,
+            candidate=candidate,
             tried=search.tried + 1,
             converged=done,
             costs=search.costs.at[search.tried].set(least),

@@ -37,7 +37,7 @@ def levenberg_marquardt(
     Args:
         problem: The problem.
         n_knots: Knots in time, equally spaced.
-        iterations: Batches of steps that are tried, at most.
+        iterations: Iterations, at most.
         ridge: Cost of the mean squared number of the knots; it chooses among many
             controls that do the same.
         damping: Of the first step, a share of the diagonal [1].
@@ -114,6 +114,7 @@ def _solved(
         iterations=iterations,
         tolerance=tolerance,
         mode=mode,
+        several=True,
     )
     controls = over_time(found.solution, problem.n_intervals)
     # The squares of the residuals, without the ridge.

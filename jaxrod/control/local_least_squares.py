@@ -20,11 +20,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.control.arrow import arrow_step, in_order_of_leaves, projected
-from jaxrod.control.least_squares import MOST_DAMPING
+from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
 from jaxrod.structure import pytree
 
-FASTER, SLOWER = 3.0, 4.0
-"""Divisor of the damping after a step that is taken, and factor otherwise."""
 LEAST_DAMPING = 1e-6
 """Below it nothing is won, and too small a one costs rejected steps to raise again."""
 

@@ -50,7 +50,7 @@ class ShapeMatch:
     converged: Bool[Array, ""]
     """Whether the error is below the tolerance, in a stable equilibrium."""
     iterations: Int[Array, ""]
-    """Batches of steps that were tried."""
+    """Iterations that were made."""
 
 
 def match_shape(
@@ -79,7 +79,7 @@ def match_shape(
             tolerance [1/m]; by default 30 radians over the length of the rod.
         stiffness: Logarithm of a factor of stiffness that costs as much [1].
         twist: Whether rest twist is sought too, with rest curvature.
-        iterations: Batches of steps that are tried, at most.
+        iterations: Iterations, at most.
 
     Raises:
         ValueError: An argument is out of range or does not fit, or as `equilibrium`.

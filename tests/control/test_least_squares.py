@@ -33,7 +33,7 @@ def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, b
         return rosenbrock({"a": point[0], "b": point[1]})
 
     def search(start):
-        return least_squares(made, start, damping=3e-3, iterations=40)
+        return least_squares(made, start, damping=3e-3, iterations=40, several=True)
 
     values, slopes = np.asarray(made(start)), np.asarray(jax.jacfwd(made)(start))
     normal = slopes.T @ slopes
@@ -56,7 +56,10 @@ def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, b
 def test_a_first_damping_that_is_far_off_costs_few_iterations(damping):
     start = jnp.asarray([-1.2, 1.0])
     found = least_squares(
-        lambda z: rosenbrock({"a": z[0], "b": z[1]}), start, damping=damping
+        lambda z: rosenbrock({"a": z[0], "b": z[1]}),
+        start,
+        damping=damping,
+        several=True,
     )
     assert bool(found.converged) and int(found.iterations) < 40
     np.testing.assert_allclose(found.solution, [1, 1], atol=1e-8)
