@@ -958,6 +958,7 @@ def test_systems_with_lists_run_within_vmap(listed):
             close(found[law].velocities[k], wanted[law].velocities, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_systems_with_lists_run_within_grad(listed):
     """Of each law the gradient is that of differences."""
     system, start, _ = listed

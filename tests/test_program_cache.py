@@ -194,7 +194,7 @@ def test_owner_and_mode_are_looked_at_as_ssh_does(change, said, tmp_path):
 def test_a_folder_of_another_user_is_refused(tmp_path, monkeypatch):
     me = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: me + 1)
-    assert f"of user {me}" in shared_with(tmp_path)
+    assert f"belongs to user {me}, not" in shared_with(tmp_path)
 
 
 def test_where_there_are_no_modes_nothing_is_looked_at(tmp_path, monkeypatch):

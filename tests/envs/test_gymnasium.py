@@ -294,7 +294,7 @@ def test_bad_input_is_refused_in_words():
     env, envs = GymnasiumEnv("trivial"), GymnasiumVectorEnv("trivial", 2)
     env.reset(seed=0)
     envs.reset(seed=0)
-    with pytest.raises(ValueError, match=r"shape \(1, 1\), got \(1, 2\)"):
+    with pytest.raises(ValueError, match=r"shape \(1,\), got \(2,\)"):
         env.step(np.zeros(2, np.float32))
     with pytest.raises(ValueError, match=r"shape \(2, 1\), got \(1,\)"):
         envs.step(np.zeros(1, np.float32))

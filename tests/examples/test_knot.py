@@ -2,11 +2,13 @@
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 import jaxrod
 from examples.loading import load
 
 
+@pytest.mark.slow
 def test_a_small_knot_runs_and_is_kept():
     with jax.enable_x64(True):
         system, state, dt = load("knot").build(n=100)

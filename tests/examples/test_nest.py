@@ -8,6 +8,7 @@ import jaxrod
 from examples.loading import load
 
 
+@pytest.mark.slow
 def test_a_small_nest_runs_and_begins_to_fall():
     with jax.enable_x64(True):
         system, state, dt = load("nest").nest(20)
