@@ -269,8 +269,9 @@ np.testing.assert_array_equal(found[1], run())
 print(jaxrod.lane_choices()[-1].why)
 """)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("\n") == 1 and "XLA_FFI_Buffer" in done.stderr
-    assert "a fifth as fast" in done.stderr
+    # XLA may add lines of its own.
+    (line,) = [line for line in done.stderr.splitlines() if "jaxrod" in line]
+    assert "XLA_FFI_Buffer" in line and "a fifth as fast" in line
     assert "XLA_FFI_Buffer" in done.stdout
 
 
