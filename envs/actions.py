@@ -13,7 +13,7 @@ def action_of_size(action: ArrayLike, size: int) -> Array:
     """The action, if it is a vector of so many numbers.
 
     Raises:
-        ValueError: If it is something else, in words: what could be broadcast would
+        ValueError: If the shape differs: an action that could be broadcast would
             drive other actuators than it was meant for.
     """
     check_action_shape("action", action, (size,))

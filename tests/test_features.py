@@ -960,7 +960,7 @@ def test_systems_with_lists_run_within_vmap(listed):
 
 @pytest.mark.slow
 def test_systems_with_lists_run_within_grad(listed):
-    """Of each law the gradient is that of differences."""
+    """The gradient of each law is that of differences."""
     system, start, _ = listed
 
     def heights(factors):

@@ -75,7 +75,7 @@ def installed(folder, *options):
 
 
 def complaints(python, program):
-    """What mypy says of a program."""
+    """The report of mypy on a program."""
     folder = python.parents[2]
     (folder / "program.py").write_text(program)
     options = ["--strict", "--python-executable", python, "--cache-dir", ".cache"]

@@ -22,6 +22,7 @@ import sys
 import time
 from typing import Any, NamedTuple
 
+# Run by an interpreter of its own, which has MuJoCo 4 and no jaxrod.
 import mujoco  # noqa: TID253
 import numpy as np
 

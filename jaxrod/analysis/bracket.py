@@ -16,12 +16,12 @@ from jaxrod.structure import pytree
 
 @pytree
 class Bracket:
-    """Two places between which a falling function is zero, and where to look next."""
+    """Two places between which a falling function is zero, and the next to evaluate."""
 
     place: Float[Array, ""]
-    """Where to look next."""
+    """The place to evaluate next."""
     last: tuple[Array, Array]
-    """The place that was looked at last, and the value there."""
+    """The place evaluated last, and the value there."""
     other: tuple[Array, Array]
     """The other end, and the value there, of opposite sign."""
     former: tuple[Array, Array]
@@ -29,8 +29,8 @@ class Bracket:
 
     @staticmethod
     def between(lower: Array, upper: Array) -> Bracket:
-        """A bracket of two places at which nothing was worked out."""
-        # Guesses of the values, as of a function that falls like a hyperbolic tangent:
+        """A bracket of two places at which nothing has been evaluated."""
+        # Guessed values of a function that falls like a hyperbolic tangent:
         # only their signs have to be right.
         guess = jnp.tanh(0.5 * (upper - lower))
         return Bracket(
@@ -51,8 +51,8 @@ class Bracket:
         """The bracket once the value at its `place` is known.
 
         Args:
-            value: Of the function there.
-            shift: Least distance from either end at which to look next.
+            value: Value of the function there.
+            shift: Least distance of the next place from either end.
         """
         same = (value >= 0) == (self.last[1] >= 0)
         last = self.place, value

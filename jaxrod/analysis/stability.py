@@ -75,7 +75,7 @@ _MOST_ROUNDS = 100
 _DECAY_SLOPE = 0.5
 """Bound on what damping adds to inertia, over its exponent, if solved exactly."""
 _FACTOR_TURN = 1.2784645427610738
-"""Where 1 + exp x = x exp x."""
+"""Root of 1 + exp x = x exp x."""
 _FACTOR_SLOPE = 1.7955607383343108
 """(1 + exp x) / 2x there: the same bound of rates multiplied after the kick."""
 

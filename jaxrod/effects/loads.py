@@ -220,7 +220,7 @@ def end_load(
     Args:
         force: On the end node `(3,)`, or a schedule of such [N]; world frame, or the
             material frame of the end element if `follower`.
-        couple: On the end element, likewise [N m].
+        couple: On the end element [N m].
         end: "start" or "finish".
         follower: Whether force and couple turn with the end element. Then a force
             along d3 stays along the rod, and one along d1 or d2 stays across it. For

@@ -105,7 +105,7 @@ def _fits(given: Any, count: int) -> bool:
 
 
 def _described(given: Any) -> str:
-    """What was given, by its shape or shapes."""
+    """The shape or shapes of an action, as the caller gave it."""
     if isinstance(given, tuple | list):
         shapes = ", ".join(str(jnp.shape(part)) for part in given)
         return f"{len(given)} of shapes {shapes}"
@@ -120,7 +120,7 @@ def _is_of_jaxrod(kind: type) -> bool:
 
 @functools.cache
 def _slip(kind: type, base: type, noun: str) -> str | None:
-    """What is wrong with the methods of a class, in words."""
+    """The fault in the methods of a class, as a sentence; `None` if there is none."""
     bases = [each for each in kind.__mro__ if issubclass(each, base)]
     hooks = {n for each in bases if _is_of_jaxrod(each) for n in _public(each)}
     own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}

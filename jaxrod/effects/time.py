@@ -134,7 +134,7 @@ class VectorInSpace(Schedule):
     """
 
     schedule: Any
-    """Of the values."""
+    """The schedule of the values."""
 
     def __call__(self, clock: Clock) -> Any:
         """The value at a time."""
@@ -150,7 +150,7 @@ class VectorInSpace(Schedule):
 
     @property
     def largest_norm(self) -> Any:
-        """Of the schedule."""
+        """The largest norm of the schedule's vectors."""
         return self.schedule.largest_norm
 
 

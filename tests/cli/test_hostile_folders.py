@@ -291,7 +291,7 @@ def test_there_are_at_least_forty_of_them():
     ],
 )
 def test_what_the_user_vouches_for_is_made(where, trust, place):
-    """By the whole name of its module, by its file, or by itself."""
+    """A module is trusted by its whole name or its file, an object by its path."""
     text = (
         "from jaxrod.envs.trivial import Trivial\ndef make_task(): return Trivial()\n"
     )

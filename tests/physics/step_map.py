@@ -1,4 +1,4 @@
-"""What one step makes of small motions about a state, and the step that they allow."""
+"""The one-step map of small motions about a state, and the largest stable step."""
 
 from functools import partial
 
@@ -12,9 +12,9 @@ import jaxrod
 
 @partial(jax.jit, static_argnames="run")
 def columns(scene, state, dt, run=jaxrod.step):
-    """What a step makes of small motions, each of one number of the state alone.
+    """The one-step map of small motions, each of one number of the state alone.
 
-    Leaf by leaf: XLA would work out a step anew for every number of one long vector.
+    Leaf by leaf: XLA would compute a step again for every number of one long vector.
     """
     flat, unravel = ravel_pytree(state)
 

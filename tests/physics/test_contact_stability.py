@@ -61,9 +61,9 @@ def test_the_stable_step_knows_of_the_stiffness_of_contact(share, record):
 
 @jax.jit
 def columns(scene, state, dt):
-    """What a step makes of small motions, each of one number of the state alone.
+    """The one-step map of small motions, each of one number of the state alone.
 
-    Leaf by leaf: XLA would work out a step anew for every number of one long vector.
+    Leaf by leaf: XLA would compute a step again for every number of one long vector.
     """
     flat, unravel = ravel_pytree(state)
 

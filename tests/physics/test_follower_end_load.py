@@ -205,7 +205,7 @@ def test_lanes_are_xla(end):
 
 @pytest.mark.parametrize("end", ENDS)
 def test_the_bound_is_that_of_the_force_between_end_node_and_end_element(end):
-    """Of the loads' own derivative, scaled by masses: its largest singular value."""
+    """The largest singular value of the loads' derivative, scaled by masses."""
     rod, _ = random_rod(3, 5)
     load = jaxrod.end_load((3.0, -4.0, 12.0), end=end, follower=True)
     bound = load.stability_bound(rod)

@@ -1,7 +1,7 @@
 """The stable step over decades of drag, damping, stiffness and friction.
 
 A floor pressed on by a rod has them all: its spring and dashpot act across it, friction
-drags along it and turns the rod, which is damped besides.
+drags along it and turns the rod, which is also damped.
 """
 
 from dataclasses import replace

@@ -21,7 +21,7 @@ def test_a_radius_above_the_length_is_warned_of_in_any_unit(unit):
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
 def test_a_modulus_in_other_units_is_warned_of_where_there_is_gravity(unit):
-    """Of length: what is dimensionless is the same in each."""
+    """Units of length: dimensionless numbers are the same in each."""
     numbers = {
         "length": unit,
         "radius": 0.01 * unit,

@@ -92,7 +92,7 @@ def test_a_damaged_table_is_named(tmp_path, content, said):
     ],
 )
 def test_an_empty_value_is_named_by_its_row_and_column(table, lines, said):
-    """Of several one that has values above: a column may begin without any."""
+    """A column with values above goes first: a column may begin without any."""
     mark = table.mark()
     table.path.write_text(lines)
     with pytest.raises(ValueError, match=rf"table\.csv has its 5 rows, but .*: {said}"):
