@@ -27,6 +27,12 @@ _BACKEND_OPTIONS = {
     # A loop up to this size in bytes becomes one compiled function.
     "xla_cpu_small_while_loop_byte_threshold": "100000000",
 }
+_LIBRARY_FUSIONS = "--xla_cpu_experimental_ynn_fusion_type"
+"""Option that chooses what XLA leaves to YNNPACK. Since 0.12 that is every reduction
+with all that leads to it: a nest's smallest distances, in a batch of 256, then take ten
+times as long as by XLA's own code. XLA ends the process at an option it does not know, so
+only releases that are known to have it are given it."""
+_LAST_WITH_LIBRARY_FUSIONS = (0, 12)
 
 
 def configure_cpu(
@@ -128,6 +134,9 @@ def with_backend_options(flags: str) -> str:
     for name, value in _BACKEND_OPTIONS.items():
         if name not in names:
             options.append(f"{name}={value}" if value else name)
+    known = jax.__version_info__[:2] <= _LAST_WITH_LIBRARY_FUSIONS
+    if known and not any(word.startswith(_LIBRARY_FUSIONS) for word in rest):
+        rest.append(f"{_LIBRARY_FUSIONS}=")
     return " ".join([*rest, prefix + ",".join(options)])
 
 

@@ -64,8 +64,11 @@ _PARAMETERS: dict[str, str] = {
     "while": "body_jaxpr body_nconsts cond_jaxpr cond_nconsts",
 }
 """Names of parameters by the name of the primitive; a primitive not listed has none."""
-_NONE_ONLY = frozenset({"accuracy", "out_dtype", "out_sharding", "sharding"})
+_NONE_ONLY = frozenset({"accuracy", "out_dtype"})
 """Parameters that any primitive may have, as long as they are `None`."""
+_SHARDINGS = frozenset({"out_sharding", "sharding"})
+"""Parameters that any primitive may have, as long as they divide no axis: within
+`jax.shard_map` they name a mesh even then."""
 _CALLS = {
     "closed_call": "call_jaxpr",
     "custom_jvp_call": "call_jaxpr",
@@ -88,11 +91,23 @@ def unknown_parameter(equation: Any) -> str | None:
     for parameter, value in equation.params.items():
         if parameter in known:
             continue
+        if parameter in _SHARDINGS:
+            if not _divides_nothing(value):
+                return f"'{name}' with {parameter}={value} is not known"
+            continue
         if parameter not in _NONE_ONLY:
             return f"the parameter '{parameter}' of '{name}' is not known"
         if value is not None:
             return f"'{name}' with {parameter}={value} is not known"
     return None
+
+
+def _divides_nothing(sharding: Any) -> bool:
+    """Whether every device has the whole of an array with this sharding."""
+    if sharding is None:
+        return True
+    spec = getattr(sharding, "spec", None)
+    return spec is not None and all(axes in (None, ()) for axes in spec)
 
 
 class Parts(NamedTuple):

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 import jaxrod
 from jaxrod.jax_internals import equations, foreign_call
@@ -115,6 +116,39 @@ def test_a_parameter_that_is_not_listed_is_refused():
         primitive=product.primitive, params={"out_dtype": np.dtype("float16")}
     )
     assert "'mul' with out_dtype=float16" in equations.unknown_parameter(wide)
+
+
+def test_a_sharding_that_divides_nothing_is_known_and_others_are_not():
+    """Within `shard_map` broadcasts name the mesh; the learners step tasks there."""
+    mesh = jax.make_mesh((1,), ("i",), axis_types=(AxisType.Auto,))
+    each = PartitionSpec("i")
+
+    def repeated(x):
+        return jnp.broadcast_to(x[:, None], (*x.shape, 3)) * lax.iota(float, 3)[None]
+
+    mapped = jax.shard_map(repeated, mesh=mesh, in_specs=each, out_specs=each)
+    (equation,) = jax.make_jaxpr(mapped)(jnp.ones(4)).eqns
+    inside = list(next(equations.programs_within(equation)).eqns)
+    assert "broadcast_in_dim" in [each.primitive.name for each in inside]
+    assert [equations.unknown_parameter(each) for each in inside] == [None] * len(
+        inside
+    )
+    product = only(lambda x: x * x, X)
+    divided = SimpleNamespace(
+        primitive=product.primitive,
+        params={"out_sharding": NamedSharding(mesh, each)},
+    )
+    assert "'mul' with out_sharding=" in equations.unknown_parameter(divided)
+
+
+def test_reductions_are_left_to_xla_and_not_to_a_library():
+    """A library's take ten times as long in the batches of a task with obstacles."""
+
+    def nearest(x):
+        return jnp.min(jnp.sqrt(x * x + 1) - x, axis=1)
+
+    compiled = jax.jit(nearest).lower(jnp.ones((256, 80))).compile().as_text()
+    assert "reduce" in compiled and "ynn" not in compiled
 
 
 def test_every_rule_belongs_to_a_primitive_with_known_parameters():

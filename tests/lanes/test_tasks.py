@@ -5,8 +5,10 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from jax.sharding import AxisType, PartitionSpec
 
 from jaxrod.envs import VectorEnvironment, make
+from jaxrod.lanes import choice
 from jaxrod.lanes.choice import lane_choices, use_lanes
 
 ARMS = [
@@ -77,3 +79,30 @@ def test_arms_that_break_are_flagged_and_restart_alike():
     for name in ("truncated", "terminated"):
         np.testing.assert_array_equal(getattr(taken, name), getattr(expected, name))
     np.testing.assert_array_equal(taken.info["flagged"], expected.info["flagged"])
+
+
+@pytest.mark.parametrize(
+    "task", ["tracking", "reaching", "structured", "unstructured", "following"]
+)
+def test_lanes_read_every_task_as_learners_step_it(task, monkeypatch):
+    """On a device of a mesh, where types of arrays name it. Nothing is compiled."""
+
+    def not_compiled(kernel):
+        raise RuntimeError(f"read {kernel.operations} operations")
+
+    monkeypatch.setattr(choice, "registered", not_compiled)
+    use_lanes("auto")
+    env = make(task, variant="clean")
+    batch, params = VectorEnvironment(env), env.default_params()
+    state = jax.eval_shape(lambda: batch.reset(jax.random.key(0), ENVIRONMENTS, params))
+    actions = jax.ShapeDtypeStruct((ENVIRONMENTS, env.action_size), "float64")
+    spread, whole = PartitionSpec("i"), PartitionSpec()
+    step = jax.shard_map(
+        batch.step,
+        mesh=jax.make_mesh((1,), ("i",), axis_types=(AxisType.Auto,)),
+        in_specs=(spread, spread, whole),
+        out_specs=spread,
+        check_vma=False,
+    )
+    jax.jit(step).lower(state, actions, params)
+    assert lane_choices()[-1].why.startswith("no kernel: RuntimeError: read ")
