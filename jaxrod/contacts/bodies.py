@@ -48,6 +48,10 @@ class Body(ABC):
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Signed distance [m], negative inside, and outward normal at each point."""
 
+    def of_ends(self) -> Body:
+        """The body as the first and the last of the points see it."""
+        return self
+
     @property
     def count(self) -> int | None:
         """Number of bodies, from a leading axis; `None` for a single one."""

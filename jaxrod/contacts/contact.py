@@ -1,6 +1,6 @@
 r"""Contact of a rod with fixed bodies: penalty, damping and Coulomb friction.
 
-At points along the rod (`jaxrod.contacts.points`), each the centre of a section of
+At points along the rod (`jaxrod.contacts.points`), each the centre of a ball of
 radius $r$, a body's signed distance $\phi$ and normal $n$ give the penetration
 $p = r - \phi$. Per length of rod, with the point's velocity $v$ and
 $v_n = v\cdot n$ (positive when leaving), the force along the normal is that of
@@ -41,11 +41,13 @@ from jaxtyping import Array, Float
 from jaxrod.contacts.bodies import Body
 from jaxrod.contacts.contact_law import (
     along_surface,
+    depth_from_onset,
     directional_friction_force,
     energy_density,
     friction_force,
     normal_force,
 )
+from jaxrod.contacts.ends import Ends
 from jaxrod.contacts.points import Points, check_spacing, contact_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
@@ -86,6 +88,9 @@ class Contact(Effect):
     """Contact points per element."""
     stick_ratio: Float[Array, ""] | None = None
     """Friction at the onset of slip over that of sliding, if it has directions [1]."""
+    free_ends: Float[Array, "2"] | None = None
+    """One for each end of the rod that is free, zero where it goes on in another rod;
+    both are free by default."""
 
     reach: ClassVar[Reach] = "neighbours"
 
@@ -112,12 +117,14 @@ class Contact(Effect):
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Stiffness and drag as if every point touched all bodies it looks at."""
         count = self.n_near or self.n_bodies or 1
-        halves = 0.5 * count * rod.rest_lengths
-        lengths = vectors.pad(halves, 0, 1) + vectors.pad(halves, 1, 0)
-        stiffness = self.stiffness * lengths
+        stiff, at_nodes, at_elements = _lengths_in_bounds(self._points(rod))
+        stiff, at_nodes, at_elements = (
+            count * lengths for lengths in (stiff, at_nodes, at_elements)
+        )
+        stiffness = self.stiffness * stiff
         drag = self.damping
         if self.friction_drag is None:
-            node_drag = None if drag is None else drag * lengths
+            node_drag = None if drag is None else drag * at_nodes
             return StabilityBound(nodes=stiffness, node_drag=node_drag)
         # Slip is of the point's speed and of the section's turning; by Young's
         # inequality its square is at most this much of the squares of the two.
@@ -132,8 +139,8 @@ class Contact(Effect):
         turning = self.friction_drag * (1 + 1 / ratio) * lever
         return StabilityBound(
             nodes=stiffness,
-            node_drag=drag * lengths,
-            element_drag=count * turning * rod.rest_lengths,
+            node_drag=drag * at_nodes,
+            element_drag=turning * at_elements,
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:
@@ -180,9 +187,16 @@ class Contact(Effect):
         """Looks at all bodies again: there are other points."""
         return dataclasses.replace(self, near=None, n_near=None)
 
+    def with_free_ends(self, free: Float[Array, "2"]) -> Contact:
+        """An end that goes on in another rod has no face."""
+        return dataclasses.replace(self, free_ends=free)
+
+    def _points(self, rod: Rod) -> list[Points]:
+        return contact_points(rod, self.points_per_element, self.free_ends)
+
     def _in_view(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
         """The contact points, and the bodies they look at one by one."""
-        points = contact_points(rod, self.points_per_element)
+        points = self._points(rod)
         if self.near is None:
             everything = _one_by_one(self.body, self.n_bodies)
             return [(some, everything) for some in points]
@@ -200,9 +214,16 @@ class Contact(Effect):
 
         def of_body(body: Body) -> Array:
             distance, _ = body.surface(place)
-            width = self.onset * radii
-            density = energy_density(radii - distance, width, self.stiffness)
-            return jnp.sum(points.lengths * density)
+            density = self._density(radii, distance)
+            total = jnp.sum(points.lengths * density)
+            if points.ends is None:
+                return total
+            ends = points.ends
+            beside, _ = body.of_ends().surface(ends.beside(place))
+            counted = ends.counted(
+                ends.of_points(distance), beside, self._depth(ends.of_points(radii))
+            )
+            return total + jnp.sum(counted * ends.of_points(density))
 
         return _summed(of_body, bodies)
 
@@ -238,23 +259,60 @@ class Contact(Effect):
                 self.stiffness,
                 self.damping,
             )
-            force = vectors.scale(push, normal)
+            counted = points.lengths
+            if points.ends is None:
+                force = vectors.scale(counted * push, normal)
+            else:
+                lengths, change = self._at_ends(
+                    points.ends, body, radii, position, distance, normal
+                )
+                counted = counted + lengths
+                force = vectors.add(vectors.scale(counted * push, normal), change)
             if spin is None:
                 return force, None
             arm = vectors.scale(-radii, normal)
             slip = vectors.add(velocity, vectors.cross(spin, arm))
             along = vectors.subtract(slip, vectors.scale(leaving, normal))
             drag = self._friction(push, along, normal, axis)
+            drag = vectors.scale(counted, drag)
             return vectors.add(force, drag), vectors.cross(arm, drag)
 
         force, couple = _summed(of_body, bodies)
-        forces = points.to_nodes(vectors.scale(points.lengths, force))
+        forces = points.to_nodes(force)
         if loads.forces is not None:
             forces = accumulate(forces, loads.forces)
         if couple is None:
             return Loads(forces)
-        x, y, z = (points.to_elements(points.lengths * c) for c in couple)
+        x, y, z = (points.to_elements(c) for c in couple)
         return Loads(forces, accumulate((x, y, z), loads.couples))
+
+    def _at_ends(
+        self,
+        ends: Ends,
+        body: Body,
+        radii: Array,
+        position: Vec3,
+        distance: Array,
+        normal: Vec3,
+    ) -> tuple[Array, Vec3]:
+        """Lengths of the ends [m], and forces by which they change [N], on nodes."""
+        beside, outward = body.of_ends().surface(ends.beside(position))
+        own, own_radii = ends.of_points(distance), ends.of_points(radii)
+        density = self._density(own_radii, own)
+        lengths, at_ends, besides = ends.counted_and_changes(
+            own, beside, self._depth(own_radii), density
+        )
+        change = vectors.scale(ends.to_points(at_ends), normal)
+        x, y, z = (ends.from_beside(besides * c) for c in outward)
+        return ends.to_points(lengths), vectors.add(change, (x, y, z))
+
+    def _depth(self, radii: Array) -> Callable[[Array], Array]:
+        """Penetration by the distance, positive; see `Ends.counted`."""
+        return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
+
+    def _density(self, radii: Array, distance: Array) -> Array:
+        """Energy per length of the springs [J/m]."""
+        return energy_density(radii - distance, self.onset * radii, self.stiffness)
 
     def _friction(
         self, push: Array, slip: Vec3, normal: Vec3, axis: Vec3 | None
@@ -271,6 +329,23 @@ class Contact(Effect):
             self.friction_drag,
             self.stick_ratio,
         )
+
+
+def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
+    """Lengths that count for stiffness and drag at nodes, and at elements [m]."""
+    stiff, slow, turning = [], [], []
+    for some in points:
+        bound = longest = some.lengths
+        if some.ends is not None:
+            bound = bound + some.ends.bound()
+            longest = longest + some.ends.longest()
+        stiff.append(some.to_nodes((bound, bound, bound))[0])
+        slow.append(some.to_nodes((longest, longest, longest))[0])
+        turning.append(some.to_elements(longest))
+    first, second, third = (
+        functools.reduce(jnp.add, each) for each in (stiff, slow, turning)
+    )
+    return first, second, third
 
 
 def _one_by_one(body: Body, count: int | None) -> list[Body]:

@@ -146,6 +146,11 @@ def along_surface(axis: Vec3, normal: Vec3) -> Vec3:
     return vectors.scale(jax.lax.rsqrt(rounded), flat)
 
 
+def depth_from_onset(depth: Array, width: Array) -> Array:
+    """Depth from the onset on [m], positive; where there is no contact, `width`."""
+    return _started(depth, width)[1]
+
+
 def _started(depth: Array, width: Array) -> tuple[Array, Array]:
     """Flag of contact, and depth from its onset on [m], finite where there is none.
 

@@ -31,6 +31,14 @@ class OneForEach(Body):
     body: Body
     """All of them, of a kind."""
 
+    def of_ends(self) -> OneForEach:
+        """The bodies of the first and of the last point."""
+
+        def ends(leaf: Array) -> Array:
+            return jnp.concatenate([leaf[..., :1], leaf[..., -1:]], axis=-1)
+
+        return OneForEach(jax.tree.map(ends, self.body))
+
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Each point's distance from its own body, and the normal there.
 

@@ -1,8 +1,9 @@
 """Contact points along a rod, and the transfer of their loads to the rod.
 
 Contact acts per length of rod. Its integral is a sum over points with the lengths they
-stand for (the trapezoidal rule), so loads do not depend on the number of elements. The
-points are the nodes: the tip is one of them, and a force there is a force on a node.
+stand for (the trapezoidal rule), so loads do not depend on the number of elements; the
+ends have a law of their own (`jaxrod.contacts.ends`). The points are the nodes: the tip
+is one of them, and a force there is a force on a node.
 Where elements are long, more points follow between the nodes of each element, whose
 forces both nodes share by the lever rule. Taking loads to the rod is the transpose of
 taking the rod's motion to the points, so no momentum and no power is lost on the way.
@@ -15,8 +16,9 @@ import warnings
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
+from jaxrod.contacts.ends import Ends, ends_of
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.rod import Rod
@@ -29,7 +31,11 @@ class Points(Protocol):
 
     @property
     def lengths(self) -> Array:
-        """Rest length of rod each point stands for [m]."""
+        """Rest length of rod each point stands for, zero at the ends [m]."""
+
+    @property
+    def ends(self) -> Ends | None:
+        """The ends of the rod, if they are among the points."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
         """A field on the nodes, at the points."""
@@ -49,7 +55,9 @@ class AtNodes:
     """The nodes. Fields on elements are averaged there by length."""
 
     lengths: Array
-    """Rest length of rod each point stands for [m]."""
+    """Rest length of rod each point stands for, zero at the ends [m]."""
+    ends: Ends
+    """Both ends."""
     share_of_first: Array
     """Share of an element in the average at its first node [1]."""
     share_of_last: Array
@@ -81,6 +89,7 @@ class BetweenNodes:
     """Rest length of rod each point stands for [m]."""
     fraction: Array
     """Fraction of the way from an element's first node to its last [1]."""
+    ends: None = None
 
     def of_nodes(self, field: Vec3) -> Vec3:
         """Interpolated between the element's nodes."""
@@ -107,14 +116,23 @@ class BetweenNodes:
         return field
 
 
-def contact_points(rod: Rod, per_element: int) -> list[Points]:
-    """The nodes, and `per_element - 1` equidistant points inside every element."""
+def contact_points(
+    rod: Rod, per_element: int, free_ends: Float[Array, "2"] | None = None
+) -> list[Points]:
+    """The nodes, and `per_element - 1` equidistant points inside every element.
+
+    Args:
+        rod: The rod.
+        per_element: Contact points per element.
+        free_ends: As for `ends_of`.
+    """
     lengths = rod.rest_lengths
     spacing = lengths / per_element
     around = vectors.pad(lengths, 0, 1) + vectors.pad(lengths, 1, 0)
     points: list[Points] = [
         AtNodes(
-            lengths=0.5 * (vectors.pad(spacing, 0, 1) + vectors.pad(spacing, 1, 0)),
+            lengths=vectors.pad(0.5 * (spacing[:-1] + spacing[1:]), 1, 1),
+            ends=ends_of(lengths, rod.radii, per_element, free_ends),
             share_of_first=lengths / around[:-1],
             share_of_last=lengths / around[1:],
         )

@@ -229,6 +229,18 @@ class Effect:
         """
         return self
 
+    def with_free_ends(self, free: Float[Array, "2"]) -> Effect:
+        """The same influence on a rod with ends that may go on in other rods.
+
+        `make_system` calls it where ends are tied, for effects to which a free end is
+        something else than the rest of the rod.
+
+        Args:
+            free: One for the first and the last end if it is free, zero where it is
+                tied; of equal rods with a leading axis.
+        """
+        return self
+
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
         """Derivative of minus the couples by the elements' own turns, world frame.
 

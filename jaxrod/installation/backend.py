@@ -29,9 +29,9 @@ _BACKEND_OPTIONS = {
 }
 _LIBRARY_FUSIONS = "--xla_cpu_experimental_ynn_fusion_type"
 """Option that chooses what XLA leaves to YNNPACK. Since 0.12 that is every reduction
-with all that leads to it: a nest's smallest distances, in a batch of 256, then take ten
-times as long as by XLA's own code. XLA ends the process at an option it does not know, so
-only releases that are known to have it are given it."""
+with all that leads to it: the smallest distances of a nest in a batch of 256 then take
+ten times as long as in XLA's own code. XLA ends the process at an option it does not
+know, so only releases that are known to have it are given it."""
 _LAST_WITH_LIBRARY_FUSIONS = (0, 12)
 
 

@@ -9,20 +9,28 @@ are exact, with damping and friction too, and friction makes both roll.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Sphere
-from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
+from jaxrod.contacts.contact_law import (
+    depth_from_onset,
+    energy_density,
+    friction_force,
+    normal_force,
+)
+from jaxrod.contacts.ends import Ends
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
+from jaxrod.systems.continued import free_ends
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.names import check_named
 from jaxrod.systems.parts import Parts, mapped
@@ -34,7 +42,7 @@ from jaxrod.systems.strands import (
     Strands,
     loads_on_member,
     points_at,
-    strands,
+    strands_and_ends,
 )
 from jaxrod.validation import Numbers, as_array, check_count
 
@@ -55,8 +63,12 @@ class BodyContact(Coupling):
     """Largest friction per length and speed of slip [kg/(m s)]."""
     touching: Float[Array, ""] | None = None
     """Length of rod that touches a body at a time, for the stability bound [m]."""
+    free_ends: Float[Array, "rods 2"] | None = None
+    """One for each end of the rods that is free, zero where it goes on in another."""
     strand: Strands | None = None
-    """Points of the rods, once prepared."""
+    """Points of the rods, once prepared; their lengths are zero at ends."""
+    ends: Ends | None = None
+    """Ends of the rods, once prepared."""
     rod: str = static(default="")
     """Name of the rods."""
     body: str = static(default="")
@@ -79,17 +91,22 @@ class BodyContact(Coupling):
             )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
-        """With the number of points."""
-        if self.points_per_element is not None:
-            return self
-        # A radius apart at most.
-        needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
-        return replace(self, points_per_element=needed)
+        """With the number of points, and with the ends that are free."""
+        free = free_ends(self.rod, parts, tied)
+        if free is None:
+            free = np.ones((parts[self.rod].count, 2))
+        needed = self.points_per_element
+        if needed is None:
+            # A radius apart at most.
+            needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
+        return replace(self, points_per_element=needed, free_ends=jnp.asarray(free))
 
     def prepared(self, parts: AllParts) -> BodyContact:
         """With lengths and radii of the points."""
-        assert self.points_per_element is not None
-        return replace(self, strand=strands(parts[self.rod], self.points_per_element))
+        per, free = self.points_per_element, self.free_ends
+        assert per is not None and free is not None
+        made, ends = strands_and_ends(parts[self.rod], per, free)
+        return replace(self, strand=made, ends=ends)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on rods and bodies."""
@@ -99,14 +116,22 @@ class BodyContact(Coupling):
         turning: Vec3 | None = None if self.friction is None else total
         reactions = []
         for body in self._bodies(seen):
-            force, turn, place = self._force(points, body)
+            force, turn, place, beside = self._force(points, body)
             total = vectors.add(total, force)
             if turn is not None:
                 assert turning is not None
                 turning = vectors.add(turning, turn)
-            arm = vectors.subtract(place, body.position)
-            couple = vectors.cross(force, arm)
-            reactions.append((mapped(_sum, force), mapped(_sum, couple)))
+            couple = vectors.cross(force, vectors.subtract(place, body.position))
+            total = vectors.add(total, mapped(self._ends().from_beside, beside))
+            # Along the normal, so that any point of its line will do.
+            arm = vectors.subtract(self._ends().beside(points.position), body.position)
+            more = vectors.cross(beside, arm)
+            reactions.append(
+                (
+                    vectors.add(mapped(_sum, force), mapped(_sum, beside)),
+                    vectors.add(mapped(_sum, couple), mapped(_sum, more)),
+                )
+            )
         none = vectors.scale(0.0, mapped(strand.firsts, own.motion.position))
         on_rod = loads_on_member(
             strand,
@@ -136,9 +161,12 @@ class BodyContact(Coupling):
 
     def _force(
         self, points: ContactPoints, body: Posed
-    ) -> tuple[Vec3, Vec3 | None, Vec3]:
-        """Forces on the points, couples on their sections, and where they act."""
-        strand = self._strand()
+    ) -> tuple[Vec3, Vec3 | None, Vec3, Vec3]:
+        """Forces on the points, couples on their sections, and where they act.
+
+        And forces at the places beside the ends.
+        """
+        strand, ends = self._strand(), self._ends()
         distance, normal = body.surface(points.position)
         radii = strand.point_radii
         arm = vectors.scale(-radii, normal)
@@ -148,31 +176,46 @@ class BodyContact(Coupling):
         push = normal_force(
             radii - distance, leaving, self.onset * radii, self.stiffness, self.damping
         )
-        force = vectors.scale(push, normal)
-        turn: Vec3 | None = None
-        if self.friction is not None:
-            assert self.friction_drag is not None and points.spin is not None
-            slip = vectors.add(rate, vectors.cross(points.spin, arm))
-            along = vectors.dot(slip, normal)
-            slip = vectors.subtract(slip, vectors.scale(along, normal))
-            rub = friction_force(push, slip, self.friction, self.friction_drag)
-            force = vectors.add(force, rub)
-            turn = vectors.scale(strand.lengths, vectors.cross(arm, rub))
-        return vectors.scale(strand.lengths, force), turn, place
+        beside, outward = body.surface(ends.beside(points.position))
+        own, own_radii = ends.of_points(distance), ends.of_points(radii)
+        lengths, at_ends, besides = ends.counted_and_changes(
+            own, beside, self._depth(own_radii), self._density(own_radii, own)
+        )
+        counted = strand.lengths + ends.to_points(lengths)
+        pressed = counted * push + ends.to_points(at_ends)
+        force = vectors.scale(pressed, normal)
+        pull = vectors.scale(besides, outward)
+        if self.friction is None:
+            return force, None, place, pull
+        assert self.friction_drag is not None and points.spin is not None
+        slip = vectors.add(rate, vectors.cross(points.spin, arm))
+        along = vectors.dot(slip, normal)
+        slip = vectors.subtract(slip, vectors.scale(along, normal))
+        rub = friction_force(push, slip, self.friction, self.friction_drag)
+        rub = vectors.scale(counted, rub)
+        return vectors.add(force, rub), vectors.cross(arm, rub), place, pull
+
+    def _depth(self, radii: Array) -> Callable[[Array], Array]:
+        """Penetration by the distance, positive; see `Ends.counted`."""
+        return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
+
+    def _density(self, radii: Array, distance: Array) -> Array:
+        """Energy per length of the springs [J/m]."""
+        return energy_density(radii - distance, self.onset * radii, self.stiffness)
 
     def energy(self, seen: AllSeen) -> Array:
         """Energy of all contacts [J]."""
-        strand = self._strand()
+        strand, ends = self._strand(), self._ends()
         points = points_at(strand, seen[self.rod], spins=False)
         total = jnp.zeros((), self.stiffness.dtype)
         for body in self._bodies(seen):
             distance, _ = body.surface(points.position)
-            depth, width = (
-                strand.point_radii - distance,
-                self.onset * strand.point_radii,
-            )
-            density = energy_density(depth, width, self.stiffness)
-            total = total + jnp.sum(strand.lengths * density)
+            beside, _ = body.surface(ends.beside(points.position))
+            density = self._density(strand.point_radii, distance)
+            own, radii = ends.of_points(distance), ends.of_points(strand.point_radii)
+            counted = ends.counted(own, beside, self._depth(radii))
+            at_ends = counted * ends.of_points(density)
+            total = total + jnp.sum(strand.lengths * density) + jnp.sum(at_ends)
         return total
 
     def violation(self, seen: AllSeen) -> Array:
@@ -197,7 +240,9 @@ class BodyContact(Coupling):
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
         assert rods.rest_lengths is not None
-        lengths = rods.node_masses / jnp.min(rods.linear_density)
+        strand, ends = self._strand(), self._ends()
+        none = jnp.zeros_like(rods.rest_lengths)
+        lengths = strand.to_nodes(strand.lengths + ends.bound(), none, none)
         touching = jnp.sum(lengths)
         if self.touching is not None:
             touching = jnp.minimum(touching, self.touching)
@@ -221,10 +266,9 @@ class BodyContact(Coupling):
             )
             lever = _size(bodies)
             own = jnp.min(rods.inertias, axis=0)
-            # A last element has half a point more than the others.
-            assert self.points_per_element is not None
-            most = bodies.count * (1 + 0.5 / self.points_per_element)
-            sections = most * jnp.max(rods.rest_lengths * rods.radii**2 / own)
+            longest = strand.lengths + ends.longest()
+            on_segments = strand.to_segments(longest * strand.point_radii**2)
+            sections = bodies.count * jnp.max(on_segments / own)
         slow: Array | None = None
         if drag is not None:
             slow = drag * (nodes + sections + jnp.max(moving + turning(lever)))
@@ -236,6 +280,10 @@ class BodyContact(Coupling):
     def _strand(self) -> Strands:
         assert self.strand is not None
         return self.strand
+
+    def _ends(self) -> Ends:
+        assert self.ends is not None
+        return self.ends
 
     def _bodies(self, seen: AllSeen) -> Iterator[Posed]:
         own = seen[self.body]

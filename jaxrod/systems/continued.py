@@ -1,14 +1,19 @@
-"""Ends of rods that go on in other rods, for contact that counts every place once.
+"""Ends of rods that go on in other rods.
 
-Contact counts segments less the nodes between two of them. Where the ends of rods are
-tied, a node is between segments that are neighbours in no row: of a group of tied nodes
-all but one are to be taken off besides. Of those this can be done for last nodes, which
-are enough for rods welded end to end, and for closed ones.
+A free end has a face; an end that is tied to another node has none.
+
+Contact of rods with rods counts segments less the nodes between two of them, so that
+every place counts once. Where the ends of rods are tied, a node is between segments
+that are neighbours in no row: of a group of tied nodes all but one are to be taken off
+besides. Of those this can be done for last nodes, which are enough for rods welded end
+to end, and for closed ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from jaxrod.systems.coupling import AllParts, TiedPair
 
@@ -43,3 +48,26 @@ def last_but_continued(
         if others and not stays:
             found.append(rod * n + n - 1)
     return tuple(found)
+
+
+def free_ends(
+    member: str, parts: AllParts, tied: Sequence[TiedPair]
+) -> np.ndarray | None:
+    """One for each first and last end of a member's rods that is free, else zero.
+
+    Args:
+        member: Name of the member.
+        parts: Of all members.
+        tied: Pairs of nodes that are tied together, in both orders.
+
+    Returns:
+        `(rods, 2)`, or `None` where all are free.
+    """
+    own = parts[member]
+    last = own.n_elements
+    free = np.ones((own.count, 2))
+    for name, node, *_ in tied:
+        rod, place = divmod(node, last + 1)
+        if name == member and place in (0, last):
+            free[rod, int(place == last)] = 0.0
+    return None if free.all() else free

@@ -8,10 +8,14 @@ are taken apart and put together by shapes, without indices.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
+from jaxrod.contacts.ends import Ends, ends_of
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
@@ -174,6 +178,35 @@ def strands(parts: Parts, per_element: int, continued: tuple[int, ...] = ()) -> 
         count=count,
         per_element=per_element,
         continued=continued,
+    )
+
+
+def strands_and_ends(
+    parts: Parts, per_element: int, free: Float[Array, "rods 2"]
+) -> tuple[Strands, Ends]:
+    """The constants of a member, with lengths that are zero at ends, and its ends.
+
+    Args:
+        parts: Of rods.
+        per_element: Contact points per element.
+        free: One for each end that is free, zero where it goes on in another rod.
+    """
+    made = strands(parts, per_element)
+    count, n = made.count, made.n_elements
+
+    def ends(lengths: Array, radii: Array, free: Array) -> Ends:
+        return ends_of(lengths, radii, per_element, free)
+
+    each = jax.vmap(ends)(
+        made.rest_lengths.reshape(count, n), made.radii.reshape(count, n), free
+    )
+    inner = made.lengths.reshape(count, -1)[:, 1:-1]
+    shares = jnp.zeros((count, 2, n * per_element + 1), inner.dtype)
+    shares = shares.at[:, :, ::per_element].set(each.shares[:, 0])
+    flat = jax.tree.map(jnp.ravel, replace(each, shares=jnp.zeros(())))
+    return (
+        replace(made, lengths=vectors.pad(inner, 1, 1).reshape(-1)),
+        replace(flat, shares=shares),
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
@@ -25,7 +26,8 @@ from jaxrod.systems.assembly import (
 )
 from jaxrod.systems.attachments import Attachment
 from jaxrod.systems.body_effects import check_body_effects, in_type
-from jaxrod.systems.coupling import Coupling
+from jaxrod.systems.continued import free_ends
+from jaxrod.systems.coupling import AllParts, Coupling, TiedPair
 from jaxrod.systems.energies import (
     seen_at_rest,
     system_angular_momentum,
@@ -158,6 +160,7 @@ def make_system(
     for coupling in ordered:
         coupling.check(parts)
     tied = () if ties is None else ties.pairs
+    system = replace(system, members=_with_free_ends(kept, parts, tied))
     fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
     if any(coupling.refresh_every is not None for coupling in fitted):
         fitted = _sized(system, fitted, state)
@@ -205,6 +208,26 @@ def _with_own_types(member: Member) -> Member:
         return member
     cast = in_type(member.masses.dtype)
     return replace(member, effects=jax.tree.map(cast, member.effects))
+
+
+def _with_free_ends(
+    members: Mapping[str, Member], parts: AllParts, tied: tuple[TiedPair, ...]
+) -> dict[str, Member]:
+    """Members whose effects know which ends of rods are tied."""
+    known = dict(members)
+    for name, member in members.items():
+        if not parts[name].is_rod:
+            continue
+        free = free_ends(name, parts, tied)
+        if free is None:
+            continue
+        scene: Any = member
+        in_scene = jnp.asarray(free, scene.rod.radii.dtype)
+        if scene.rod.rest_lengths.ndim == 1:
+            in_scene = in_scene[0]
+        effects = tuple(effect.with_free_ends(in_scene) for effect in scene.effects)
+        known[name] = replace(scene, effects=effects)
+    return known
 
 
 def _sized(
