@@ -60,13 +60,14 @@ _PARAMETERS: dict[str, str] = {
     "platform_index": "platforms",
     "pvary": "axes axis_index_groups",
     "remat2": "differentiated jaxpr policy prevent_cse",
+    "reshard": "concrete_mesh",
     "scan": "ft_in ft_out jaxpr length num_carry num_consts reverse unroll",
     "while": "body_jaxpr body_nconsts cond_jaxpr cond_nconsts",
 }
 """Names of parameters by the name of the primitive; a primitive not listed has none."""
 _NONE_ONLY = frozenset({"accuracy", "out_dtype"})
 """Parameters that any primitive may have, as long as they are `None`."""
-_SHARDINGS = frozenset({"out_sharding", "sharding"})
+_SHARDINGS = frozenset({"dst_sharding", "out_sharding", "sharding"})
 """Parameters that any primitive may have, as long as they divide no axis: within
 `jax.shard_map` they name a mesh even then."""
 _CALLS = {
@@ -107,7 +108,9 @@ def _divides_nothing(sharding: Any) -> bool:
     if sharding is None:
         return True
     spec = getattr(sharding, "spec", None)
-    return spec is not None and all(axes in (None, ()) for axes in spec)
+    if spec is None or getattr(spec, "unreduced", None):
+        return False
+    return all(axes in (None, ()) for axes in spec)
 
 
 class Parts(NamedTuple):

@@ -162,7 +162,7 @@ def converted_nodes(graph: Graph, array: Any, before: str, after: str) -> Any:
     return graph.each("convert", after, array)
 
 
-@rule("copy", "stop_gradient", "optimization_barrier", "pvary")
+@rule("copy", "stop_gradient", "optimization_barrier", "pvary", "reshard")
 def unchanged(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """What means something only to a compiler."""
     return list(arrays)

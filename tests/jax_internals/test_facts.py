@@ -133,6 +133,16 @@ def test_a_sharding_that_divides_nothing_is_known_and_others_are_not():
     assert [equations.unknown_parameter(each) for each in inside] == [None] * len(
         inside
     )
+    if hasattr(jax, "reshard"):
+        whole = jax.sharding.NamedSharding(mesh, PartitionSpec(None))
+        again = only(lambda x: jax.reshard(x, whole), jnp.ones(4))
+        assert again.primitive.name == "reshard"
+        assert equations.unknown_parameter(again) is None
+        apart = jax.sharding.NamedSharding(mesh, each)
+        again = SimpleNamespace(
+            primitive=again.primitive, params={**again.params, "dst_sharding": apart}
+        )
+        assert "'reshard' with dst_sharding" in equations.unknown_parameter(again)
     product = only(lambda x: x * x, X)
     divided = SimpleNamespace(
         primitive=product.primitive,

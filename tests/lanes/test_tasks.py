@@ -82,7 +82,12 @@ def test_arms_that_break_are_flagged_and_restart_alike():
 
 
 @pytest.mark.parametrize(
-    "task", ["tracking", "reaching", "structured", "unstructured", "following"]
+    "task",
+    [
+        *("tracking", "reaching", "structured", "unstructured", "following", "snake"),
+        pytest.param("octopus", marks=pytest.mark.slow),
+        pytest.param("gripper", marks=pytest.mark.slow),
+    ],
 )
 def test_lanes_read_every_task_as_learners_step_it(task, monkeypatch):
     """On a device of a mesh, where types of arrays name it. Nothing is compiled."""
