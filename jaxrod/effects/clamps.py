@@ -13,6 +13,8 @@ from jaxrod.effects.ends import (
     Wall,
     at_end,
     check_end,
+    check_made_for,
+    made_again_for,
     only_at_end,
     place,
     replace_end,
@@ -65,7 +67,7 @@ class Clamp(Effect):
 
     def check(self, rod: Rod) -> None:
         """Raises if it was made from a state of another rod."""
-        _check_made_for("clamp", self.made_for, rod)
+        check_made_for("clamp", self.made_for, rod)
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
         """Rotation from the wall to the end element, coupling, and moment [N m]."""
@@ -117,7 +119,9 @@ class Clamp(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
         """Held by the middle of the new end element, which a curved rod turns."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
-        return replace(self, orientation=frame, made_for=_fitting(self, new_rod))
+        return replace(
+            self, orientation=frame, made_for=made_again_for(self.made_for, new_rod)
+        )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """The end node and the end element."""
@@ -166,12 +170,14 @@ class FixedEnd(Effect):
 
     def check(self, rod: Rod) -> None:
         """Raises if it was made from a state of another rod."""
-        _check_made_for("fixed_end", self.made_for, rod)
+        check_made_for("fixed_end", self.made_for, rod)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
         """Held by the middle of the new end element, which a curved rod turns."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
-        return replace(self, orientation=frame, made_for=_fitting(self, new_rod))
+        return replace(
+            self, orientation=frame, made_for=made_again_for(self.made_for, new_rod)
+        )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """The end node and the end element."""
@@ -213,20 +219,6 @@ class FixedEnd(Effect):
             velocity=zero_at_end(motion.velocity, self.end),
             spin=zero_at_end(motion.spin, self.end),
         )
-
-
-def _check_made_for(name: str, count: int | None, rod: Rod) -> None:
-    """Raises where a wall was made from a state with another number of elements."""
-    if count is not None and count != rod.n_elements:
-        raise ValueError(
-            f"{name}(state) must be given a state of the rod it holds: the state has "
-            f"{count} elements, the rod {rod.n_elements}"
-        )
-
-
-def _fitting(wall: Clamp | FixedEnd, rod: Rod) -> int | None:
-    """The elements of another rod, for a wall that was made for one."""
-    return None if wall.made_for is None else rod.n_elements
 
 
 def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:

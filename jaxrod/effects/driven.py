@@ -10,7 +10,14 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.clamps import Clamp
-from jaxrod.effects.ends import End, at_end, check_end, replace_end
+from jaxrod.effects.ends import (
+    End,
+    at_end,
+    check_end,
+    check_made_for,
+    made_again_for,
+    replace_end,
+)
 from jaxrod.effects.held import Axes, Held, held_end
 from jaxrod.effects.nodes import (
     at_node,
@@ -59,6 +66,8 @@ class Driven(Effect):
     """World axes along which the node is driven; along others it is free."""
     holds_element: bool = static(default=False)
     """Whether the wall holds the end element itself."""
+    made_for: int | None = static(default=None)
+    """Elements of the rod whose state it was made from, if it was."""
 
     @property
     def _placed(self) -> Placed:
@@ -178,7 +187,11 @@ class Driven(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
         """The same path and wall; a rod that is curved there has no counterpart."""
         check_straight_end(rod, self.end)
-        return self
+        return replace(self, made_for=made_again_for(self.made_for, new_rod))
+
+    def check(self, rod: Rod) -> None:
+        """Raises ValueError if it was made from a state of another rod."""
+        check_made_for("driven", self.made_for, rod)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
         """The force along the path's axes, the wall's couple, and their power."""
@@ -263,4 +276,5 @@ def driven(
         about = unit_vector("axis", (0, 0, 1) if axis is None else axis)
         along = jnp.asarray(about, state.positions.dtype)
         wall = Turning(state.orientations[:, index], along, turn)
-    return Driven(path, wall, end, axes_named(axes), bool(holds_element))
+    made_for = state.positions.shape[-1] - 1
+    return Driven(path, wall, end, axes_named(axes), bool(holds_element), made_for)

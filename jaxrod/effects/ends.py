@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
 
 End = Literal["start", "finish"]
@@ -69,3 +70,23 @@ def check_end(end: End) -> End:
     if not isinstance(end, str) or end not in ("start", "finish"):
         raise ValueError(f'end must be "start" or "finish", got {end!r}')
     return end
+
+
+def check_made_for(name: str, count: int | None, rod: Rod) -> None:
+    """Raises where a support was made from a state with another number of elements.
+
+    Args:
+        name: Name of its factory.
+        count: Elements of the rod whose state it was made from, if it was.
+        rod: The rod it holds.
+    """
+    if count is not None and count != rod.n_elements:
+        raise ValueError(
+            f"{name}(state) must be given a state of the rod it holds: the state has "
+            f"{count} elements, the rod {rod.n_elements}"
+        )
+
+
+def made_again_for(count: int | None, rod: Rod) -> int | None:
+    """The elements of another rod, for a support that was made for one."""
+    return None if count is None else rod.n_elements

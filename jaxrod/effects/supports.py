@@ -13,7 +13,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
-from jaxrod.effects.ends import End, at_end, check_end, only_at_end, place
+from jaxrod.effects.ends import (
+    End,
+    at_end,
+    check_end,
+    check_made_for,
+    made_again_for,
+    only_at_end,
+    place,
+)
 from jaxrod.effects.held import ALL_AXES, Axes, Held, held_end
 from jaxrod.effects.nodes import (
     at_node,
@@ -48,6 +56,8 @@ class Pin(Effect):
     """Which node."""
     axes: Axes = static(default=(True, True, True))
     """Along which axes."""
+    made_for: int | None = static(default=None)
+    """Elements of the rod whose state it was made from, if it was."""
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Stops the node."""
@@ -68,7 +78,8 @@ class Pin(Effect):
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the rod has no such node."""
+        """Raises ValueError if the rod has no such node, or the state was another's."""
+        check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
                 f"node must be from 0 to {rod.n_elements}, got {self.node}"
@@ -81,7 +92,9 @@ class Pin(Effect):
                 f"a pin at node {self.node} has no place on a rod of "
                 f"{new_rod.n_elements} elements"
             )
-        return replace(self, node=new_rod.n_elements if self.node else 0)
+        made_for = made_again_for(self.made_for, new_rod)
+        node = new_rod.n_elements if self.node else 0
+        return replace(self, node=node, made_for=made_for)
 
 
 @pytree
@@ -101,6 +114,12 @@ class Hinge(Effect):
     """The same axis at rest, in the frame of the end element."""
     end: End = static(default="start")
     """Which end."""
+    made_for: int | None = static(default=None)
+    """Elements of the rod whose state it was made from, if it was."""
+
+    def check(self, rod: Rod) -> None:
+        """Raises ValueError if it was made from a state of another rod."""
+        check_made_for("hinge", self.made_for, rod)
 
     def _stiffness(self, rod: Rod) -> Array:
         """Of the joint [N m]."""
@@ -153,7 +172,7 @@ class Hinge(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Hinge:
         """The same hinge; the end of a rod that is curved there has no counterpart."""
         check_straight_end(rod, self.end)
-        return self
+        return replace(self, made_for=made_again_for(self.made_for, new_rod))
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
         """The force that keeps the node in place, and the joint's couple."""
@@ -185,7 +204,7 @@ def pin(state: RodState, at: End | int = "start", *, axes: str = "xyz") -> Pin:
         node = int(at)
     if not 0 <= node < nodes:
         raise ValueError(f"at must be a node from 0 to {nodes - 1}, got {at}")
-    return Pin(state.positions[:, node], node, axes_named(axes))
+    return Pin(state.positions[:, node], node, axes_named(axes), nodes - 1)
 
 
 def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
@@ -206,4 +225,5 @@ def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
     along = jnp.asarray(unit_vector("axis", axis), state.positions.dtype)
     frame = directors(at_end(split_quaternion(state.orientations), end))
     own = vectors.join(to_material(frame, vectors.split(along)))
-    return Hinge(state.positions[:, index], along, own, end)
+    made_for = state.positions.shape[-1] - 1
+    return Hinge(state.positions[:, index], along, own, end, made_for)

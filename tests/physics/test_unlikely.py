@@ -51,8 +51,17 @@ def test_scenes_are_made_where_a_program_is_traced():
     )
 
 
-@pytest.mark.parametrize("hold", [jaxrod.clamp, jaxrod.fixed_end])
-def test_a_wall_made_from_another_rods_state_is_refused(hold):
+@pytest.mark.parametrize(
+    "hold",
+    [
+        jaxrod.clamp,
+        jaxrod.fixed_end,
+        jaxrod.pin,
+        jaxrod.driven,
+        lambda state: jaxrod.hinge(state, (0.0, 0.0, 1.0)),
+    ],
+)
+def test_a_support_made_from_another_rods_state_is_refused(hold):
     rod, state = arm(4)
     finer, other = arm(7)
     with pytest.raises(ValueError, match="state has 7 elements, the rod 4"):
