@@ -140,7 +140,7 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
         )
         floor = jaxrod.contact(
             jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-            stiffness=1000.0,
+            stiffness=1500.0,
             damping=8.0,
             friction=FRICTION,
             friction_drag=12.0,

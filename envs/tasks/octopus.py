@@ -56,7 +56,7 @@ CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
 LARGEST_RATE = 4.0
 """Of a control value [1/s]."""
-STEPS_PER_ELEMENT = 6
+STEPS_PER_ELEMENT = 7
 """Simulation steps of a control step, per element of an arm: about 0.8 of the stability
 bound."""
 SPEED = 0.1
@@ -246,7 +246,7 @@ def octopus(
     Args:
         variant: "clean", the only one: the library's own physics.
         n_elements: Elements of every arm, at least 3.
-        substeps: Simulation steps per control step of 0.1 s; by default 6 per element.
+        substeps: Simulation steps per control step of 0.1 s; by default 7 per element.
         episode_length: Control steps per episode.
         turn: Largest angle of the heading from x, either way, up to pi [rad].
 

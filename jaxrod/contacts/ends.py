@@ -7,13 +7,13 @@ the rod meets the surface. With the penetration $p$ of the end, the spacing $h$ 
 points, the radius $a$, and the rise $m = d\phi/ds \ge 0$ of the distance $\phi$ from
 the end along the rod, the sine of its angle to a plane, it is
 
-$$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + a m^2.$$
+$$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
 
 - A rod that lies on a plane, $m = 0$, is counted by the trapezoidal rule and rests at
   a penetration of $W/kL$. The power keeps it stable there: with squares the energy
   would fall where a limp rod tilts.
-- One that stands or leans, $m > 0$, is pushed with $k(a m^2 p + p^2/2m)$ on every grid:
-  the first term is that of its face, the second that of its side.
+- One that stands or leans, $m > 0$, is pushed with $k(2 a m^2 p + p^2/2m)$ on every
+  grid. Its face counts as much length as the rod is thick; the rest is of its side.
 
 The energy has this length in it. Its derivative by $m$ is a pair of forces along the
 normals at the end and at a place beside it, between which the rise is taken: an element
@@ -95,7 +95,7 @@ class Ends:
         ratio = jnp.minimum(3 * self.half_spacings * rise / depths, MOST_RATIO)
         square = ratio * ratio
         line = jax.lax.rsqrt(jnp.sqrt(1 + square * square))
-        counted = self.half_spacings * line + self.radii * rise * rise
+        counted = self.half_spacings * line + 2 * self.radii * rise * rise
         return self.free * counted + (1 - self.free) * self.half_spacings
 
     def counted_and_changes(
@@ -124,18 +124,22 @@ class Ends:
 
     def longest(self) -> Array:
         """Largest lengths that the ends stand for, in a row of the points [m]."""
-        return self.to_points(self.half_spacings + self.free * self.radii)
+        return self.to_points(self.half_spacings + 2 * self.free * self.radii)
 
     def bound(self) -> Array:
         """Lengths in an upper bound of the stiffness, in a row of the points [m].
 
-        For penetrations up to a quarter of the radius. The Hessian of the energy over
-        the stiffness is at most 1.3 and .43 half spacings, of the end and of the place
-        beside it, and 2.8 and .5 radii.
+        For penetrations up to a quarter of the radius, which is a share c of the way to
+        the place beside. The Hessian of the energy over the stiffness is at most 1.3
+        and .43 half spacings, of the end and of the place beside it, and 1 + 6c + 2c^2
+        and 2c + 2c^2 times the thickness.
         """
-        own = 1.3 * self.half_spacings + 2.8 * self.radii
+        c = 0.25 * self.radii / self.reaches
+        thickness = 2 * self.radii
+        own = 1.3 * self.half_spacings + (1 + 6 * c + 2 * c * c) * thickness
         own = self.free * own + (1 - self.free) * self.half_spacings
-        beside = self.free * (0.43 * self.half_spacings + 0.5 * self.radii)
+        beside = 0.43 * self.half_spacings + 2 * (c + c * c) * thickness
+        beside = self.free * beside
         return self.to_points(own) + self.from_beside(beside)
 
 

@@ -33,9 +33,9 @@ def contact(
 
     All loads are per length of rod: a rod of weight `W` and length `L` rests on a
     plane at a penetration of `W / (stiffness L)`, however many elements it has. An end
-    that meets a surface at an angle has a face besides, which counts as much length as
-    the rod's radius times the square of the angle's sine: a rod that stands on an end
-    sinks in by `W / (stiffness radius)` (`jaxrod.contacts.ends`).
+    that meets a surface at an angle has a face besides. It counts as much length as the
+    rod is thick, times the square of the angle's sine: a rod that stands sinks in by
+    about `W / (2 stiffness radius)` (`jaxrod.contacts.ends`).
     `stable_dt` counts stiffness, damping and friction drag as if all of the rod
     touched: a stiffness well below `linear_density * frequency^2` of the rod's fastest
     motion costs next to nothing. The stiffness that prevents tunnelling grows with the

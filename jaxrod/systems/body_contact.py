@@ -9,11 +9,10 @@ are exact, with damping and friction too, and friction makes both roll.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Sphere
@@ -30,7 +29,6 @@ from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.continued import free_ends
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.names import check_named
 from jaxrod.systems.parts import Parts, mapped
@@ -91,15 +89,16 @@ class BodyContact(Coupling):
             )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
-        """With the number of points, and with the ends that are free."""
-        free = free_ends(self.rod, parts, tied)
-        if free is None:
-            free = np.ones((parts[self.rod].count, 2))
-        needed = self.points_per_element
-        if needed is None:
-            # A radius apart at most.
-            needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
-        return replace(self, points_per_element=needed, free_ends=jnp.asarray(free))
+        """With the number of points."""
+        if self.points_per_element is not None:
+            return self
+        # A radius apart at most.
+        needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
+        return replace(self, points_per_element=needed)
+
+    def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
+        """An end that goes on in another rod or in a body has no face."""
+        return replace(self, free_ends=free[self.rod])
 
     def prepared(self, parts: AllParts) -> BodyContact:
         """With lengths and radii of the points."""

@@ -11,7 +11,7 @@ to end, and for closed ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -51,23 +51,23 @@ def last_but_continued(
 
 
 def free_ends(
-    member: str, parts: AllParts, tied: Sequence[TiedPair]
-) -> np.ndarray | None:
+    member: str, parts: AllParts, held: Iterable[tuple[str, int]]
+) -> np.ndarray:
     """One for each first and last end of a member's rods that is free, else zero.
 
     Args:
         member: Name of the member.
         parts: Of all members.
-        tied: Pairs of nodes that are tied together, in both orders.
+        held: Nodes of members that are tied to other nodes or attached to bodies.
 
     Returns:
-        `(rods, 2)`, or `None` where all are free.
+        `(rods, 2)`.
     """
     own = parts[member]
     last = own.n_elements
     free = np.ones((own.count, 2))
-    for name, node, *_ in tied:
+    for name, node in held:
         rod, place = divmod(node, last + 1)
         if name == member and place in (0, last):
             free[rod, int(place == last)] = 0.0
-    return None if free.all() else free
+    return free

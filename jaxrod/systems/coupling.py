@@ -41,6 +41,16 @@ class Coupling:
         """
         return self
 
+    def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
+        """The same coupling of rods with ends that may go on in other members.
+
+        Args:
+            free: By member, one for the first and the last end of each of its rods that
+                is free, zero where it is tied to a node or attached to a body,
+                `(rods, 2)`.
+        """
+        return self
+
     def prepared(self, parts: AllParts) -> Coupling:
         """Itself with constants worked out once, before the first step."""
         return self

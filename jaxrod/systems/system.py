@@ -27,7 +27,7 @@ from jaxrod.systems.assembly import (
 from jaxrod.systems.attachments import Attachment
 from jaxrod.systems.body_effects import check_body_effects, in_type
 from jaxrod.systems.continued import free_ends
-from jaxrod.systems.coupling import AllParts, Coupling, TiedPair
+from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.energies import (
     seen_at_rest,
     system_angular_momentum,
@@ -160,8 +160,12 @@ def make_system(
     for coupling in ordered:
         coupling.check(parts)
     tied = () if ties is None else ties.pairs
-    system = replace(system, members=_with_free_ends(kept, parts, tied))
-    fitted = tuple(coupling.fitted(parts, tied) for coupling in ordered)
+    free = _free_ends(parts, ordered, system.dtype)
+    known = {name: _with_free_ends(kept[name], ends) for name, ends in free.items()}
+    system = replace(system, members=kept | known)
+    fitted = tuple(
+        coupling.fitted(parts, tied).with_free_ends(free) for coupling in ordered
+    )
     if any(coupling.refresh_every is not None for coupling in fitted):
         fitted = _sized(system, fitted, state)
     couplings_in_type = jax.tree.map(in_type(system.dtype), fitted)
@@ -210,24 +214,34 @@ def _with_own_types(member: Member) -> Member:
     return replace(member, effects=jax.tree.map(cast, member.effects))
 
 
-def _with_free_ends(
-    members: Mapping[str, Member], parts: AllParts, tied: tuple[TiedPair, ...]
-) -> dict[str, Member]:
-    """Members whose effects know which ends of rods are tied."""
-    known = dict(members)
-    for name, member in members.items():
-        if not parts[name].is_rod:
-            continue
-        free = free_ends(name, parts, tied)
-        if free is None:
-            continue
-        scene: Any = member
-        in_scene = jnp.asarray(free, scene.rod.radii.dtype)
-        if scene.rod.rest_lengths.ndim == 1:
-            in_scene = in_scene[0]
-        effects = tuple(effect.with_free_ends(in_scene) for effect in scene.effects)
-        known[name] = replace(scene, effects=effects)
-    return known
+def _free_ends(
+    parts: AllParts, couplings: Sequence[Coupling], dtype: Any
+) -> dict[str, Array]:
+    """One for each end of the rods of each member that is free, else zero."""
+    held = set()
+    for coupling in couplings:
+        if isinstance(coupling, Tie):
+            held |= {
+                place for a, i, b, j in coupling.pairs for place in ((a, i), (b, j))
+            }
+        if isinstance(coupling, Attachment):
+            nodes = coupling.points.nodes.values
+            held |= {(coupling.points.member, int(node)) for node in nodes}
+    return {
+        name: jnp.asarray(free_ends(name, parts, held), dtype)
+        for name, own in parts.items()
+        if own.is_rod
+    }
+
+
+def _with_free_ends(member: Member, free: Float[Array, "rods 2"]) -> Member:
+    """A scene whose effects know which ends of its rods are free."""
+    scene: Any = member
+    if not scene.effects or bool(jnp.all(free)):
+        return member
+    own = free if scene.rod.rest_lengths.ndim > 1 else free[0]
+    effects = tuple(effect.with_free_ends(own) for effect in scene.effects)
+    return replace(scene, effects=effects)
 
 
 def _sized(
