@@ -7,6 +7,7 @@ import pytest
 
 from jaxrod import control
 from jaxrod.control.box_step import box_step
+from jaxrod.control.riccati import Linear, backward
 
 STEP, COUNT = 0.1, 30
 
@@ -101,6 +102,38 @@ def test_small_boxes_are_solved_exactly():
         expected = lsq_linear(matrix, -right, (lower, upper), tol=1e-14).x
         np.testing.assert_allclose(point, expected, atol=1e-6)
         assert not np.any(held & (point > lower + 1e-6) & (point < upper - 1e-6))
+
+
+def test_what_comes_before_knows_where_a_held_control_ends_up():
+    """Two intervals; the second control may move by a little and is held there."""
+    random = np.random.default_rng(8)
+    a, b = random.normal(size=(2, 2, 2)), random.normal(size=(2, 2, 1))
+    final, right = random.normal(size=(2, 2)), random.normal(size=2)
+    # x_2 = a_1 b_0 u_0 + b_1 u_1, and damping is another row of each control.
+    matrix = final @ np.hstack([a[1] @ b[0], b[1]])
+    # Alone it would go farther than its bound.
+    bound = -0.3 * (matrix[:, 1] @ right) / np.sum(matrix[:, 1] ** 2)
+    expected = -(matrix[:, 0] @ (right + matrix[:, 1] * bound)) / np.sum(
+        matrix[:, 0] ** 2
+    )
+    wide = 10.0
+    start = np.array([[0.0], [np.sign(bound) * wide - bound]])
+    nothing = np.zeros((2, 0))
+    linear = Linear(
+        *map(
+            jnp.asarray,
+            (a, b, nothing, np.zeros((2, 0, 2)), np.zeros((2, 0, 1)), right, final),
+        )
+    )
+    changes, gains = jax.jit(backward)(
+        linear,
+        jnp.asarray(start),
+        jnp.asarray([-wide]),
+        jnp.asarray([wide]),
+        jnp.asarray([1e-18]),
+    )
+    np.testing.assert_allclose(changes[:, 0], [expected, bound], rtol=1e-7)
+    assert np.all(gains[1] == 0)
 
 
 def test_feedback_answers_what_the_open_loop_does_not():

@@ -1,5 +1,6 @@
 """Sampling finds known minima within bounds, and is repeatable."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -51,6 +52,44 @@ def test_bounds_hold(name):
     found = SOLVERS[name](problem(bound=0.2), n_knots=3, iterations=30)
     assert np.max(np.abs(found.controls)) <= 0.2 + 1e-12
     assert found.cost > 0.05
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_samples_are_drawn_and_weighed_as_the_method_says(name):
+    """The same draws, in loops: what is best and where the next are drawn about."""
+    own, samples, iterations, spread = problem(), 6, 3, 0.4
+    how = {"elites": 2} if name == "cross_entropy" else {"temperature": 0.5}
+    found = SOLVERS[name](
+        own, n_knots=2, samples=samples, iterations=iterations, spread=spread, **how
+    )
+    half = 5.0
+    middle, deviation = np.zeros((2, 1)), np.full((2, 1), spread * half)
+    best, least, costs = middle, np.inf, []
+
+    @jax.jit
+    @jax.vmap
+    def valued(knots):
+        return control.problem.cost(own, control.problem.over_time(knots, COUNT))
+
+    for k, key in enumerate(jax.random.split(jax.random.key(0), iterations)):
+        noise = np.asarray(jax.random.normal(key, (samples, 2, 1)))
+        drawn = np.clip(middle + deviation * noise, -half, half)
+        drawn[0] = best
+        values = np.asarray(valued(jnp.asarray(drawn)))
+        order = np.argsort(values)
+        if values[order[0]] < least:
+            best, least = drawn[order[0]], values[order[0]]
+        if name == "cross_entropy":
+            elite = drawn[order[:2]]
+            middle, deviation = elite.mean(axis=0), elite.std(axis=0) + 1e-3 * half
+        else:
+            weights = np.exp(-(values - values.min()) / (0.5 * values.std()))
+            middle = np.einsum("s,skc->kc", weights / weights.sum(), drawn)
+            deviation = np.full((2, 1), 0.1 ** ((k + 1) / iterations) * spread * half)
+        costs.append(least)
+    np.testing.assert_allclose(found.history["cost"], costs, rtol=1e-9)
+    np.testing.assert_allclose(found.knots, best, rtol=1e-9)
+    assert len(set(costs)) > 1
 
 
 def test_bad_arguments_are_named():

@@ -6,13 +6,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
 import jaxrod
 from jaxrod.rods.motion import motion_of
 from physics.actuators import at_once, strained
-from physics.rods import AREA, BENDING, RADIUS, SECOND_MOMENT, YOUNG, arm, loads
+from physics.rods import (
+    AREA,
+    BENDING,
+    RADIUS,
+    SECOND_MOMENT,
+    YOUNG,
+    arm,
+    loads,
+    no_moves,
+    perturb,
+)
 
 N = 5
 PULL = 0.02 * YOUNG * AREA
@@ -119,6 +130,97 @@ def test_a_wound_chamber_pushes_and_unwinds(bar, degrees, record):
         max(gaps),
         at_most=1e-12,
     )
+
+
+def test_a_wound_chamber_counts_twist_from_that_of_the_unstressed_rod(bar):
+    """In a rod that is twisted without stress it pushes and unwinds as in another."""
+    twist, pressure, radius, angle = 0.8, 1e5, 0.02, 1.0
+    rod = replace(bar[0], rest_curvatures=bar[0].rest_curvatures.at[2].set(twist))
+    chamber = jaxrod.wound_chamber(rod, pressure, radius, angle)
+    strains, _ = chamber._strains(motion_of(strained(rod, (0.0, 0.0, twist), 0.0)))
+    stress = chamber.stress(rod, strains)
+    cot, load = 1 / np.tan(angle), pressure * np.pi * radius**2
+    np.testing.assert_allclose(
+        stress.force[2], -load * (1 - 2 * cot**2), rtol=0, atol=1e-9 * load
+    )
+    np.testing.assert_allclose(
+        stress.moment[2][1:-1], 2 * load * radius * cot, rtol=1e-9
+    )
+    assert abs(float(chamber.stored(rod, strains))) < 1e-9 * load * radius
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_tendons_friction_is_by_how_fast_it_slips_at_each_eyelet(anchored):
+    """T_j = T_(j-1) exp(-mu theta_j tanh(v_j / v_s)), by loops over the eyelets.
+
+    The cable slips towards its base as fast as what is beyond the eyelet gets shorter.
+    """
+    pull, friction, slow = 7.0, 2.0, 0.02
+    rod, state = arm(N)
+    random = np.random.default_rng(6)
+    positions = np.asarray(state.positions) + 0.05 * random.normal(size=(3, N + 1))
+    velocities = 0.03 * random.normal(size=(3, N + 1))
+    moving = replace(
+        state, positions=jnp.asarray(positions), velocities=jnp.asarray(velocities)
+    )
+    base = (0.1, -0.2, -0.3)
+    cable = jaxrod.tendon(
+        rod,
+        (0.0, 0.0),
+        tension=pull,
+        friction=friction,
+        slip_speed=slow,
+        anchor=base if anchored else None,
+    )
+    found = np.stack(cable.loads(rod, motion_of(moving)).forces)
+    points, speeds = (0.5 * (a[:, 1:] + a[:, :-1]).T for a in (positions, velocities))
+    if anchored:
+        points, speeds = np.vstack([base, points]), np.vstack([np.zeros(3), speeds])
+    pieces = np.diff(points, axis=0)
+    along = pieces / np.linalg.norm(pieces, axis=1)[:, None]
+    growing = np.sum(along * np.diff(speeds, axis=0), axis=1)
+    tensions = [pull]
+    for j in range(1, len(pieces)):
+        theta = np.arccos(along[j - 1] @ along[j])
+        slip = -sum(growing[j:])
+        tensions.append(tensions[-1] * np.exp(-friction * theta * np.tanh(slip / slow)))
+    assert np.ptp(tensions) > 0.05 * pull
+    forces = np.zeros((N + 1, 3))
+    for j, tension in enumerate(tensions):
+        for point, sign in ((j, 1), (j + 1, -1)):
+            element = point - anchored
+            if element >= 0:
+                forces[element : element + 2] += 0.5 * sign * tension * along[j]
+    np.testing.assert_allclose(found, forces.T, atol=1e-10 * pull)
+
+
+def test_the_bound_of_a_magnet_is_above_all_that_its_energy_is_curved_by():
+    """In a field that is zero in the middle of the rod and grows along it.
+
+    Its slope couples moves and turns; the two halves are magnetised against each other,
+    so that the field turns both the same way.
+    """
+    slope, across = 3.0, 0.25
+    rod, state = arm(2)
+    half = 0.5 * float(rod.length)
+    state = replace(state, positions=state.positions - jnp.array([[0], [0], [half]]))
+    gradient = np.zeros((3, 3))
+    gradient[0, 2] = slope
+    moment = np.outer([across, 0.0, np.sqrt(1 - across**2)], [1.0, -1.0])
+    field = jaxrod.linear_field((0.0, 0.0, 0.0), gradient, extent=half)
+    magnet = jaxrod.magnetisation(rod, moment, field)
+    none, back = ravel_pytree(no_moves(state))
+
+    @jax.jit
+    @jax.hessian
+    def curved(moves):
+        return magnet.energy(rod, perturb(state, back(moves)))
+
+    bound = magnet.stability_bound(rod)
+    most = jnp.concatenate([jnp.tile(bound.nodes, 3), jnp.tile(bound.elements, 3)])
+    for sign in (1, -1):
+        left = np.linalg.eigvalsh(np.diag(most) + sign * np.asarray(curved(none)))
+        assert left[0] > 0
 
 
 @pytest.mark.slow

@@ -121,6 +121,25 @@ def test_a_driven_end_at_a_moment_is_a_support_that_stands_there(held):
     np.testing.assert_allclose(one.couple, expected, rtol=0, atol=1e-9)
 
 
+def test_an_end_that_is_driven_faster_takes_its_mass_times_acceleration():
+    """Of an unstressed rod, along the axes of the path alone."""
+    rod, state = along_x()
+    size, period = np.array([0.03, 0.01, 0.02]), 0.4
+    driven = jaxrod.driven(
+        state, displacement=jaxrod.sine(size, period), axes="xz", free_to_turn=True
+    )
+    moment = jaxrod.make_scene(rod, driven).at(MOMENT)
+    place = moment.effects[0].place
+    moved = state.positions + (place.position - state.positions[:, 0])[:, None]
+    (reaction,) = jaxrod.reactions(moment, replace(state, positions=moved))
+    rate = 2 * np.pi / period
+    faster = -size * rate**2 * np.sin(rate * MOMENT)
+    expected = float(rod.node_masses[0]) * faster * np.array([1, 0, 1])
+    np.testing.assert_allclose(reaction.force, expected, rtol=1e-9, atol=1e-9)
+    velocity = size * rate * np.cos(rate * MOMENT)
+    assert float(reaction.power) == pytest.approx(expected @ velocity, rel=1e-9)
+
+
 @pytest.mark.parametrize("turns", [0.3, 0.9, 1.1, 2.5, -7.2])
 def test_a_wall_turns_more_than_once(turns):
     _, state = along_x()

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.rigid_stepper import Carried, RigidStepper
 from systems.members import free_system, rod
 
 
@@ -218,6 +220,75 @@ def test_a_hinge_turns_about_its_axis_alone(record):
         at_most=1e-6,
     )
     assert max(abs(x), abs(y)) < 1e-12
+
+
+def test_a_joints_dashpot_acts_on_one_and_reacts_on_the_other():
+    """Minus its number times how fast the one turns against the other, in space."""
+    drag = 0.3
+    one, of_one = rod(2)
+    two, of_two = rod(3, 0.3, (0.5, 0, 0), (0, 0.6, 0.8))
+    rest = {"one": of_one, "two": of_two}
+    joint = jaxrod.rigid_joint(
+        ("one", "finish"),
+        ("two", "start"),
+        rest,
+        stiffness=10.0,
+        turning_stiffness=2.0,
+        turning_damping=drag,
+    )
+    system = jaxrod.make_system(
+        {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)}, joint
+    )
+    draws = np.random.default_rng(4)
+    spins = {"one": draws.normal(size=(3, 2)), "two": draws.normal(size=(3, 3))}
+    moving = {
+        name: jaxrod.with_angular_velocities(
+            system.members[name].rod, rest[name], jnp.asarray(spin)
+        )
+        for name, spin in spins.items()
+    }
+    seen, (_, turning) = seen_at_rest(system, moving)
+    loads = turning.loads(seen)
+
+    def world(name, own, element):
+        return np.asarray(rest[name].directors)[:, :, element].T @ own[:, element]
+
+    apart = world("two", spins["two"], 0) - world("one", spins["one"], -1)
+    for name, element, sign in (("one", -1, 1), ("two", 0, -1)):
+        found = world(name, np.stack(loads[name].couples), element)
+        np.testing.assert_allclose(found, sign * drag * apart, atol=1e-12)
+
+
+def test_a_body_has_the_inertia_of_what_it_carries_about_the_common_centre():
+    """Point masses and the body itself, each by the parallel axis theorem."""
+    draws = np.random.default_rng(5)
+    mass, own = 2.0, np.array([0.1, 0.2, 0.25])
+    masses, places = draws.uniform(0.5, 1.5, 3), draws.normal(size=(3, 3))
+    body, _ = jaxrod.rigid_body(mass=mass, inertia=own, dtype=jnp.float64)
+    outer = np.einsum("n,in,jn->ij", masses, places, places)
+    carried = Carried(
+        jnp.asarray(masses.sum())[None],
+        tuple(jnp.asarray(places @ masses)[:, None]),
+        tuple(tuple(row) for row in jnp.asarray(outer)[:, :, None]),
+    )
+    stepper = RigidStepper.create(body, carried, jnp.asarray(1e-3))
+    total = mass + masses.sum()
+    centre = places @ masses / total
+
+    def about_centre(m, place):
+        arm = place - centre
+        return m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+
+    expected = np.diag(own) + about_centre(mass, np.zeros(3))
+    expected += sum(about_centre(m, p) for m, p in zip(masses, places.T, strict=True))
+    np.testing.assert_allclose(stepper.mass, [total])
+    np.testing.assert_allclose(np.stack(stepper.centre)[:, 0], centre, rtol=1e-12)
+    found, inverse = (
+        np.array(matrix)[..., 0]
+        for matrix in (stepper.inertia, stepper.inverse_inertia)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(inverse @ expected, np.eye(3), atol=1e-12)
 
 
 @pytest.mark.slow

@@ -130,6 +130,23 @@ def test_glue_keeps_momenta(record):
         )
 
 
+def test_the_dashpots_couple_is_that_of_the_length_of_each_element():
+    """One rod turns evenly about its axis beside one that is still."""
+    stiffness, damping, rate, n = 30.0, 0.2, 3.0, 4
+    system, rest = two(n, turning_stiffness=stiffness, turning_damping=damping)
+    spin = jnp.zeros((3, n)).at[2].set(rate)
+    turning = jaxrod.with_angular_velocities(
+        system.members["high"].rod, rest["high"], spin
+    )
+    seen, (bond,) = seen_at_rest(system, rest | {"high": turning})
+    loads = bond.loads(seen)
+    expected = np.zeros((3, n))
+    expected[2] = damping * LENGTH / n * rate
+    for name, sign in (("low", 1), ("high", -1)):
+        couples = np.stack(loads[name].couples)
+        np.testing.assert_allclose(couples, sign * expected, atol=1e-12)
+
+
 @pytest.mark.slow
 def test_loads_are_minus_the_gradient_of_the_energy():
     system, rest = two(4, turning_stiffness=30.0)

@@ -1,11 +1,14 @@
 """Hinges beside the centres of what they join: angles, frequencies, decay."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxrod
 from jaxrod.structure import pytree
+from jaxrod.systems.energies import seen_at_rest
 
 MASS, INERTIA, ARM = 1.0, (0.1, 0.2, 0.25), 0.3
 """Of the body that turns, and how far its centre is from the hinge [m]."""
@@ -62,6 +65,23 @@ def hinged(effects=(), turning=(0.0, 0.0, 0.0), **numbers):
 def turned(state):
     """Vector part of the body's quaternion, twice: small angles [rad]."""
     return 2 * np.asarray(state["body"].orientations)[1:, 0]
+
+
+def test_a_motor_has_its_couple_about_the_mean_of_both_axes():
+    """On a body whose axis is tilted by an angle: so is the mean, by half of it."""
+    couple, tilt = 0.2, 0.3
+    system, state = hinged(motor=couple)
+    turned = jnp.asarray([np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0])[:, None]
+    state["body"] = replace(state["body"], orientations=turned)
+    seen, (_, axes) = seen_at_rest(system, state)
+    driven, free = (one.loads(seen) for one in (axes, replace(axes, motor=None)))
+    # The sum of two unit vectors is no unit vector; both axes are across x.
+    mean = couple * np.cos(tilt / 2)
+    for name, sign, angle in (("body", 1, -tilt / 2), ("base", -1, tilt / 2)):
+        made = np.subtract(driven[name].couples, free[name].couples)[:, 0]
+        # In its own frame: the axis of the one is turned from the mean either way.
+        expected = sign * mean * np.array([0.0, -np.sin(angle), np.cos(angle)])
+        np.testing.assert_allclose(made, expected, atol=1e-12)
 
 
 @pytest.mark.slow

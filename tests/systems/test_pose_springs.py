@@ -124,6 +124,33 @@ def test_work_of_the_drive_is_what_is_gained_and_lost(record):
     )
 
 
+def test_the_power_of_the_drive_is_what_the_spring_of_a_body_that_is_still_gains():
+    """Whether it is moved or turned."""
+    system, rest = held(
+        turning_stiffness=0.5,
+        displacement=jaxrod.sine((0.05, 0.02, 0.1), 0.7),
+        axis=(0.3, 1.0, 0.2),
+        angle=jaxrod.sine(0.6, 0.9),
+    )
+    time, h = 0.2, 1e-4
+
+    @jax.jit
+    def energy(time):
+        return jaxrod.potential_energy(system.at(time), rest)
+
+    (reaction,) = jaxrod.pose_spring_reactions(system.at(time), rest)
+    gained = (energy(time + h) - energy(time - h)) / (2 * h)
+    assert abs(float(gained)) > 0.1
+    assert float(reaction.power) == pytest.approx(float(gained), rel=1e-6)
+    # All of it by the angle's change, where the place does not move.
+    turned, _ = held(turning_stiffness=0.5, axis=(0, 0, 1), angle=jaxrod.sine(0.6, 0.9))
+    (reaction,) = jaxrod.pose_spring_reactions(turned.at(time), rest)
+    phase = 2 * np.pi * time / 0.9
+    rate = 0.6 * 2 * np.pi / 0.9 * np.cos(phase)
+    expected = 0.5 * 0.6 * np.sin(phase) * rate
+    assert float(reaction.power) == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.slow
 def test_gradients_match_differences():
     system, rest = held(

@@ -24,6 +24,32 @@ CONFIG = SHACConfig(
 )
 
 
+def test_nothing_is_expected_after_a_task_has_ended_and_a_value_after_a_cut():
+    """Three environments: one goes on, one ends, one is cut short, after two steps."""
+    random, discount = np.random.default_rng(1), 0.9
+    earned, value = random.normal(size=(2, 4, 3))
+    terminated, done = np.zeros((2, 4, 3), bool)
+    terminated[1, 1], done[1, 1:] = True, True
+    names = [field.name for field in dataclasses.fields(short_window.Window)]
+    window = short_window.Window(
+        **dict.fromkeys(names)
+        | {
+            "earned": jnp.asarray(earned),
+            "terminated": jnp.asarray(terminated),
+            "done": jnp.asarray(done),
+        }
+    )
+    found = short_window.objective(window, jnp.asarray(value), discount)
+    r, g = earned.T, discount
+    expected = (
+        r[0] @ g ** np.arange(4) + g**4 * value[3, 0],
+        r[1, 0] + g * r[1, 1] + r[1, 2] + g * r[1, 3] + g**2 * value[3, 1],
+        r[2, 0] + g * r[2, 1] + g**2 * value[1, 2]
+        + r[2, 2] + g * r[2, 3] + g**2 * value[3, 2],
+    )  # fmt: skip
+    np.testing.assert_allclose(found, sum(expected) / 12, rtol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
