@@ -25,10 +25,13 @@ os.environ["XLA_FLAGS"] = with_backend_options(os.environ.get("XLA_FLAGS", ""))
 
 # Many tests compile the same programs: what this process or one that it starts has
 # compiled is kept until its tests end. One folder for each worker, because JAX does
-# not write whole files at once.
+# not write whole files at once; a program that runs some tests again and again, one
+# process at a time, names a folder of its own.
 _compiled = tempfile.TemporaryDirectory(prefix="jaxrod-compiled-")
 for name, value in {
-    "jax_compilation_cache_dir": _compiled.name,
+    "jax_compilation_cache_dir": os.environ.get(
+        "JAXROD_TESTS_COMPILED", _compiled.name
+    ),
     "jax_persistent_cache_min_compile_time_secs": 0.3,
 }.items():
     jax.config.update(name, value)

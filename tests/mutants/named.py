@@ -1,0 +1,166 @@
+"""Faults planted by name: wrong numbers that tests once let pass, or nearly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Named:
+    """One fault: a text that stands once in a file, and what is put there."""
+
+    name: str
+    about: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    """Files to try first."""
+
+
+NAMED = (
+    Named(
+        "m01",
+        "glue: turning dashpot without its length",
+        "jaxrod/systems/glue.py",
+        "damping=self.turning_damping * lengths",
+        "damping=self.turning_damping",
+        ("tests/systems/test_glue.py",),
+    ),
+    Named(
+        "m02",
+        "hinge: motor twice as strong",
+        "jaxrod/systems/hinges.py",
+        "vectors.scale(0.5 * self.motor",
+        "vectors.scale(1.0 * self.motor",
+        ("tests/systems/test_hinges.py",),
+    ),
+    Named(
+        "m03",
+        "elastic joint: dashpot's couple on the second in the first's frame",
+        "jaxrod/systems/elastic_joints.py",
+        "on_b = to_material(frame_b, pull)",
+        "on_b = to_material(frame_a, pull)",
+        ("tests/systems/test_connections.py", "tests/systems/test_welds.py"),
+    ),
+    Named(
+        "m04",
+        "off-policy: an episode cut short taken as ended by the task",
+        "training/algorithms/off_policy_update.py",
+        "terminated=outcome.terminated,",
+        "terminated=outcome.terminated | outcome.truncated,",
+        ("tests/training/test_sac.py", "tests/training/test_td3.py"),
+    ),
+    Named(
+        "m05",
+        "SHAC: the value after the task has ended counts",
+        "training/algorithms/short_window.py",
+        "jnp.where(done, jnp.where(terminated, 0, value), later)",
+        "jnp.where(done, value, later)",
+        ("tests/training/test_shac.py",),
+    ),
+    Named(
+        "m06",
+        "muscle across: exponent of its speed",
+        "jaxrod/actuation/muscles.py",
+        "return along**-0.5 if self.across else along",
+        "return along**-1.0 if self.across else along",
+        ("tests/physics/test_force_velocity.py",),
+    ),
+    Named(
+        "m07",
+        "tendon: friction by the pieces from before an eyelet, not beyond",
+        "jaxrod/actuation/tendons.py",
+        "jnp.cumsum(rates[:, ::-1], axis=1)[:, ::-1][:, 1:]",
+        "jnp.cumsum(rates[:, ::-1], axis=1)[:, ::-1][:, :-1]",
+        ("tests/physics/test_actuation_closed_forms.py",),
+    ),
+    Named(
+        "m08",
+        "magnet: stability bound without the slope of the field",
+        "jaxrod/actuation/magnets.py",
+        "elements=moment * (size + slope * rod.rest_lengths)",
+        "elements=moment * size",
+        ("tests/physics/test_actuation_closed_forms.py",),
+    ),
+    Named(
+        "m09",
+        "pose spring: sign of the power of turning",
+        "jaxrod/systems/pose_springs.py",
+        "power + vectors.dot(turn, spin)",
+        "power - vectors.dot(turn, spin)",
+        ("tests/systems/test_pose_springs.py",),
+    ),
+    Named(
+        "m10",
+        "cross-entropy method: one elite too many",
+        "jaxrod/control/sampling.py",
+        "jnp.sort(costs)[elites - 1]",
+        "jnp.sort(costs)[elites]",
+        ("tests/control/test_sampling.py",),
+    ),
+    Named(
+        "m11",
+        "lanes: the last of equal extremes",
+        "jaxrod/lanes/reductions.py",
+        'better = "gt" if',
+        'better = "ge" if',
+        ("tests/lanes/test_primitives.py",),
+    ),
+    Named(
+        "m12",
+        "body with nodes: inertia not about the common centre",
+        "jaxrod/systems/rigid_stepper.py",
+        "carried.second, matrices.scale(mass, matrices.outer(centre, centre))",
+        "carried.second, matrices.scale(0 * mass, matrices.outer(centre, centre))",
+        ("tests/systems/test_connections.py",),
+    ),
+    Named(
+        "m13",
+        "replay: the newest is never drawn",
+        "training/algorithms/replay.py",
+        "key, (batches, per_env), 0, replay.size, jnp.int32",
+        "key, (batches, per_env), 0, replay.size - 1, jnp.int32",
+        ("tests/training/test_replay.py",),
+    ),
+    Named(
+        "m14",
+        "iLQR: held controls not moved on",
+        "jaxrod/control/riccati.py",
+        "moved = rest + by_control @ jnp.where(held, change, 0)",
+        "moved = rest + 0 * by_control @ jnp.where(held, change, 0)",
+        ("tests/control/test_ilqr.py",),
+    ),
+    Named(
+        "m15",
+        "driven end: reaction without the node's inertia",
+        "jaxrod/effects/driven.py",
+        "force + inertia if is_held else force",
+        "force if is_held else force",
+        ("tests/physics/test_driven.py",),
+    ),
+    Named(
+        "m16",
+        "normalisation: spread between means dropped",
+        "training/normalisation.py",
+        "+ weight * (1 - weight) * difference**2",
+        "+ 0 * weight * (1 - weight) * difference**2",
+        ("tests/training/test_normalisation.py",),
+    ),
+    Named(
+        "m17",
+        "wound chamber: twist at rest left out",
+        "jaxrod/actuation/chambers.py",
+        "twist = strains.rotations[2][None, :] - inverse",
+        "twist = strains.rotations[2][None, :] - 0 * inverse",
+        ("tests/physics/test_actuation_closed_forms.py",),
+    ),
+    Named(
+        "m18",
+        "contact of rods: lever of friction on the second",
+        "jaxrod/systems/touches.py",
+        "other_turn = vectors.cross(rub, arms[1])",
+        "other_turn = vectors.cross(rub, arms[0])",
+        ("tests/systems/test_crossing_contact.py",),
+    ),
+)
