@@ -1,5 +1,7 @@
 """Sampling finds known minima within bounds, and is repeatable."""
 
+import time
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,6 +92,14 @@ def test_samples_are_drawn_and_weighed_as_the_method_says(name):
     np.testing.assert_allclose(found.history["cost"], costs, rtol=1e-9)
     np.testing.assert_allclose(found.knots, best, rtol=1e-9)
     assert len(set(costs)) > 1
+
+
+def test_compiling_and_running_take_no_longer_than_the_call():
+    began = time.perf_counter()
+    found = control.mppi(problem(), n_knots=4, samples=3, iterations=2)
+    passed = time.perf_counter() - began
+    assert found.compile_s > 0 and found.run_s > 0
+    assert found.compile_s + found.run_s <= passed
 
 
 def test_bad_arguments_are_named():

@@ -1,6 +1,7 @@
 """The gripper lifts the ball by its script, and its task keeps its promises."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,9 @@ import pytest
 import jaxrod
 from jaxrod import Ramp
 from jaxrod.envs import check_environment, make
+from jaxrod.envs.soft_bodies import gripper_body
 from jaxrod.envs.soft_bodies.gripper_body import BALL, MOST_PRESSURE, SUNK
+from jaxrod.envs.tasks import gripper
 from jaxrod.envs.tasks.gripper import SLACK
 from playing import KEY, check_vmap_is_a_loop, gradient_error, play, start, stepping
 
@@ -206,6 +209,41 @@ def test_the_score_rises_with_the_grip_from_touch_to_lift():
     # With tips that already touch, it is the weight they bear that earns more.
     assert np.all(np.diff(info["score"])[1:3] > 1.5)
     assert np.all(np.diff(info["score"]) > 0)
+
+
+def scored(place, tips, controls=(0.0, 0.0, 0.0, 0.0)):
+    """Points for a ball in a place, and the ends of all fingers in another."""
+    body = {
+        "ball": SimpleNamespace(positions=jnp.asarray(place)[:, None]),
+        "fingers": SimpleNamespace(
+            positions=jnp.broadcast_to(jnp.asarray(tips)[None, :, None], (3, 3, 2))
+        ),
+    }
+    made = SimpleNamespace(body=body, controls=jnp.asarray(controls))
+    return float(gripper._score(made)), np.asarray(gripper._between(made))
+
+
+def test_points_are_those_of_the_table():
+    """A hundred for a ball that is lifted, gripped and borne between the fingers."""
+    up, aside = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    low, lift = BALL * up, gripper.LIFT * up
+    _, middle = scored(low, low)
+    most = (gripper_body.HIGHEST - gripper.LOWEST) / 2
+    way = np.array([gripper.ASIDE, gripper.ASIDE, most])
+
+    def told(height):
+        """Controls with which the ball is between the fingers at a height."""
+        return 0.0, *((low + height - middle) / way)
+
+    high = low + lift
+    assert scored(high, lift, told(lift))[0] == pytest.approx(100)
+    # Half as high, and the tips half as near.
+    tips = lift / 2 + gripper.OPEN / 2 * aside
+    points = scored(low + lift / 2, tips, told(lift / 2))[0]
+    assert points == pytest.approx(15 + 10 + 20 + 22.5)
+    # Half way from near to far.
+    away = high + (gripper.NEAR + gripper.FAR) / 2 * aside
+    assert scored(away, lift, told(lift))[0] == pytest.approx(7.5 + 45)
 
 
 @pytest.mark.slow

@@ -13,6 +13,16 @@ from jaxrod.envs import make
 KEY = jax.random.key(0)
 
 
+def test_cylinders_of_the_maze_stand_across_its_plane():
+    """From one side to the other, so that within the plane they are circles."""
+    maze = make("structured", variant="clean").obstacles()
+    np.testing.assert_array_equal(maze.directions, np.eye(3)[[1]].T + 0 * maze.starts)
+    np.testing.assert_allclose(
+        maze.centres[1], 0.5 * maze.lengths + maze.starts[1], rtol=1e-6
+    )
+    np.testing.assert_array_equal(maze.centres[::2], maze.starts[::2])
+
+
 @pytest.mark.parametrize(
     "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
 )

@@ -65,7 +65,7 @@ def tried(trial: Trial, copy: Copy, likely: Likely, sound: dict, options) -> Row
     if reason is not None:
         return Row(trial.name, trial.place, trial.change, "equivalent", reason)
     first = [*trial.tests]
-    first += [t for t in likely.first(trial.file) if t not in first]
+    first += [t for t in likely.first(trial.file, options.first) if t not in first]
     others = likely.rest(trial.file, first, options.files)
     late = []
     with copy.planted(trial.file, trial.source):
@@ -109,6 +109,7 @@ def main() -> int:
     parser.add_argument("--record", type=Path, default=RECORD)
     parser.add_argument("--limit", type=float, default=240, help="seconds, first files")
     parser.add_argument("--long-limit", type=float, default=420, help="for the others")
+    parser.add_argument("--first", type=int, default=5, help="first files")
     parser.add_argument("--files", type=int, default=12, help="others, at most")
     options = parser.parse_args()
     try:

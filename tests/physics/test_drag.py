@@ -81,6 +81,19 @@ def test_sedimentation_is_exact_and_twice_as_fast_along(dt, record):
     assert speeds[1] / speeds[0] == 2.0
 
 
+def test_rates_of_drag_and_of_damping_add_up():
+    """In still fluid, along a rod and across it."""
+    rate, dt, steps = 200.0, 1e-4, 7
+    scene = jaxrod.make_scene(
+        ROD, jaxrod.stokes_drag(ALONG, ACROSS), jaxrod.exponential_damping(rate)
+    )
+    begun = np.array([0.3, -0.2, 0.5])
+    found = np.asarray(falling(scene, jnp.asarray(begun), dt, steps))
+    slower = np.array([ACROSS, ACROSS, ALONG]) / LINE + rate
+    expected = begun * np.exp(-slower * dt * steps)
+    np.testing.assert_allclose(found, expected[:, None] + 0 * found, rtol=1e-10)
+
+
 @pytest.mark.slow
 def test_drag_and_damping_together():
     """Damping slows the rod itself, drag what it does relative to the flow."""

@@ -125,6 +125,21 @@ def test_an_end_is_flagged_a_radius_from_where_it_is_held(hold, end):
     assert not jaxrod.health(bare, moved, DT).flagged
 
 
+@pytest.mark.parametrize("end", ["start", "finish"])
+def test_a_hinge_is_told_its_way_from_its_place_or_how_far_its_axis_is_turned(end):
+    rod, state = arm(5)
+    scene = jaxrod.make_scene(rod, jaxrod.hinge(state, (0.6, 0.0, 0.8), end))
+    assert float(jaxrod.health(scene, state, DT).largest_violation) < 1e-12
+    moved = replace(state, positions=state.positions + 0.02 / 3**0.5)
+    report = jaxrod.health(scene, moved, DT)
+    np.testing.assert_allclose(report.largest_violation, 0.02 / 0.05)
+    # About the rod's own axis: the part of the hinge's axis across it moves.
+    twisted = turn(state.orientations, jnp.zeros((3, 5)).at[2].set(0.3))
+    report = jaxrod.health(scene, replace(state, orientations=twisted), DT)
+    expected = 0.6 * 2 * np.sin(0.15)
+    np.testing.assert_allclose(report.largest_violation, expected, rtol=1e-9)
+
+
 def test_a_rod_is_flagged_where_its_centreline_is_in_one_of_several_bodies():
     rod, state = arm(5)
     centres = jnp.asarray([[0.6, 0.0, 0.4], [0.2, 0.0, 2.0]])

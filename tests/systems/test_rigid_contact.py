@@ -13,6 +13,31 @@ from jaxrod.systems.energies import seen_at_rest
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
 
+def test_a_body_that_touches_several_feels_what_each_would_do_to_it():
+    """Three balls that touch each other and the ground: sums of pairs of them."""
+    centres = {"a": (0.0, 0.0, 0.09), "b": (0.18, 0.0, 0.095), "c": (0.07, 0.16, 0.09)}
+    made = {name: body(jaxrod.sphere(c, 0.1)) for name, c in centres.items()}
+    ground = jaxrod.plane((0, 0, 0), (0, 0, 1))
+
+    def forces(names, fixed):
+        contact = jaxrod.rigid_contact(*names, stiffness=1e4, fixed=fixed)
+        system = jaxrod.make_system({n: made[n][0] for n in names}, contact)
+        seen, (own,) = seen_at_rest(system, {n: made[n][1] for n in names})
+        loads = own.loads(seen)
+        return {n: np.stack(loads[n].forces)[:, 0] for n in names}
+
+    together = forces("abc", (ground,))
+    apart = {name: np.zeros(3) for name in centres}
+    pairs = [*itertools.combinations("abc", 2), *"abc"]
+    for names in pairs:
+        fixed = (ground,) if len(names) == 1 else ()
+        for name, force in forces(names, fixed).items():
+            assert np.linalg.norm(force) > 1
+            apart[name] += force
+    for name in centres:
+        np.testing.assert_allclose(together[name], apart[name], rtol=1e-10)
+
+
 @pytest.mark.slow
 def test_a_ball_at_rest_sinks_in_by_its_weight(record):
     system, state = alone(jaxrod.sphere((0, 0, 0.1), 0.1), stiffness=2e4)
