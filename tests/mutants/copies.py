@@ -109,7 +109,9 @@ class Copy:
         if process.returncode in (0, 5):
             return Run("passed")
         found = FAILED.search(said)
-        return Run("failed", found[1] if found else f"exit {process.returncode}")
+        if found is None and process.returncode > 0:
+            raise RuntimeError(f"pytest could not run {tests}:\n{said[-2000:]}")
+        return Run("failed", found[1] if found else f"signal {-process.returncode}")
 
 
 def _said(process: subprocess.Popen, limit: float) -> str | None:

@@ -121,11 +121,11 @@ class Likely:
         return [test for score, test in scored[:most] if score < 0]
 
     def rest(self, file: str, tried: list[str], most: int) -> list[str]:
-        """Other files that speak of the module at all, those of its room first."""
+        """The other files of its room, then whatever else speaks of the module."""
         scored = [(self.score(t, file), t) for t in self.tests if t not in tried]
         order = sorted(
             (not self._in_room(test, file), -score, test)
             for score, test in scored
-            if score > 0
+            if score > 0 or self._in_room(test, file)
         )
         return [test for _, _, test in order][:most]

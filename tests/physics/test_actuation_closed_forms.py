@@ -225,6 +225,15 @@ def above_curvature(rod, state, effect):
     return [x for s in signs for x in np.linalg.eigvalsh(np.diag(most) + s * found)]
 
 
+def test_the_bound_of_a_magnet_along_a_uniform_field_is_what_turns_it_back():
+    """The couple m B sin(angle) of each element, as steep as it gets."""
+    rod, _ = arm(3)
+    magnet = jaxrod.magnetisation(rod, (0.0, 0.0, 2.0), (0.0, 0.0, -5.0))
+    bound = magnet.stability_bound(rod)
+    np.testing.assert_allclose(bound.elements, 2.0 * 5.0 * rod.rest_lengths)
+    assert bound.nodes is None
+
+
 def test_the_bound_of_a_magnet_is_above_all_that_its_energy_is_curved_by():
     """In a field that is zero in the middle of the rod and grows along it.
 

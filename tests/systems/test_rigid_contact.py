@@ -10,7 +10,18 @@ import pytest
 
 import jaxrod
 from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.samples import samples_of
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
+
+
+@pytest.mark.parametrize("points", [2, 5])
+def test_a_box_may_lie_on_all_points_of_a_face(points):
+    """So many springs the bound on the step counts."""
+    box = jaxrod.box((0.1, 0.2, -0.3), (0.2, 0.3, 0.5))
+    samples = samples_of(box, 1, points)
+    top = np.max(np.asarray(samples.offsets[0]))
+    assert samples.at_once == np.sum(np.isclose(samples.offsets[0], top))
+    assert samples.count == 12 * (points - 2) + 8
 
 
 def test_a_body_that_touches_several_feels_what_each_would_do_to_it():

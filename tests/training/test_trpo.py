@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from scipy.stats import norm
 
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import TRPOConfig, evaluate, train, train_seeds
@@ -43,6 +44,12 @@ QUICK = TRPOConfig(
     max_kl=0.03,
     final_max_kl=0.01,
 )
+
+
+def test_entropy_is_that_of_independent_normals():
+    spread = np.array([0.2, 1.0, 3.0])
+    found = trpo._entropy(jnp.log(spread))
+    np.testing.assert_allclose(found, norm(scale=spread).entropy().sum(), rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
