@@ -9,6 +9,7 @@ import pytest
 
 from jaxrod.envs import make
 from jaxrod.envs.arm import moving_target
+from jaxrod.envs.arm.cost import tip_residuals
 from jaxrod.envs.tasks.tracking import HEADING_STEPS
 
 ARMS = {
@@ -38,6 +39,17 @@ def begun(env, seed=0):
     if hasattr(params, "chance"):
         params = dataclasses.replace(params, chance=jnp.asarray(0.0))
     return params, env.reset(jax.random.key(seed), params)[1]
+
+
+def test_the_cost_of_a_way_is_its_square_nearby_and_linear_far_away():
+    touching, width = 0.05, 0.2
+    for size in (1e-4, 0.1, 0.2, 1.0, 30.0):
+        way = size * np.array([0.6, 0.0, -0.8])
+        found = np.asarray(tip_residuals(jnp.asarray(way), touching, width))
+        over = np.sqrt(1 + (size / width) ** 2) - 1
+        cost = 2 * (width / touching) ** 2 * over
+        np.testing.assert_allclose(np.sum(found**2), cost, rtol=1e-7)
+        np.testing.assert_allclose(np.cross(found, way), 0, atol=1e-6 * size)
 
 
 def actions_of(env, steps, seed=0):

@@ -1,5 +1,6 @@
 """Builders of systems: what they build is at rest, and moves as it should."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -39,6 +40,20 @@ BUILT = {
         **SOFT,
     ),
 }
+
+
+@pytest.mark.parametrize("way", [(2, 0, 0), (0, 3, 0), (0, 0, 1), (1, 1, 1)])
+def test_cilia_stand_as_they_are_told(way):
+    """Their d1 is the part of the world's x, or of y where they stand along x."""
+    _, state = assemblies.cilia(
+        2, 1, 2, spacing=0.02, length=0.1, radius=0.003, direction=way, **SOFT
+    )
+    unit = np.array(way) / np.linalg.norm(way)
+    frames = np.asarray(jax.tree.map(lambda leaf: leaf[0], state["cilia"]).directors)
+    np.testing.assert_allclose(frames[2, :, 0], unit, atol=1e-12)
+    across = np.eye(3)[1 if way[0] == 2 else 0]
+    d1 = across - unit * (unit @ across)
+    np.testing.assert_allclose(frames[0, :, 0], d1 / np.linalg.norm(d1), atol=1e-12)
 
 
 @pytest.mark.slow
