@@ -64,7 +64,7 @@ def tried(trial: Trial, copy: Copy, likely: Likely, sound: dict, options) -> Row
     reason = REASONS.get((trial.file, trial.change))
     if reason is not None:
         return Row(trial.name, trial.place, trial.change, "equivalent", reason)
-    first = [*trial.tests]
+    first = [*options.tests, *trial.tests]
     first += [t for t in likely.first(trial.file, options.first) if t not in first]
     others = likely.rest(trial.file, first, options.files)
     late = []
@@ -75,6 +75,9 @@ def tried(trial: Trial, copy: Copy, likely: Likely, sound: dict, options) -> Row
                 run = copy.run(left, limit)
                 if run.outcome == "no end":
                     late.append(f"{limit:g} s")
+                    if ends_without(left, limit / 3, trial, copy):
+                        why = f"no end of {left[0]} in {limit:g} s"
+                        return Row(trial.name, trial.place, trial.change, "killed", why)
                 if run.outcome != "failed":
                     break
                 if passes_without(run, trial, copy, sound):
@@ -98,10 +101,17 @@ def passes_without(run: Run, trial: Trial, copy: Copy, sound: dict) -> bool:
     return sound[run.test]
 
 
+def ends_without(tests: list[str], limit: float, trial: Trial, copy: Copy) -> bool:
+    """Whether tests that do not end with a fault pass in a third of the time without."""
+    with copy.planted(trial.file, (ROOT / trial.file).read_text()):
+        return copy.run(tests, limit).outcome == "passed"
+
+
 def main() -> int:
     """Runs the faults that were asked for."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants")
     parser.add_argument("--only", nargs="*", help="names, m01 or d07")
+    parser.add_argument("--tests", nargs="*", default=[], help="files to try first")
     parser.add_argument("--drawn", type=int, default=COUNT, help="how many are drawn")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--resume", action="store_true", help="go on from the record")

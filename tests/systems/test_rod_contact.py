@@ -9,6 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.parts import parts_of
 from systems.members import rod
 
 STIFFNESS = 1e4
@@ -29,6 +30,21 @@ def touching(a, b, **law):
 def loads_of(system, state):
     seen, (contact,) = seen_at_rest(system, state)
     return contact.loads(seen), contact.energy(seen)
+
+
+def test_the_bounds_of_springs_and_dashpots_are_those_of_as_much_length():
+    """Each node's own, for as many partners, and twice for both rods that move."""
+    parts = {"one": parts_of(rod(5, 0.5)[0]), "two": parts_of(rod(8, 0.5)[0])}
+    contact = jaxrod.rod_contact(
+        "one", "two", stiffness=STIFFNESS, damping=7.0, partners=3
+    )
+    bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
+    for name, n in (("one", 5), ("two", 8)):
+        lengths = np.full(n + 1, 0.5 / n)
+        lengths[[0, -1]] /= 2
+        np.testing.assert_allclose(bounds[name].nodes, 6 * STIFFNESS * lengths)
+        np.testing.assert_allclose(bounds[name].node_drag, 6 * 7.0 * lengths)
+        assert bounds[name].element_drag is None
 
 
 @pytest.mark.parametrize(("n", "m"), [(7, 20), (20, 53)])
