@@ -102,7 +102,7 @@ def passes_without(run: Run, trial: Trial, copy: Copy, sound: dict) -> bool:
 
 
 def ends_without(tests: list[str], limit: float, trial: Trial, copy: Copy) -> bool:
-    """Whether tests that do not end with a fault pass in a third of the time without."""
+    """Whether tests that do not end with a fault soon pass without it."""
     with copy.planted(trial.file, (ROOT / trial.file).read_text()):
         return copy.run(tests, limit).outcome == "passed"
 
