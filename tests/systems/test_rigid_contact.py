@@ -10,6 +10,7 @@ import pytest
 
 import jaxrod
 from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.parts import parts_of
 from jaxrod.systems.samples import samples_of
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
@@ -22,6 +23,24 @@ def test_a_box_may_lie_on_all_points_of_a_face(points):
     top = np.max(np.asarray(samples.offsets[0]))
     assert samples.at_once == np.sum(np.isclose(samples.offsets[0], top))
     assert samples.count == 12 * (points - 2) + 8
+
+
+@pytest.mark.parametrize("partners", [None, 1])
+def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partners):
+    """k (1/m_a + 1/m_b) of each, times the mass of the one."""
+    stiffness, radii = 1e4, {"a": 0.1, "b": 0.05, "c": 0.2}
+    parts = {
+        n: parts_of(body(jaxrod.sphere((0, 0, 0), r))[0]) for n, r in radii.items()
+    }
+    contact = jaxrod.rigid_contact(*radii, stiffness=stiffness, partners=partners)
+    bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
+    mass = {name: 500 * 4 / 3 * np.pi * r**3 for name, r in radii.items()}
+    for one in radii:
+        each = [1 / mass[one] + 1 / mass[other] for other in radii if other != one]
+        worst = sum(each) if partners is None else max(each)
+        expected = stiffness * worst * mass[one]
+        np.testing.assert_allclose(bounds[one].nodes, [expected], rtol=1e-6)
+        assert bounds[one].elements is None
 
 
 def test_a_body_that_touches_several_feels_what_each_would_do_to_it():
