@@ -51,6 +51,10 @@ class Attachment(Coupling):
     places: Float[Array, "3 nodes"]
     """Where each node is, in its body's frame [m]."""
 
+    def joined_nodes(self) -> list[tuple[str, int]]:
+        """The nodes, which are part of bodies."""
+        return [(self.points.member, int(i)) for i in self.points.nodes.values]
+
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if members are missing, smaller or not of their kinds."""
         self.points.check(parts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from jaxtyping import Array
@@ -40,6 +40,10 @@ class Coupling:
             tied: Pairs of nodes that are tied together.
         """
         return self
+
+    def joined_nodes(self) -> Iterable[tuple[str, int]]:
+        """Nodes of members that are one with other nodes, or part of a body."""
+        return ()
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
         """The same coupling of rods with ends that may go on in other members.

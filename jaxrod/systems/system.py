@@ -218,15 +218,7 @@ def _free_ends(
     parts: AllParts, couplings: Sequence[Coupling], dtype: Any
 ) -> dict[str, Array]:
     """One for each end of the rods of each member that is free, else zero."""
-    held = set()
-    for coupling in couplings:
-        if isinstance(coupling, Tie):
-            held |= {
-                place for a, i, b, j in coupling.pairs for place in ((a, i), (b, j))
-            }
-        if isinstance(coupling, Attachment):
-            nodes = coupling.points.nodes.values
-            held |= {(coupling.points.member, int(node)) for node in nodes}
+    held = {node for coupling in couplings for node in coupling.joined_nodes()}
     return {
         name: jnp.asarray(free_ends(name, parts, held), dtype)
         for name, own in parts.items()

@@ -93,6 +93,14 @@ class Tie(Coupling):
             if g == h and k != m
         )
 
+    def joined_nodes(self) -> list[tuple[str, int]]:
+        """The nodes that are tied."""
+        return [
+            (points.member, int(i))
+            for points in self.points
+            for i in points.nodes.values
+        ]
+
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
         """A component of a field of each tied node's group, member by member.
 
