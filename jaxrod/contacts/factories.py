@@ -32,10 +32,10 @@ def contact(
     """Contact of the rod with a fixed body, or with several of a kind.
 
     All loads are per length of rod: a rod of weight `W` and length `L` rests on a
-    plane at a penetration of `W / (stiffness L)`, however many elements it has. The face
-    of an end that meets a surface at an angle counts as much length as the rod is thick,
-    times the square of the angle's sine: a rod that stands on an end sinks in by about
-    `W / (2 stiffness radius)` (`jaxrod.contacts.ends`).
+    plane at a penetration of `W / (stiffness L)`, however many elements it has. The
+    face of an end that meets a surface at an angle counts as much length as the rod is
+    thick, times the square of the angle's sine: a rod that stands on an end sinks in by
+    about `W / (2 stiffness radius)` (`jaxrod.contacts.ends`).
     `stable_dt` counts stiffness, damping and friction drag as if all of the rod
     touched: a stiffness well below `linear_density * frequency^2` of the rod's fastest
     motion costs next to nothing. The stiffness that prevents tunnelling grows with the
