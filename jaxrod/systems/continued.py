@@ -71,3 +71,22 @@ def free_ends(
         if name == member and place in (0, last):
             free[rod, int(place == last)] = 0.0
     return free
+
+
+def closed_rods(
+    member: str, parts: AllParts, tied: Sequence[TiedPair]
+) -> tuple[int, ...]:
+    """Rods of a member whose last node is tied to their first, and to nothing else.
+
+    Args:
+        member: Name of the member.
+        parts: Of all members.
+        tied: Pairs of nodes that are tied together, in both orders.
+    """
+    n, found = parts[member].n_elements, []
+    for rod in range(parts[member].count):
+        ends = (member, rod * (n + 1)), (member, rod * (n + 1) + n)
+        fellows = [{(p[2], p[3]) for p in tied if p[:2] == end} for end in ends]
+        if n > 1 and fellows == [{ends[1]}, {ends[0]}]:
+            found.append(rod)
+    return tuple(found)

@@ -39,21 +39,26 @@ from jaxrod.systems.along_rods import (
     tied_share,
 )
 from jaxrod.systems.contact_numbers import contact_numbers
-from jaxrod.systems.continued import last_but_continued
+from jaxrod.systems.continued import closed_rods, last_but_continued
 from jaxrod.systems.coupling import AllParts, TiedPair
+from jaxrod.systems.curve_distance import (
+    apart,
+    nearest_on_curves,
+    nearest_to_node,
+)
 from jaxrod.systems.element_pairs import Elements, Pairs
 from jaxrod.systems.neighbour_lists import NeighbourLists
 from jaxrod.systems.neighbour_search import Stretches
 from jaxrod.systems.parts import Parts
 from jaxrod.systems.segment_distance import (
     Products,
-    between,
     crossedness,
     from_products,
     middles,
     nearest_places,
     products,
 )
+from jaxrod.systems.smooth_axes import stiffest
 from jaxrod.systems.strands import strands
 from jaxrod.systems.touches import (
     PairLoads,
@@ -71,6 +76,7 @@ class CrossingContact(TouchingRods):
     """Contact between all rods of some members; see `crossing_contact`."""
 
     once: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
         """With what is tied and so does not touch."""
@@ -80,7 +86,12 @@ class CrossingContact(TouchingRods):
     def prepared(self, parts: AllParts) -> CrossingContact:
         """With radii and lengths of segments."""
         made = tuple(
-            strands(parts[name], 1, last_but_continued(name, parts, self.tied))
+            strands(
+                parts[name],
+                1,
+                last_but_continued(name, parts, self.tied),
+                closed_rods(name, parts, self.tied),
+            )
             for name in self.members
         )
         return replace(self, strands=made)
@@ -165,21 +176,26 @@ class CrossingContact(TouchingRods):
         parallel.
         """
         own, other = pairs.own, pairs.other
-        lines = vectors.subtract(own.first, other.first), own.edge, other.edge
+        way = vectors.subtract(own.first, other.first)
+        lines = way, own.edge, other.edge
         weight = self._weights(a, b, pairs)
         have = products(*lines)
         share = crossedness(have)
-        s, t, _ = nearest_places(*lines)
+        s, t = nearest_on_curves(way, own, other, nearest_places(*lines)[:2])
+        on_other = nearest_to_node(way, own, other, have.on_other(1.0))
+        back = vectors.scale(-1.0, way)
+        on_own = nearest_to_node(back, other, own, have.on_own(1.0))
         one = jnp.ones_like(s)
         radii = own.radii + 0 * s, other.radii + 0 * s
         for places, counts in (
             ((s, t), share * weight),
             (middles(have), (1 - share) * weight),
-            ((one, have.on_other(1.0)), -own.follows * weight),
-            ((have.on_own(1.0), one), -other.follows * weight),
+            ((one, on_other), -own.follows * weight),
+            ((on_own, one), -other.follows * weight),
             ((one, one), own.follows * other.follows * weight),
         ):
-            yield touch_at(between(*lines, places), places, counts, radii, self.onset)
+            between = apart(way, own, other, places)
+            yield touch_at(between, places, counts, radii, self.onset)
 
     def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
         """Loads of all touches."""
@@ -234,9 +250,10 @@ class CrossingContact(TouchingRods):
             return crossedness(have), middles(have)
 
         _, pulled = jax.vjp(changing, have)
+        tangents = own.tangent(middle.own_fraction), other.tangent(middle.other_fraction)
         along = (
-            push * vectors.dot(middle.normal, own.edge),
-            -push * vectors.dot(middle.normal, other.edge),
+            push * vectors.dot(middle.normal, tangents[0]),
+            -push * vectors.dot(middle.normal, tangents[1]),
         )
         (slopes,) = pulled((weight * (second - first), along))
         return from_products(slopes, *lines)
@@ -251,8 +268,7 @@ class CrossingContact(TouchingRods):
 
     def _bound(self, own: Parts) -> StabilityBound:
         assert own.radii is not None
-        per_rod = jnp.full(own.n_elements + 1, 2.0, self.stiffness.dtype)
-        per_rod = per_rod.at[0].set(1.0).at[-1].set(1.0)
+        per_rod = jnp.asarray(stiffest(own.n_elements), self.stiffness.dtype)
         crossings = self.partners * jnp.tile(per_rod, own.count)
         drag, sides, turning = self.damping, 2, None
         if self.friction_drag is not None:

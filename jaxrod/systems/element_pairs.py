@@ -19,6 +19,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 from jaxrod.systems.parts import Seen, mapped
+from jaxrod.systems.smooth_axes import smooth_nodes
 from jaxrod.systems.strands import Strands
 
 Tree = TypeVar("Tree")
@@ -54,12 +55,70 @@ class Elements:
     """Rest length that the contact point there stands for [m]."""
     last: Array | None = None
     """One where an element is the last of its rod, or zero [1]."""
+    bulges: tuple[Vec3, Vec3] | None = None
+    """What tangents of a smooth axis are more than the edge, at the first node and at
+    the next; `None` where elements are straight [m]."""
+    velocity_bulges: tuple[Vec3, Vec3] | None = None
+    """Their rates [m/s]."""
 
     @property
     def ends(self) -> Array:
         """Rest arc length where each ends [m]."""
         assert self.starts is not None and self.rest_lengths is not None
         return self.starts + self.rest_lengths
+
+    def on_axis(self, fraction: Array) -> Vec3:
+        """From the first node to a place on the axis [m]."""
+        return _on_cubic(self.edge, self.bulges, fraction)
+
+    def change_on_axis(self, fraction: Array) -> Vec3:
+        """Velocity of a place on the axis less that of the first node [m/s]."""
+        assert self.velocity_change is not None
+        return _on_cubic(self.velocity_change, self.velocity_bulges, fraction)
+
+    def tangent(self, fraction: Array) -> Vec3:
+        """Change of the place on the axis with the fraction [m]."""
+        if self.bulges is None:
+            return self.edge
+        first, second = self.bulges
+        a, b = (1 - fraction) * (1 - 3 * fraction), fraction * (3 * fraction - 2)
+        return _combined(self.edge, (a, first), (b, second))
+
+    def bend(self, fraction: Array) -> Vec3:
+        """Change of the tangent with the fraction, of smooth axes [m]."""
+        assert self.bulges is not None
+        first, second = self.bulges
+        a, b = 6 * fraction - 4, 6 * fraction - 2
+        x, y, z = (a * one + b * two for one, two in zip(first, second, strict=True))
+        return x, y, z
+
+
+def bulge_shares(fraction: Array) -> tuple[Array, Array]:
+    """What of both bulges is at a place on a smooth axis [1]."""
+    rest = 1 - fraction
+    return fraction * rest * rest, -fraction * fraction * rest
+
+
+def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
+    """Distance that no place of smooth axes is farther from the chords [m]."""
+    first, second = (jnp.sqrt(vectors.dot(bulge, bulge)) for bulge in bulges)
+    return 4 / 27 * (first + second)
+
+
+def _on_cubic(
+    edge: Vec3, bulges: tuple[Vec3, Vec3] | None, fraction: Array
+) -> Vec3:
+    straight = vectors.scale(fraction, edge)
+    if bulges is None:
+        return straight
+    a, b = bulge_shares(fraction)
+    return _combined(straight, (a, bulges[0]), (b, bulges[1]))
+
+
+def _combined(vector: Vec3, *terms: tuple[Array, Vec3]) -> Vec3:
+    for factor, more in terms:
+        vector = vectors.add(vector, vectors.scale(factor, more))
+    return vector
 
 
 def elements_at(
@@ -70,6 +129,7 @@ def elements_at(
     spins: bool = False,
     placed: bool = False,
     dotted: bool = False,
+    smooth: bool = False,
 ) -> Elements:
     """The elements of a member.
 
@@ -80,18 +140,18 @@ def elements_at(
         spins: Whether angular velocities are.
         placed: Whether places along the rod are.
         dotted: Whether contact points are, and so places.
+        smooth: Whether elements are pieces of a smooth axis.
     """
-    first = mapped(strand.firsts, seen.motion.position)
-    following = mapped(strand.nexts, seen.motion.position)
-    velocity = change = None
+    first, edge, bulges = _pieces(strand, seen.motion.position, smooth=smooth)
+    velocity = change = velocity_bulges = None
     if moves:
-        velocity = mapped(strand.firsts, seen.motion.velocity)
-        later = mapped(strand.nexts, seen.motion.velocity)
-        change = vectors.subtract(later, velocity)
+        velocity, change, velocity_bulges = _pieces(
+            strand, seen.motion.velocity, smooth=smooth
+        )
     dtype, placed = strand.radii.dtype, placed or dotted
     return Elements(
         first=first,
-        edge=vectors.subtract(following, first),
+        edge=edge,
         radii=strand.radii,
         follows=jnp.asarray(~strand.is_end, dtype),
         first_velocity=velocity,
@@ -103,7 +163,28 @@ def elements_at(
         first_radii=strand.first_radii if dotted else None,
         first_lengths=strand.first_lengths if dotted else None,
         last=jnp.asarray(strand.is_last, dtype) if dotted else None,
+        bulges=bulges,
+        velocity_bulges=velocity_bulges,
     )
+
+
+def _pieces(
+    strand: Strands, nodes: Vec3, *, smooth: bool
+) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
+    """A field at first nodes, its change to the next, and the bulges of that."""
+    tangents: Vec3 | None = None
+    if smooth:
+        (x, p), (y, q), (z, r) = (smooth_nodes(strand.longer, component) for component in nodes)
+        nodes, tangents = (x, y, z), (p, q, r)
+    first = mapped(strand.firsts, nodes)
+    edge = vectors.subtract(mapped(strand.nexts, nodes), first)
+    if tangents is None:
+        return first, edge, None
+    bulges = (
+        vectors.subtract(mapped(strand.firsts, tangents), edge),
+        vectors.subtract(mapped(strand.nexts, tangents), edge),
+    )
+    return first, edge, bulges
 
 
 def beside(tree: Tree) -> Tree:

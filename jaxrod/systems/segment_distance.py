@@ -114,11 +114,7 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
         other: Edge of the other [m].
     """
     have = products(way, own, other)
-    largest = have.own * have.other
-    determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
-    across = have.mixed * have.other_way - have.other * have.own_way
-    last = have.on_other(jnp.clip(across / determinant, 0, 1))
-    s, t = have.on_own(last), last
+    s, t = first_guess(have)
     square = _square(between(way, own, other, (s, t)))
     zero, one = jnp.zeros_like(s), jnp.ones_like(s)
     for first, second in (
@@ -132,6 +128,15 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
         s, t = jnp.where(nearer, first, s), jnp.where(nearer, second, t)
         square = jnp.where(nearer, found, square)
     return s, t, square
+
+
+def first_guess(have: Products) -> tuple[Array, Array]:
+    """Where the form is least in the unit square, but for rounding [1]."""
+    largest = have.own * have.other
+    determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
+    across = have.mixed * have.other_way - have.other * have.own_way
+    last = have.on_other(jnp.clip(across / determinant, 0, 1))
+    return have.on_own(last), last
 
 
 def crossedness(have: Products) -> Array:

@@ -22,6 +22,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.parts import Parts, Seen, mapped
+from jaxrod.systems.smooth_axes import from_smooth_nodes
 
 
 @pytree
@@ -46,6 +47,8 @@ class Strands:
     """Contact points per element."""
     continued: tuple[int, ...] = static(default=())
     """Last segments of rods that go on in another rod, by their numbers."""
+    closed: tuple[int, ...] = static(default=())
+    """Rods whose last node is their first, by their numbers."""
 
     @property
     def n_elements(self) -> int:
@@ -90,6 +93,25 @@ class Strands:
     def _rods(self, row: Array) -> Array:
         """A row as one row for each rod."""
         return row.reshape(self.count, -1)
+
+    def longer(self, nodes: Array) -> Array:
+        """A field on nodes, a row for each rod, with two nodes more at both ends.
+
+        As in a mirror, turned about the end; on closed rods, those of the other end.
+        """
+        x = self._rods(nodes)
+        if self.n_elements > 1:
+            before, after = x[:, 2:0:-1], x[:, -2:-4:-1]
+        else:
+            change = x[:, 1:] - x[:, :1]
+            before = jnp.concatenate([x[:, 1:] + change, x[:, 1:]], axis=1)
+            after = jnp.concatenate([x[:, :1], x[:, :1] - change], axis=1)
+        before, after = 2 * x[:, :1] - before, 2 * x[:, -1:] - after
+        if self.closed:
+            joined = np.isin(np.arange(self.count), self.closed)[:, None]
+            before = jnp.where(joined, x[:, -3:-1], before)
+            after = jnp.where(joined, x[:, 1:3], after)
+        return jnp.concatenate([before, x, after], axis=1)
 
     def firsts(self, nodes: Array) -> Array:
         """A field on nodes, at the first node of each segment."""
@@ -142,13 +164,19 @@ class Strands:
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
 
-def strands(parts: Parts, per_element: int, continued: tuple[int, ...] = ()) -> Strands:
+def strands(
+    parts: Parts,
+    per_element: int,
+    continued: tuple[int, ...] = (),
+    closed: tuple[int, ...] = (),
+) -> Strands:
     """Works out the constants of a member.
 
     Args:
         parts: Of rods.
         per_element: Contact points per element.
         continued: Last segments of rods that go on in another rod.
+        closed: Rods whose last node is their first.
     """
     assert parts.rest_lengths is not None and parts.radii is not None
     count, n = parts.count, parts.n_elements
@@ -178,6 +206,7 @@ def strands(parts: Parts, per_element: int, continued: tuple[int, ...] = ()) -> 
         count=count,
         per_element=per_element,
         continued=continued,
+        closed=closed,
     )
 
 
@@ -276,11 +305,28 @@ class StrandLoads:
     """Couples at the points [N m]."""
     turning_segments: Vec3 | None = None
     """Couples on segments [N m]."""
+    first_tangents: Vec3 | None = None
+    """Forces on tangents at first nodes, where axes are smooth [N]."""
+    next_tangents: Vec3 | None = None
+    """Forces on tangents at next nodes, likewise [N]."""
 
     @classmethod
-    def on_segments(cls, firsts: Vec3, nexts: Vec3, turns: Vec3 | None) -> StrandLoads:
-        """Of segments alone: on their nodes, and couples on them."""
-        return cls(on_firsts=firsts, on_nexts=nexts, turning_segments=turns)
+    def on_segments(
+        cls,
+        firsts: Vec3,
+        nexts: Vec3,
+        turns: Vec3 | None,
+        tangents: tuple[Vec3, Vec3] | None = None,
+    ) -> StrandLoads:
+        """Of segments alone: on their nodes, couples on them, and on their tangents."""
+        first, following = (None, None) if tangents is None else tangents
+        return cls(
+            on_firsts=firsts,
+            on_nexts=nexts,
+            turning_segments=turns,
+            first_tangents=first,
+            next_tangents=following,
+        )
 
     def added(self, more: StrandLoads) -> StrandLoads:
         """Sum of both, of which parts may be missing."""
@@ -290,6 +336,8 @@ class StrandLoads:
             _added(self.on_nexts, more.on_nexts),
             _added(self.turning_points, more.turning_points),
             _added(self.turning_segments, more.turning_segments),
+            _added(self.first_tangents, more.first_tangents),
+            _added(self.next_tangents, more.next_tangents),
         )
 
 
@@ -322,11 +370,21 @@ def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
 def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
     """The loads on nodes and elements, where there are none on points."""
     assert loads.on_firsts is not None and loads.on_nexts is not None
-    x, y, z = (
-        strand.from_segments(first, following)
-        for first, following in zip(loads.on_firsts, loads.on_nexts, strict=True)
-    )
+    x, y, z = _gathered(strand, loads.on_firsts, loads.on_nexts)
+    if loads.first_tangents is not None:
+        assert loads.next_tangents is not None
+        tangents = _gathered(strand, loads.first_tangents, loads.next_tangents)
+        x, y, z = (
+            from_smooth_nodes(strand.longer, place, tangent)
+            for place, tangent in zip((x, y, z), tangents, strict=True)
+        )
     if loads.turning_segments is None:
         return Loads((x, y, z))
     frame = directors(seen.motion.orientation)
     return Loads((x, y, z), to_material(frame, loads.turning_segments))
+
+
+def _gathered(strand: Strands, firsts: Vec3, nexts: Vec3) -> Vec3:
+    """Forces on nodes, from those on both nodes of segments."""
+    x, y, z = map(strand.from_segments, firsts, nexts)
+    return x, y, z

@@ -13,7 +13,7 @@ from jaxrod.contacts.contact_law import energy_density, friction_force, normal_f
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.element_pairs import Elements
+from jaxrod.systems.element_pairs import Elements, bulge_shares
 
 ROUNDED = 1e-7
 """Share of the radii within which distances are rounded off [1]."""
@@ -70,6 +70,10 @@ class Law:
         return touch.weight * density
 
 
+OnElements = tuple[Vec3, Vec3, Vec3 | None, tuple[Vec3, Vec3] | None]
+"""Forces on first and on next nodes, couples, and forces on tangents at both nodes."""
+
+
 @pytree
 class PairLoads:
     """What elements of pairs do to each other, by what they differ in.
@@ -88,6 +92,10 @@ class PairLoads:
     """Couple on the one [N m]."""
     other_turn: Vec3 | None = None
     """Couple on the other [N m]."""
+    own_bulges: tuple[Vec3, Vec3] | None = None
+    """What of the one's is on the bulges of its axis, where that is smooth [N]."""
+    other_bulges: tuple[Vec3, Vec3] | None = None
+    """What of the other's is on its own, likewise [N]."""
 
     def added(self, more: PairLoads) -> PairLoads:
         """Sum of both."""
@@ -97,18 +105,23 @@ class PairLoads:
             vectors.add(self.other_edge, more.other_edge),
             _added(self.own_turn, more.own_turn),
             _added(self.other_turn, more.other_turn),
+            _both_added(self.own_bulges, more.own_bulges),
+            _both_added(self.other_bulges, more.other_bulges),
         )
 
     @property
-    def on_own(self) -> tuple[Vec3, Vec3, Vec3 | None]:
-        """On first nodes, next nodes and sections of the one."""
-        return vectors.subtract(self.way, self.own_edge), self.own_edge, self.own_turn
+    def on_own(self) -> OnElements:
+        """On first nodes, next nodes, sections and tangents of the one."""
+        edge = _less(self.own_edge, self.own_bulges)
+        first = vectors.subtract(self.way, edge)
+        return first, edge, self.own_turn, self.own_bulges
 
     @property
-    def on_other(self) -> tuple[Vec3, Vec3, Vec3 | None]:
-        """On first nodes, next nodes and sections of the other."""
-        first = vectors.scale(-1.0, vectors.add(self.way, self.other_edge))
-        return first, self.other_edge, self.other_turn
+    def on_other(self) -> OnElements:
+        """On first nodes, next nodes, sections and tangents of the other."""
+        edge = _less(self.other_edge, self.other_bulges)
+        first = vectors.scale(-1.0, vectors.add(self.way, edge))
+        return first, edge, self.other_turn, self.other_bulges
 
 
 def touch_at(
@@ -193,7 +206,21 @@ def loads_of(
         other_edge=vectors.scale(-touch.other_fraction, force),
         own_turn=own_turn,
         other_turn=other_turn,
+        own_bulges=on_bulges(own, touch.own_fraction, force),
+        other_bulges=on_bulges(
+            other, touch.other_fraction, vectors.scale(-1.0, force)
+        ),
     )
+
+
+def on_bulges(
+    elements: Elements, fraction: Array, force: Vec3
+) -> tuple[Vec3, Vec3] | None:
+    """What of a force at a place is on the bulges of the axis; `None` without [N]."""
+    if elements.bulges is None:
+        return None
+    first, second = bulge_shares(fraction)
+    return vectors.scale(first, force), vectors.scale(second, force)
 
 
 def elastic_push(touch: Touch, law: Law) -> Array:
@@ -205,13 +232,25 @@ def elastic_push(touch: Touch, law: Law) -> Array:
 def _rate(elements: Elements, fraction: Array) -> Vec3:
     """Velocity of a place on elements [m/s]."""
     assert elements.first_velocity is not None
-    assert elements.velocity_change is not None
-    return vectors.add(
-        elements.first_velocity, vectors.scale(fraction, elements.velocity_change)
-    )
+    return vectors.add(elements.first_velocity, elements.change_on_axis(fraction))
 
 
 def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
     if a is None or b is None:
         return b if a is None else a
     return vectors.add(a, b)
+
+
+def _both_added(
+    a: tuple[Vec3, Vec3] | None, b: tuple[Vec3, Vec3] | None
+) -> tuple[Vec3, Vec3] | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return vectors.add(a[0], b[0]), vectors.add(a[1], b[1])
+
+
+def _less(edge: Vec3, bulges: tuple[Vec3, Vec3] | None) -> Vec3:
+    """A force on the edge, where tangents count from it."""
+    if bulges is None:
+        return edge
+    return vectors.subtract(edge, vectors.add(*bulges))

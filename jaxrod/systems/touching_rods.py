@@ -23,11 +23,13 @@ from jaxrod.systems.element_pairs import (
     Elements,
     Pairs,
     elements_at,
+    farthest_from_chord,
 )
 from jaxrod.systems.names import check_named
 from jaxrod.systems.neighbour_lists import Found, NeighbourLists, with_spare
 from jaxrod.systems.neighbour_search import Stretches, found_by
 from jaxrod.systems.pair_sums import sums_over_pairs
+from jaxrod.systems.smooth_axes import FARTHEST
 from jaxrod.systems.strands import StrandLoads, Strands, loads_on_member
 from jaxrod.systems.touches import Law, PairLoads, Touch
 from jaxrod.validation import is_traced
@@ -70,6 +72,9 @@ class TouchingRods(Coupling):
 
     once: ClassVar[bool] = False
     """Whether two elements of one member are one pair to the law, not two."""
+
+    smooth: ClassVar[bool] = False
+    """Whether the law has smooth axes, not polylines."""
 
     # What a law says.
 
@@ -164,6 +169,7 @@ class TouchingRods(Coupling):
                 spins=spins,
                 placed=self.places_matter,
                 dotted=self.dotted,
+                smooth=self.smooth,
             )
             for strand, name in zip(self.strands, self.members, strict=True)
         ]
@@ -230,7 +236,8 @@ class TouchingRods(Coupling):
             position = jax.lax.stop_gradient(seen[name].motion.position)
             way = vectors.subtract(position, there)
             worst = jnp.maximum(worst, jnp.max(vectors.dot(way, way)))
-        return jnp.sqrt(worst) / (0.5 * self._skin())
+        farthest = FARTHEST if self.smooth else 1.0
+        return farthest * jnp.sqrt(worst) / (0.5 * self._skin())
 
     def sized(self, seen: AllSeen) -> TouchingRods:
         """With as many entries as a concrete state needs, and some to spare.
@@ -281,9 +288,14 @@ class TouchingRods(Coupling):
     def _stretches(self, a: int, seen: AllSeen) -> Stretches:
         strand, dtype = self.strands[a], self.stiffness.dtype
         placed = self.places_matter
-        elements = elements_at(strand, seen[self.members[a]], placed=placed)
+        elements = elements_at(
+            strand, seen[self.members[a]], placed=placed, smooth=self.smooth
+        )
         # Forces begin half a width of the onset before surfaces touch.
         radii = (1 + 0.25 * self.onset) * self.bounding_radii(a)
+        if elements.bulges is not None:
+            radii = radii + farthest_from_chord(elements.bulges)
+            elements = replace(elements, bulges=None)
         numbers = jnp.asarray(np.arange(strand.radii.shape[0]), dtype)
         return Stretches(elements, radii + 0.5 * self._skin(), numbers)
 
