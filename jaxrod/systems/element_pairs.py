@@ -19,7 +19,6 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 from jaxrod.systems.parts import Seen, mapped
-from jaxrod.systems.smooth_axes import smooth_nodes
 from jaxrod.systems.strands import Strands
 
 Tree = TypeVar("Tree")
@@ -174,7 +173,7 @@ def _pieces(
     """A field at first nodes, its change to the next, and the bulges of that."""
     tangents: Vec3 | None = None
     if smooth:
-        (x, p), (y, q), (z, r) = (smooth_nodes(strand.longer, component) for component in nodes)
+        (x, p), (y, q), (z, r) = (strand.smooth(component) for component in nodes)
         nodes, tangents = (x, y, z), (p, q, r)
     first = mapped(strand.firsts, nodes)
     edge = vectors.subtract(mapped(strand.nexts, nodes), first)

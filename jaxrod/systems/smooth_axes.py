@@ -23,9 +23,9 @@ Ends are continued as in a mirror, and those of closed rods by the other end.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -37,31 +37,38 @@ _ALIKE = 12
 """Elements of a rod that has all kinds of neighbourhoods."""
 
 
-Longer = Callable[[Array], Array]
-"""A field on nodes as a row for each rod, with two nodes more at both ends."""
-
-
-def smooth_nodes(longer: Longer, nodes: Array) -> tuple[Array, Array]:
+def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
     """Places and tangents at nodes, from a field on them; all of one shape.
 
     Args:
-        longer: How rods go on beyond their ends.
-        nodes: One component of positions or velocities.
+        nodes: Positions or velocities, a row for each rod.
+        closed: Whether each rod is, `(rods, 1)`.
     """
-    x = longer(nodes)
-    second = x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]
-    fourth = second[:, 2:] - 2 * second[:, 1:-1] + second[:, :-2]
-    place = x[:, 2:-2] + INWARDS * second[:, 1:-1] + FLAT * fourth
-    tangent = 0.5 * (x[:, 3:-1] - x[:, 1:-3])
-    tangent = tangent + 0.5 * TANGENT * (second[:, 2:] - second[:, :-2])
-    return place.reshape(-1), tangent.reshape(-1)
+    tangent, second = _differences(nodes, closed)
+    third, fourth = _differences(second, closed)
+    return nodes + INWARDS * second + FLAT * fourth, tangent + TANGENT * third
 
 
-def from_smooth_nodes(longer: Longer, places: Array, tangents: Array) -> Array:
+def from_smooth_nodes(places: Array, tangents: Array, closed: np.ndarray) -> Array:
     """Forces on nodes, from those on places and on tangents at them."""
-    back = jax.linear_transpose(lambda nodes: smooth_nodes(longer, nodes), places)
+    back = jax.linear_transpose(lambda nodes: smooth_nodes(nodes, closed), places)
     (nodes,) = back((places, tangents))
     return nodes
+
+
+def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
+    """Central first and second differences along rods."""
+    edges = nodes[:, 1:] - nodes[:, :-1]
+    before = jnp.pad(edges, ((0, 0), (1, 0)))
+    after = jnp.pad(edges, ((0, 0), (0, 1)))
+    n = edges.shape[1]
+    if closed.any():
+        around = np.where(closed, 1, 0)
+        before = before + around * jnp.pad(edges[:, -1:], ((0, 0), (0, n)))
+        after = after + around * jnp.pad(edges[:, :1], ((0, 0), (n, 0)))
+    at_end = np.pad(np.zeros(n - 1), 1, constant_values=1)[None, :] * ~closed
+    half = jnp.asarray(0.5 + 0.5 * at_end, nodes.dtype)
+    return half * (before + after), jnp.asarray(1 - at_end, nodes.dtype) * (after - before)
 
 
 @functools.cache
@@ -71,14 +78,11 @@ def stiffest(n_elements: int) -> np.ndarray:
     Of the rows of the stiffness, sums of what is in them, each spring at its worst.
     """
     n = min(n_elements, _ALIKE)
-    nodes = np.eye(n + 1)
-    before, after = 2 * nodes[:1], 2 * nodes[-1:]
-    far = nodes[[2, 1]] if n > 1 else np.stack([2 * nodes[1] - nodes[0], nodes[1]])
-    back = nodes[[-2, -3]] if n > 1 else np.stack([nodes[0], 2 * nodes[0] - nodes[1]])
-    x = np.concatenate([before - far, nodes, after - back])
-    second = np.diff(x, n=2, axis=0)
-    place = nodes + INWARDS * second[1:-1] + FLAT * np.diff(second, n=2, axis=0)
-    tangent = 0.5 * (x[3:-1] - x[1:-3]) + 0.5 * TANGENT * (second[2:] - second[:-2])
+    with jax.ensure_compile_time_eval():
+        open_rods = np.zeros((n + 1, 1), bool)
+        both = smooth_nodes(jnp.eye(n + 1), open_rods)
+    # Of a node that moves by one, what all nodes do: a column of the weights.
+    place, tangent = (np.asarray(field, float).T for field in both)
     s = np.linspace(0, 1, 101)[:, None, None]
     weights = np.abs(
         (1 - s) ** 2 * (1 + 2 * s) * place[:-1]

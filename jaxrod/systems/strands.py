@@ -22,7 +22,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.parts import Parts, Seen, mapped
-from jaxrod.systems.smooth_axes import from_smooth_nodes
+from jaxrod.systems.smooth_axes import from_smooth_nodes, smooth_nodes
 
 
 @pytree
@@ -94,24 +94,21 @@ class Strands:
         """A row as one row for each rod."""
         return row.reshape(self.count, -1)
 
-    def longer(self, nodes: Array) -> Array:
-        """A field on nodes, a row for each rod, with two nodes more at both ends.
+    @property
+    def is_closed(self) -> np.ndarray:
+        """Whether each rod is closed, `(rods, 1)`."""
+        return np.isin(np.arange(self.count), self.closed)[:, None]
 
-        As in a mirror, turned about the end; on closed rods, those of the other end.
-        """
-        x = self._rods(nodes)
-        if self.n_elements > 1:
-            before, after = x[:, 2:0:-1], x[:, -2:-4:-1]
-        else:
-            change = x[:, 1:] - x[:, :1]
-            before = jnp.concatenate([x[:, 1:] + change, x[:, 1:]], axis=1)
-            after = jnp.concatenate([x[:, :1], x[:, :1] - change], axis=1)
-        before, after = 2 * x[:, :1] - before, 2 * x[:, -1:] - after
-        if self.closed:
-            joined = np.isin(np.arange(self.count), self.closed)[:, None]
-            before = jnp.where(joined, x[:, -3:-1], before)
-            after = jnp.where(joined, x[:, 1:3], after)
-        return jnp.concatenate([before, x, after], axis=1)
+    def smooth(self, nodes: Array) -> tuple[Array, Array]:
+        """Places and tangents of smooth axes at nodes, from a field on nodes."""
+        place, tangent = smooth_nodes(self._rods(nodes), self.is_closed)
+        return place.reshape(-1), tangent.reshape(-1)
+
+    def from_smooth(self, places: Array, tangents: Array) -> Array:
+        """Forces on nodes, from those on smooth axes and on their tangents there."""
+        return from_smooth_nodes(
+            self._rods(places), self._rods(tangents), self.is_closed
+        ).reshape(-1)
 
     def firsts(self, nodes: Array) -> Array:
         """A field on nodes, at the first node of each segment."""
@@ -375,7 +372,7 @@ def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
         assert loads.next_tangents is not None
         tangents = _gathered(strand, loads.first_tangents, loads.next_tangents)
         x, y, z = (
-            from_smooth_nodes(strand.longer, place, tangent)
+            strand.from_smooth(place, tangent)
             for place, tangent in zip((x, y, z), tangents, strict=True)
         )
     if loads.turning_segments is None:

@@ -10,6 +10,13 @@ import pytest
 import jaxrod
 from jaxrod.systems.energies import seen_at_rest
 from systems.members import rod
+from systems.resting_ropes import (
+    LENGTH,
+    STIFFNESS as OF_ROPES,
+    nodes_of,
+    resting_ropes,
+    two_elasticae,
+)
 
 STIFFNESS, RADIUS = 1e3, 0.02
 
@@ -62,6 +69,107 @@ def test_a_crossing_is_counted_once_wherever_it_is(length, record):
         np.max(np.abs(np.array(energies) / expected - 1)),
         at_most=1e-12,
     )
+
+
+def test_a_load_on_a_limp_rope_may_be_anywhere_along_an_element(record):
+    """Work of a load that slides, at its share of each node of a rope under tension."""
+    n, pull = 12, []
+    tight = np.linalg.inv(2 * np.eye(n - 1) - np.eye(n - 1, k=1) - np.eye(n - 1, k=-1))
+    for share in np.linspace(0, 1, 9):
+        across = rod(3, 0.3, (5 + share, -0.15, 0.038), (0, 1, 0))
+        system, state = crossing(rod(n, float(n)), across)
+        loads, _, _ = loads_and_slopes(system, state)
+        shares = np.asarray(loads["one"].forces[2])
+        shares = shares[1:-1] / np.sum(shares)
+        place = np.sum(shares * np.arange(1, n))
+        assert place == pytest.approx(5 + share, abs=1e-12)
+        smooth = place * (n - place) / n
+        pull.append(0.5 * (smooth - shares @ tight @ shares))
+    record(
+        "crossing law, work of a load that slides along an element of a limp rope",
+        "the same everywhere, over load, angle and length of an element",
+        np.ptp(pull),
+        at_most=2e-4,
+    )
+
+
+def test_loads_of_bent_rods_are_minus_the_gradient_of_the_energy():
+    """Of hooks of few elements, one in the other and back to back."""
+    angles = np.linspace(-1, 1, 9)
+    hook = 0.2 * np.stack([np.sin(angles), 0 * angles, 1 - np.cos(angles)])
+    turned = np.stack([-0.7 * hook[0], 0.75 * hook[0], -hook[2]])
+    law = {"radius": RADIUS, "density": 1000.0, "youngs_modulus": 1e6}
+    law["dtype"] = jnp.float64
+    for shift in (0.0, 0.011, 0.03):
+        moved = turned + np.array((shift, 0.0, -0.036))[:, None]
+        two = turned * [[1], [1], [-1]] + np.array((shift, 0.0, 0.036))[:, None]
+        for other in (moved, two):
+            system, state = crossing(
+                jaxrod.rod_along(hook, **law), jaxrod.rod_along(other, **law)
+            )
+            loads, energy, slopes = loads_and_slopes(system, state)
+            assert energy > 1e-5
+            total = np.zeros(3)
+            moment = np.zeros(3)
+            for name, own in loads.items():
+                force = np.stack(own.forces)
+                most = np.max(np.abs(slopes[name]))
+                assert np.max(np.abs(force + slopes[name])) < 1e-11 * most
+                total += np.sum(force, axis=1)
+                moment += np.sum(np.cross(state[name].positions.T, force.T), axis=0)
+            assert np.max(np.abs(total)) < 1e-13 * most
+            assert np.max(np.abs(moment)) < 1e-13 * most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [50, 51])
+def test_ropes_that_rest_on_each_other_stay_where_they_are(n, record):
+    """Held at both ends: in the middle of an element as at a node."""
+    found, free = two_elasticae()
+    rest = nodes_of(found, n)
+    contact = jaxrod.crossing_contact(
+        *rest, stiffness=OF_ROPES, damping=0.1, lists=jaxrod.neighbour_lists()
+    )
+    system, state = resting_ropes(n, rest, contact)
+    dt = float(jaxrod.stable_dt(system).dt)
+    steps = int(0.5 / dt)
+    step = jax.jit(jaxrod.advance, static_argnums=3)
+    path = []
+    for _ in range(40):
+        state = step(system, state, 0.5 / steps, steps)
+        path.append({name: np.asarray(state[name].positions) for name in rest})
+    # Each moves aside by as much as it has slid along the other.
+    aside = {"below": 1, "above": 0}
+    slid = max(np.max(np.abs(p[k][aside[k]])) for p in path[3:] for k in rest)
+    record(
+        f"ropes of {n} elements at rest on each other from 2 s to 20 s: way along them",
+        "none, in elements",
+        slid * n / LENGTH,
+        at_most=0.1,
+    )
+    moved = max(np.max(np.abs(p[k] - path[9][k])) for p in path[9:] for k in rest)
+    record(
+        f"ropes of {n} elements at rest on each other from 5 s to 20 s: movement",
+        "none, in lengths",
+        moved / LENGTH,
+        at_most=1e-6,
+    )
+    shape = max(np.max(np.abs(path[-1][k] - rest[k])) for k in rest)
+    record(
+        f"ropes of {n} elements at rest on each other: shape",
+        "two elasticae with a load in the middle, in lengths",
+        shape / LENGTH,
+        at_most=6e-4,
+    )
+    if n % 2 == 0:
+        lift = free.y[1, -1] - found.y[1, -1], found.y[5, -1] - free.y[5, -1]
+        middle = [path[-1][k][2, n // 2] - rest[k][2, n // 2] for k in rest]
+        record(
+            f"ropes of {n} elements at rest on each other: lift of the upper one",
+            "the same, relative",
+            abs(middle[1] / lift[1]),
+            at_most=6e-3,
+        )
 
 
 @pytest.mark.slow
