@@ -5,7 +5,9 @@ Over the segments $i$, $j$ of two rods and the nodes between segments
 $$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big],$$
 
 $p$ the penetration at the nearest places of two segments, of the next node $v$ or $w$
-of one and the other segment, and of both nodes. Segments less the nodes between them
+of one and the other segment, and of both nodes. Segments are pieces of curves that are
+smooth at nodes (`jaxrod.systems.smooth_axes`): on polylines rods at rest on each other
+would slide to nodes, where their energy is less. Segments less the nodes between them
 count a crossing once, wherever it is and however long segments are for their radius,
 and so smoothly: what a node takes away is what both its segments have there. Rods that
 lie side by side count once too, however long they do: the law is for nests, nets and
@@ -250,7 +252,10 @@ class CrossingContact(TouchingRods):
             return crossedness(have), middles(have)
 
         _, pulled = jax.vjp(changing, have)
-        tangents = own.tangent(middle.own_fraction), other.tangent(middle.other_fraction)
+        tangents = (
+            own.tangent(middle.own_fraction),
+            other.tangent(middle.other_fraction),
+        )
         along = (
             push * vectors.dot(middle.normal, tangents[0]),
             -push * vectors.dot(middle.normal, tangents[1]),
@@ -259,7 +264,7 @@ class CrossingContact(TouchingRods):
         return from_products(slopes, *lines)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if its partners crossed every element at one node.
+        """Stiffness and drag as if its partners crossed every element at its worst.
 
         The square of what a spring sees of both rods is at most twice the sum of the
         squares of either; of the four parts of a slip, four times.
@@ -268,6 +273,7 @@ class CrossingContact(TouchingRods):
 
     def _bound(self, own: Parts) -> StabilityBound:
         assert own.radii is not None
+        # Springs are on six nodes each.
         per_rod = jnp.asarray(stiffest(own.n_elements), self.stiffness.dtype)
         crossings = self.partners * jnp.tile(per_rod, own.count)
         drag, sides, turning = self.damping, 2, None

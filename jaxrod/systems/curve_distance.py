@@ -19,7 +19,7 @@ from jaxrod.systems.element_pairs import Elements
 from jaxrod.systems.segment_distance import Products, first_guess
 
 STEPS = 3
-"""Of Newton's method: forces are then those of the energy to rounding; with two, to 3e-8."""
+"""Of Newton's method: forces are those of the energy to rounding; with two, to 3e-8."""
 _CONVEX = 0.5
 """Least share of what straight pieces have that counts as convex [1]."""
 
@@ -33,9 +33,7 @@ def apart(way: Vec3, own: Elements, other: Elements, at: tuple[Array, Array]) ->
         other: The other elements.
         at: Both places, over the lengths of their elements [1].
     """
-    return vectors.add(
-        way, vectors.subtract(own.on_axis(at[0]), other.on_axis(at[1]))
-    )
+    return vectors.add(way, vectors.subtract(own.on_axis(at[0]), other.on_axis(at[1])))
 
 
 def nearest_on_curves(
@@ -86,9 +84,7 @@ def nearest_on_curves(
     return s, t
 
 
-def nearest_to_node(
-    way: Vec3, own: Elements, other: Elements, start: Array
-) -> Array:
+def nearest_to_node(way: Vec3, own: Elements, other: Elements, start: Array) -> Array:
     """Place of the other piece that is nearest to the next node of the one [1].
 
     Args:

@@ -104,9 +104,7 @@ def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
     return 4 / 27 * (first + second)
 
 
-def _on_cubic(
-    edge: Vec3, bulges: tuple[Vec3, Vec3] | None, fraction: Array
-) -> Vec3:
+def _on_cubic(edge: Vec3, bulges: tuple[Vec3, Vec3] | None, fraction: Array) -> Vec3:
     straight = vectors.scale(fraction, edge)
     if bulges is None:
         return straight

@@ -68,7 +68,9 @@ def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
         after = after + around * jnp.pad(edges[:, :1], ((0, 0), (n, 0)))
     at_end = np.pad(np.zeros(n - 1), 1, constant_values=1)[None, :] * ~closed
     half = jnp.asarray(0.5 + 0.5 * at_end, nodes.dtype)
-    return half * (before + after), jnp.asarray(1 - at_end, nodes.dtype) * (after - before)
+    return half * (before + after), jnp.asarray(1 - at_end, nodes.dtype) * (
+        after - before
+    )
 
 
 @functools.cache

@@ -207,9 +207,7 @@ def loads_of(
         own_turn=own_turn,
         other_turn=other_turn,
         own_bulges=on_bulges(own, touch.own_fraction, force),
-        other_bulges=on_bulges(
-            other, touch.other_fraction, vectors.scale(-1.0, force)
-        ),
+        other_bulges=on_bulges(other, touch.other_fraction, vectors.scale(-1.0, force)),
     )
 
 

@@ -12,10 +12,12 @@ from jaxrod.systems.energies import seen_at_rest
 from systems.members import rod
 from systems.resting_ropes import (
     LENGTH,
-    STIFFNESS as OF_ROPES,
     nodes_of,
     resting_ropes,
     two_elasticae,
+)
+from systems.resting_ropes import (
+    STIFFNESS as OF_ROPES,
 )
 
 STIFFNESS, RADIUS = 1e3, 0.02
