@@ -335,6 +335,10 @@ def torsion_free() -> TorsionFree:
     do not twist it. Couples about the axis that cannot be seen on the host (traced
     ones), and spin about it in a state, are dropped.
 
+    What d1 and d2 are means nothing here: every call turns those of the first element
+    the shortest way from where they were, so that they depend on how a run is divided
+    into calls and records.
+
     Returns:
         The method, for `make_scene(..., method=...)`.
     """

@@ -70,6 +70,11 @@ def advance(
     `jax.vmap` and the like need no `jax.jit` around them: what they make of it is
     compiled once for every `int` number of steps, or once for all traced ones.
 
+    Calls of m and of n steps give what one of m + n steps gives, to rounding. Not so
+    where a section or a rigid body, with what is attached to it, is not round about an
+    axis: two half steps of its free turning are a whole one to second order in `dt`, as
+    all of the method is. The records of `rollout` divide a run likewise.
+
     Args:
         scene: The scene, or a system of several rods and bodies.
         state: The initial state; of a system, a dict by member.

@@ -17,7 +17,8 @@ from jaxrod.validation import check_count
 
 Place = Sequence[Any]
 """`("arm", "finish")`, `("arm", 7)`, `("arms", 2, "start")` of equal rods, `("ball",)`
-or `("balls", 3)` of bodies."""
+or `("balls", 3)` of bodies. What turns with a place within a rod turns with the element
+after the node."""
 
 
 class Indices:
