@@ -83,9 +83,11 @@ def fibre_bound(
         across: Component across it [1].
         lever: Elongation per turn of the joint [m].
     """
-    moves = jnp.pad(_moves(rod), (0, 1), mode="edge")[None, :]
-    rocking = jnp.pad(_rocking(rod), (0, 1), mode="edge")[None, :]
-    inertia = jnp.pad(jnp.min(rod.inertias, axis=0), (0, 1), mode="edge")[None, :]
+    # Weights, of which any make it a bound: from either end of a rod the same.
+    moves, rocking, inertia = (
+        0.5 * sum(_beside_nodes(values))[None, :]
+        for values in (_moves(rod), _rocking(rod), jnp.min(rod.inertias, axis=0))
+    )
     parts = along**2 * moves, across**2 * (moves + rocking), 4 * lever**2 / inertia
     whole = parts[0] + parts[1] + parts[2]
     directions = along**2, across**2, lever**2
@@ -100,7 +102,8 @@ def cross_bound(rod: Rod, coupling: Array) -> StabilityBound:
     """Of a coupling of shear and twist, `2 coupling gamma phi` at the nodes [N]."""
     inertia = jnp.min(rod.inertias, axis=0)
     rate = jnp.sqrt(4 / inertia / (_moves(rod) + _rocking(rod)))
-    turned = coupling / jnp.pad(rate, (0, 1), mode="edge")
+    # The shear of both elements beside a node counts for its twist.
+    turned = coupling / jnp.minimum(*_beside_nodes(rate))
     return section_bound(rod, shear=_of_elements(coupling) * rate, turning=turned)
 
 
@@ -113,6 +116,12 @@ def together(*bounds: StabilityBound) -> StabilityBound:
         return sum(found[1:], found[0]) if found else None
 
     return StabilityBound(nodes=total("nodes"), elements=total("elements"))
+
+
+def _beside_nodes(values: Array) -> tuple[Array, Array]:
+    """Values of the elements before and after every node; of the one there is at ends."""
+    padded = jnp.pad(values, (1, 1), mode="edge")
+    return padded[:-1], padded[1:]
 
 
 def _moves(rod: Rod) -> Array:

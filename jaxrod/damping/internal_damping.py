@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect
+from jaxrod.effects.directions import frame_along
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import stacked, turned_diagonal
 from jaxrod.geometry.rotations import (
@@ -131,7 +132,7 @@ def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
     joints = jnp.pad(rod.joint_stiffness / rod.joint_lengths[None, :], ((0, 0), (0, 1)))
     walls = [w for e in scene.effects if (w := e.wall(rod)) is not None]
     walls = [wall for wall in walls if wall.stiffness is not None]
-    for k, axis in enumerate(directors(_middle(motion.orientation))):
+    for k, axis in enumerate(directors(_between(scene, motion.orientation))):
         x, y, z = (vectors.pad(c, 0, 1) for c in axis)
         # Past the last element the joint is to a wall, about the element's own axes.
         both = zip((x, y, z), frame[k], strict=True)
@@ -182,6 +183,16 @@ def _times_transposed(a: Array, b: Array) -> Array:
 def _times(rows: Array, vector: Array) -> Array:
     """Matrices times vectors."""
     return jnp.sum(rows * vector[:, None, :], axis=2)
+
+
+def _between(scene: Scene, q: Quaternion) -> Quaternion:
+    """Orientations of the joints."""
+    if scene.method.twist:
+        return _middle(q)
+    # What is given as d1 and d2 of an element says nothing of those of the next.
+    x, y, z = (c[:-1] + c[1:] for c in directors(q)[2])
+    length = jnp.maximum(vectors.safe_norm((x, y, z)), 1e-6)
+    return frame_along((x / length, y / length, z / length))
 
 
 def _middle(q: Quaternion) -> Quaternion:

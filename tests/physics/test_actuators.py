@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.actuation.section_bounds import cross_bound, fibre_bound
 from jaxrod.effects.time import Clock
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import motion_of
-from physics.actuators import actuators, at_once, strained, uneven_rod
-from physics.rods import AREA, RADIUS, YOUNG, arm, no_moves, perturb
+from physics.actuators import N, actuators, at_once, strained, uneven_rod
+from physics.rods import (
+    AREA,
+    RADIUS,
+    YOUNG,
+    arm,
+    difference,
+    largest,
+    no_moves,
+    perturb,
+)
 
 NAMES = (
     "wave of bending",
@@ -126,6 +136,18 @@ def test_the_stable_step_knows_of_them(name, record):
     )
     # Deformed by a radian at joints and a fifth in length: within the safety factor.
     assert 0.8 * bound * float(jaxrod.highest_frequency(scene, state)) < 2
+
+
+def test_bounds_of_fibres_are_those_from_the_other_end():
+    """Of a rod whose elements differ: all values the other way round."""
+    rod, *_ = uneven_rod()
+    random = np.random.default_rng(0)
+    size = random.uniform(0.5, 1, (4, 2, N + 1))
+    flip = lambda tree: jax.tree.map(lambda leaf: leaf[..., ::-1], tree)
+    for bound, arguments in (fibre_bound, size), (cross_bound, size[:1, 0]):
+        one = bound(rod, *jnp.asarray(arguments))
+        two = bound(flip(rod), *jnp.asarray(arguments[..., ::-1]))
+        assert difference(flip(two), one) < 1e-13 * largest(one)
 
 
 @pytest.mark.slow
