@@ -1,0 +1,78 @@
+"""A few pairs of equivalent programs; `pairs.py` draws as many as one likes."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from extremes.pair_cases import ALLOWED, ROUNDING, differences, examined
+from extremes.pair_scenes import rod_in
+from extremes.views import View, of_matrix, product, random_turn
+
+# Scenes and systems whose programs are small. Tens of warnings of thick rods say
+# nothing here.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def apart(case):
+    return [
+        f"{kind}: {apart:.1e} at {where}, {ratio / ALLOWED:.1e} of what is allowed"
+        for kind, ratio, apart, where in case.results
+        if not ratio <= ALLOWED
+    ]
+
+
+def check(what, seed, pairs, record):
+    _, case = examined(what, seed, pairs)
+    assert not apart(case)
+    kinds = [r for r in case.results if not r[0].startswith("stable_dt")]
+    record(
+        f"A random {what} (seed {seed}) and {len(kinds)} equivalent ones",
+        "the same, over what rounding explains a hundredfold",
+        max(ratio for _, ratio, *_ in kinds) / ALLOWED,
+        at_most=1.0,
+    )
+
+
+@pytest.mark.parametrize("seed", [117])
+def test_a_scene_is_the_same_in_every_view(seed, record):
+    """Moved, turned, in other units, in two runs."""
+    check("scene", seed, "numbers", record)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(201, 207))
+def test_more_scenes(seed, record):
+    """Reversed or reordered besides, as one batch, and recorded."""
+    check("scene", seed, "all", record)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 6))
+def test_systems_are_the_same_in_every_view(seed, record):
+    check("system", seed, "all", record)
+
+
+def test_views_keep_what_they_should():
+    """A rod from its other end, far away, turned and in other units is that rod."""
+    random = np.random.default_rng(0)
+    turn, other = random_turn(random), random_turn(random)
+    quaternions = of_matrix(turn), of_matrix(other)
+    both = of_matrix(turn @ other)
+    assert abs(abs(product(*quaternions) @ both) - 1) < 1e-14
+    view = View(turn, np.array([3.0, 1.0, -2.0]), (10.0, 3.0, 0.2), reversed=True)
+    nodes = random.normal(size=(3, 5))
+    seen = view.along(view.place(nodes))
+    back = turn.T @ (seen / 10.0) - turn.T @ view.shift[:, None]
+    np.testing.assert_allclose(view.along(back), nodes, atol=1e-14)
+    np.testing.assert_allclose(view.number(1.0, "kg m s^-2"), 3.0 * 10 / 0.04)
+    given = {"radius": 0.01, "density": 1e3, "youngs_modulus": 1e6}
+    turned, state = rod_in(view, nodes, (0.3, 0.1, 1.0), False, given)
+    strained = jaxrod.stored_energy(turned, state)
+    assert float(strained) < ROUNDING * float(jnp.max(turned.shear_stretch_stiffness))
+
+
+def test_a_difference_is_seen():
+    """What is compared has to be able to differ."""
+    one = {"rod.spin": np.zeros((3, 2))}
+    assert differences(one, {"rod.spin": np.full((3, 2), 1e-9)}) == {"rod.spin": 1e-9}
