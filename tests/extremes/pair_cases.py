@@ -23,6 +23,8 @@ DISTURBED = 1e-12
 ROUNDING = 2.0**-52
 ALLOWED = 100.0
 """Times the difference that rounding makes by the disturbed run."""
+CHAOTIC = 1e9
+"""Growth of a disturbance beyond which rounding becomes what happens."""
 FAR = np.array([1300.0, -450.0, 220.0])
 """A translation [m]."""
 COMPILING = {"xla_backend_optimization_level": 0}
@@ -111,6 +113,8 @@ class Case:
         places = [v for k, v in self.after.items() if k.endswith("positions")]
         self.extent = float(np.ptp(np.concatenate(places, axis=1), axis=1).max())
         self.noise = self.disturbed()
+        if max(self.noise.values()) > CHAOTIC:
+            raise FloatingPointError("too chaotic to compare anything")
 
     def seen(self, view: View) -> Seen:
         """The scene in a view."""
