@@ -85,7 +85,7 @@ def fibre_bound(
     """
     # Weights, of which any make it a bound: from either end of a rod the same.
     moves, rocking, inertia = (
-        0.5 * sum(_beside_nodes(values))[None, :]
+        _at_each_node(values)[None, :]
         for values in (_moves(rod), _rocking(rod), jnp.min(rod.inertias, axis=0))
     )
     parts = along**2 * moves, across**2 * (moves + rocking), 4 * lever**2 / inertia
@@ -118,8 +118,14 @@ def together(*bounds: StabilityBound) -> StabilityBound:
     return StabilityBound(nodes=total("nodes"), elements=total("elements"))
 
 
+def _at_each_node(values: Array) -> Array:
+    """Means of the values of the elements beside every node."""
+    before, after = _beside_nodes(values)
+    return 0.5 * (before + after)
+
+
 def _beside_nodes(values: Array) -> tuple[Array, Array]:
-    """Values of the elements before and after every node; of the one there is at ends."""
+    """Values of the elements before and after every node; at ends of the one."""
     padded = jnp.pad(values, (1, 1), mode="edge")
     return padded[:-1], padded[1:]
 
