@@ -299,11 +299,11 @@ class Contact(Effect):
         beside, outward = body.of_ends().surface(ends.beside(position))
         own, own_radii = ends.of_points(distance), ends.of_points(radii)
         density = self._density(own_radii, own)
-        lengths, at_ends, besides = ends.counted_and_changes(
+        lengths, at_ends, pulls = ends.counted_and_changes(
             own, beside, self._depth(own_radii), density
         )
         change = vectors.scale(ends.to_points(at_ends), normal)
-        x, y, z = (ends.from_beside(besides * c) for c in outward)
+        x, y, z = (ends.from_beside(pulls * c) for c in outward)
         return ends.to_points(lengths), vectors.add(change, (x, y, z))
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:

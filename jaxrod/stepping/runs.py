@@ -73,7 +73,7 @@ def advance(
     Calls of m and of n steps give what one of m + n steps gives, to rounding. Not so
     where a section or a rigid body, with what is attached to it, is not round about an
     axis: two half steps of its free turning are a whole one to second order in `dt`, as
-    all of the method is. The records of `rollout` divide a run likewise.
+    all of the method is. The records of `rollout` divide a run in the same way.
 
     Args:
         scene: The scene, or a system of several rods and bodies.

@@ -177,13 +177,13 @@ class BodyContact(Coupling):
         )
         beside, outward = body.surface(ends.beside(points.position))
         own, own_radii = ends.of_points(distance), ends.of_points(radii)
-        lengths, at_ends, besides = ends.counted_and_changes(
+        lengths, at_ends, pulls = ends.counted_and_changes(
             own, beside, self._depth(own_radii), self._density(own_radii, own)
         )
         counted = strand.lengths + ends.to_points(lengths)
         pressed = counted * push + ends.to_points(at_ends)
         force = vectors.scale(pressed, normal)
-        pull = vectors.scale(besides, outward)
+        pull = vectors.scale(pulls, outward)
         if self.friction is None:
             return force, None, place, pull
         assert self.friction_drag is not None and points.spin is not None

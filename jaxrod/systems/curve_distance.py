@@ -19,7 +19,7 @@ from jaxrod.systems.element_pairs import Elements
 from jaxrod.systems.segment_distance import Products, first_guess
 
 STEPS = 3
-"""Of Newton's method: forces are those of the energy to rounding; with two, to 3e-8."""
+"""Newton steps: forces are then those of the energy to rounding; with two, to 3e-8."""
 _CONVEX = 0.5
 """Least share of what straight pieces have that counts as convex [1]."""
 

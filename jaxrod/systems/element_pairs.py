@@ -55,7 +55,7 @@ class Elements:
     last: Array | None = None
     """One where an element is the last of its rod, or zero [1]."""
     bulges: tuple[Vec3, Vec3] | None = None
-    """What tangents of a smooth axis are more than the edge, at the first node and at
+    """Tangents of a smooth axis less the edge, at the first node and at
     the next; `None` where elements are straight [m]."""
     velocity_bulges: tuple[Vec3, Vec3] | None = None
     """Their rates [m/s]."""
@@ -93,7 +93,7 @@ class Elements:
 
 
 def bulge_shares(fraction: Array) -> tuple[Array, Array]:
-    """What of both bulges is at a place on a smooth axis [1]."""
+    """Shares of both bulges at a place on a smooth axis [1]."""
     rest = 1 - fraction
     return fraction * rest * rest, -fraction * fraction * rest
 

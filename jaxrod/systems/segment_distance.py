@@ -131,7 +131,7 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
 
 
 def first_guess(have: Products) -> tuple[Array, Array]:
-    """Where the form is least in the unit square, but for rounding [1]."""
+    """Place in the unit square where the form is least, but for rounding [1]."""
     largest = have.own * have.other
     determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
     across = have.mixed * have.other_way - have.other * have.own_way

@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Array
 
 INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
-"""What second and fourth differences change places by, and third ones tangents."""
+"""Factors of second and fourth differences in places, and of third ones in tangents."""
 FARTHEST = 1.165
 """Most that a place on a curve moves by where no node moves by more than one."""
 _ALIKE = 12

@@ -305,7 +305,7 @@ class StrandLoads:
     first_tangents: Vec3 | None = None
     """Forces on tangents at first nodes, where axes are smooth [N]."""
     next_tangents: Vec3 | None = None
-    """Forces on tangents at next nodes, likewise [N]."""
+    """Forces on tangents at next nodes [N]."""
 
     @classmethod
     def on_segments(
@@ -315,7 +315,7 @@ class StrandLoads:
         turns: Vec3 | None,
         tangents: tuple[Vec3, Vec3] | None = None,
     ) -> StrandLoads:
-        """Of segments alone: on their nodes, couples on them, and on their tangents."""
+        """Loads of segments alone: at nodes, as couples, and on tangents."""
         first, following = (None, None) if tangents is None else tangents
         return cls(
             on_firsts=firsts,

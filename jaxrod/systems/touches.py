@@ -93,9 +93,9 @@ class PairLoads:
     other_turn: Vec3 | None = None
     """Couple on the other [N m]."""
     own_bulges: tuple[Vec3, Vec3] | None = None
-    """What of the one's is on the bulges of its axis, where that is smooth [N]."""
+    """Part of the force on the first that acts on the bulges of a smooth axis [N]."""
     other_bulges: tuple[Vec3, Vec3] | None = None
-    """What of the other's is on its own, likewise [N]."""
+    """The same part of the force on the second [N]."""
 
     def added(self, more: PairLoads) -> PairLoads:
         """Sum of both."""
@@ -214,7 +214,7 @@ def loads_of(
 def on_bulges(
     elements: Elements, fraction: Array, force: Vec3
 ) -> tuple[Vec3, Vec3] | None:
-    """What of a force at a place is on the bulges of the axis; `None` without [N]."""
+    """Part of a force at a place that acts on the bulges; `None` without any [N]."""
     if elements.bulges is None:
         return None
     first, second = bulge_shares(fraction)

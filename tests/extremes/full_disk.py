@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 LIMITS = (0, 300, 3_000, 10_000, 30_000)
-"""Of the size of a file [bytes]."""
+"""Largest size of a file [bytes]."""
 RUN = ["trivial", "--steps", "200k", "--num-envs", "16", "--set", "rollout_steps=32"]
 RUN += ["--set", "hidden_sizes=16", "--devices", "1", "--checkpoint-seconds", "0"]
 
@@ -48,7 +48,7 @@ def policy(folder: str) -> dict[str, bytes]:
 
 
 def faults_of(limit: int, folder: str, whole: dict[str, bytes]) -> list[str]:
-    """What is wrong with a run under a limit, and with what follows it."""
+    """Faults of a run under a limit, and of the runs after it."""
     faults = []
     status, words = trained(folder, limit=limit)
     print(f"{limit} bytes: status {status}: {words.strip()[-300:]}", flush=True)

@@ -66,7 +66,7 @@ def members_of(state: Any) -> dict[str, Any]:
 
 @dataclass
 class Seen:
-    """What there is to a scene or system in a view."""
+    """A scene or system in a view."""
 
     view: View
     model: Any
@@ -76,7 +76,7 @@ class Seen:
     twists: bool
 
     def told(self, after: Any) -> dict[str, np.ndarray]:
-        """What came out, in SI units and the first frame, of all in the first view."""
+        """Results in SI units, in the frame of the first view."""
         before, after = members_of(self.state), members_of(after)
         found = {}
         for name, own in self.names.items():
@@ -133,7 +133,7 @@ class Case:
         return state
 
     def disturbed(self) -> dict[str, float]:
-        """How far it gets from itself, for each unit of a small disturbance."""
+        """Distance from itself at the end, for each unit of a small disturbance."""
         random, quarter = self.random, self.steps // 4
         parts = [quarter, quarter, quarter, self.steps - 3 * quarter]
         ends = []

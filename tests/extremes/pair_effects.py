@@ -62,7 +62,7 @@ class Maker:
         return jaxrod.table(times, np.stack([low, value, 0.7 * value, value]))
 
     def support(self) -> list[Any]:
-        """What holds the rod."""
+        """Supports of the rod."""
         view, end = (
             self.view,
             self.view.end(str(self.random.choice(("start", "finish")))),

@@ -59,9 +59,9 @@ ONE_WAY = {
     "spline couples",
     "world wave",
 }
-"""What a rod has from its start to its finish alone."""
+"""Effects that run along a rod from its start to its finish."""
 DISSIPATING = {"internal damping", "short waves", "laplacian filter", "linear damper"}
-"""What is solved by itself, one after the other: their order matters to second order
+"""Effects that are solved one after the other: their order matters to second order
 in the step."""
 SECTIONS = ("round", "tapered", "tube", "rectangle", "ellipse")
 DRAGS = {"stokes", "quadratic"}

@@ -19,9 +19,9 @@ class Kind:
     """All of a random system that is not a number."""
 
     members: tuple[Any, ...]
-    """Of each: a rod's number of elements, or the shape of a body."""
+    """For each member, the number of elements of a rod or the shape of a body."""
     relations: tuple[tuple[str, int, int], ...]
-    """Of all but the first: a joint, "beside" or "glue", and to which rod and node."""
+    """For all but the first, a joint, "beside" or "glue", and to which rod and node."""
     sections: tuple[str, ...]
     losses: tuple[str, ...]
     contact: str

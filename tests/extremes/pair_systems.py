@@ -15,7 +15,7 @@ from extremes.pair_system_kinds import Kind
 from extremes.views import View
 
 SIZE = 0.03
-"""Of bodies [m]."""
+"""Sizes of bodies [m]."""
 
 
 def unit(random: np.random.Generator) -> np.ndarray:

@@ -43,7 +43,7 @@ def test_a_scene_is_the_same_in_every_view(seed, record):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(201, 207))
 def test_more_scenes(seed, record):
-    """Reversed or reordered besides, as one batch, and recorded."""
+    """Reversed or reordered too, as one batch, and recorded."""
     check("scene", seed, "all", record)
 
 
@@ -73,7 +73,7 @@ def test_views_keep_what_they_should():
 
 
 def test_a_difference_is_seen():
-    """What is compared has to be able to differ."""
+    """The comparison sees a difference where there is one."""
     one = {"rod.spin": np.zeros((3, 2))}
     assert differences(one, {"rod.spin": np.full((3, 2), 1e-9)}) == {"rod.spin": 1e-9}
 
@@ -95,7 +95,7 @@ def pulled_arm(**section):
 
 
 def apart_in_two_runs(scene, state, share):
-    """Of angular momenta after 120 steps in one call or in two, of half the limit."""
+    """Angular momenta after 120 steps of half the limit, in one call or in two."""
     dt = 0.5 * jaxrod.stable_dt(scene, 1.0).dt / share
     one = jaxrod.advance(scene, state, dt, 120 * share)
     two = jaxrod.advance(scene, state, dt, 70 * share)

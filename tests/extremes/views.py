@@ -28,7 +28,7 @@ class View:
     turn: np.ndarray = field(default_factory=lambda: np.eye(3))
     """Rotation from the first frame to this one."""
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """Where the first frame's origin is [m]."""
+    """Place of the first frame's origin [m]."""
     units: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Numbers that a metre, a kilogram and a second are."""
     shuffled: int | None = None

@@ -60,7 +60,7 @@ def trials(root: Path, count: int, seed: int) -> list[Trial]:
 
 
 def tried(trial: Trial, copy: Copy, likely: Likely, sound: dict, options) -> Row:
-    """What came of one fault."""
+    """The outcome of one fault."""
     reason = REASONS.get((trial.file, trial.change))
     if reason is not None:
         return Row(trial.name, trial.place, trial.change, "equivalent", reason)

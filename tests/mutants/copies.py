@@ -19,7 +19,7 @@ FAILED = re.compile(r"^(?:FAILED|ERROR) (\S.*?)(?: - |$)", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Run:
-    """What came of some tests."""
+    """The outcome of some tests."""
 
     outcome: str
     """passed, failed, or no end: the time ran out."""
@@ -115,7 +115,7 @@ class Copy:
 
 
 def _said(process: subprocess.Popen, limit: float) -> str | None:
-    """What a process says until its end; `None` if it is killed after the limit."""
+    """Output of a process; `None` if it is killed after the limit."""
     waited = 0
     try:
         while True:

@@ -1,4 +1,4 @@
-"""Which faults are drawn: as many from every room as it has places for them."""
+"""Drawing of faults: as many from every room as it has places for them."""
 
 from __future__ import annotations
 

@@ -30,4 +30,4 @@ REASONS: dict[tuple[str, str], str] = {
         "`return jnp.where(free, jnp.inf, 4 * inertia / jnp.where(free, 1, be...`",
     ): "it divides what `where` does not choose: it has to differ from zero",
 }
-"""By file and words of the change."""
+"""Reasons by file and change."""

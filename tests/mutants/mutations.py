@@ -64,7 +64,7 @@ class Fault:
         return source.count("\n", 0, self.start) + 1
 
     def words(self, source: str) -> str:
-        """What is changed, on one line."""
+        """The change, on one line."""
         old, number = source[self.start : self.end], self.line(source)
         whole = source.splitlines()[number - 1].strip()
         return f"`{_short(old)}` -> `{_short(self.new)}` in `{_short(whole, 70)}`"

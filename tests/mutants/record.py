@@ -35,7 +35,7 @@ def read(path: Path) -> list[Row]:
 
 
 def counts(rows: list[Row]) -> str:
-    """How many were killed, in words."""
+    """A sentence with the number of killed ones."""
     killed = sum(row.outcome == "killed" for row in rows)
     same = sum(row.outcome == "equivalent" for row in rows)
     share = f"{100 * killed / (len(rows) - same):.0f} %" if len(rows) > same else "none"

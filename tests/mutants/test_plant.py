@@ -23,7 +23,7 @@ SHARE = 0.5
 
 
 def moved(a: Float[Array, "3 n"], b=2):
-    """Of 3 - 4."""
+    """The change of `3 - 4`."""
     if b < 0:
         raise ValueError(f"b must be {1 + 2} or more")
     assert b > 1

@@ -1,4 +1,4 @@
-"""Which test files could see a fault in a source file, the likeliest first.
+"""Test files that could see a fault in a source file, the likeliest first.
 
 A test file speaks of a module where it imports it or uses what the module gives to
 others; also where it uses what stands on the module, which counts less. What few test
@@ -31,7 +31,7 @@ FOLDERS = {
 NOT_TRIED = ("mutants", "test_rooms.py", "test_packaging.py", "test_types.py")
 """About files and their places: a copy of the tree is no checkout."""
 STEPS = (1.0, 0.3, 0.1)
-"""How much counts what is used of a module, and of those that stand on it."""
+"""Weights of the names of a module, and of modules that stand on it."""
 WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]+")
 
 
@@ -72,7 +72,7 @@ class Likely:
         return found
 
     def _names(self, file: str) -> frozenset[str]:
-        """What a module gives to others."""
+        """Public names of a module."""
         if file not in self._given:
             tree = ast.parse((self.root / file).read_text())
             self._given[file] = frozenset(
@@ -84,7 +84,7 @@ class Likely:
         return self._given[file]
 
     def score(self, test: str, file: str) -> float:
-        """How much a test file is about a source file."""
+        """A measure of how much a test file is about a source file."""
         stem, own = Path(file).stem, Path(test).stem.removeprefix("test_")
         total = 0.0
         if stem in (own, f"{own}s") or own == f"{stem}s":

@@ -139,7 +139,7 @@ def test_the_stable_step_knows_of_them(name, record):
 
 
 def test_bounds_of_fibres_are_those_from_the_other_end():
-    """Of a rod whose elements differ: all values the other way round."""
+    """A rod whose elements differ has all values the other way round."""
     rod, *_ = uneven_rod()
     random = np.random.default_rng(0)
     size = random.uniform(0.5, 1, (4, 2, N + 1))

@@ -122,7 +122,7 @@ def test_a_driven_end_at_a_moment_is_a_support_that_stands_there(held):
 
 
 def test_an_end_that_is_driven_faster_takes_its_mass_times_acceleration():
-    """Of an unstressed rod, along the axes of the path alone."""
+    """An unstressed rod is held along the axes of the path alone."""
     rod, state = along_x()
     size, period = np.array([0.03, 0.01, 0.02]), 0.4
     driven = jaxrod.driven(

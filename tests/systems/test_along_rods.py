@@ -18,7 +18,7 @@ def test_the_share_of_one_rod_rises_beyond_pi_times_its_radius():
 
 
 def test_the_share_near_a_tie_rises_beyond_pi_times_the_mean_radius():
-    """Of both ways from the tie together, and only where both rods are tied."""
+    """Both ways from the tie count together, and only where both rods are tied."""
     both = np.pi * (THICK + THIN) / 2 + LENGTH * np.array([-0.5, 0.0, 0.25, 1.0, 2.0])
     for share in (0.0, 0.3, 1.0):
         along = share * both, (1 - share) * both

@@ -104,7 +104,7 @@ def test_a_load_on_a_limp_rope_may_be_anywhere_along_an_element(record):
 
 @pytest.mark.slow
 def test_loads_of_bent_rods_are_minus_the_gradient_of_the_energy():
-    """Of hooks of few elements, one in the other and back to back."""
+    """Hooks of few elements, one in the other and back to back."""
     angles = np.linspace(-1, 1, 9)
     hook = 0.2 * np.stack([np.sin(angles), 0 * angles, 1 - np.cos(angles)])
     turned = np.stack([-0.7 * hook[0], 0.75 * hook[0], -hook[2]])
