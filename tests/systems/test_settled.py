@@ -190,6 +190,20 @@ def test_a_ball_comes_to_rest_and_what_falls_does_not(record):
     assert float(dropped.force_residual) == pytest.approx(weight, rel=1e-9)
 
 
+def test_a_beam_settles_within_a_few_of_its_periods():
+    """It is damped by the rate at which it swings, found on the way."""
+    arm, straight = jaxrod.straight_rod(
+        3, length=0.5, radius=0.05, density=1000.0, youngs_modulus=1e5
+    )
+    scene = jaxrod.make_scene(
+        arm, jaxrod.clamp(straight), jaxrod.gravity((0.0, 0.0, -1.0))
+    )
+    dt = float(jaxrod.stable_dt(scene).dt)
+    period = 2 * np.pi / float(jaxrod.natural_frequencies(scene, straight, 1)[0])
+    found = jaxrod.settled(scene, straight, max_steps=round(6 * period / dt))
+    assert found.converged
+
+
 def test_bad_input():
     system, state, scene, of_whole = two_halves()
     for options, words in (
