@@ -21,14 +21,18 @@ USUAL = {"stiffness": 0.5, "damping": 0.1, "drag": 0.1, "moving": 1e-3, "turning
 """In units of the highest frequency of the rod and of its mass per length."""
 
 
-def pressed(n, method=None, dtype=jnp.float64):
-    """A rod in equilibrium with a floor, as a function of numbers, and its state."""
+def pressed(n, method=None, dtype=jnp.float64, faces=True):
+    """A rod in equilibrium with a floor, as a function of numbers, and its state.
+
+    Without faces its ends count as if the rod went on there.
+    """
     rod, state = arm(n, radius=RADIUS, dtype=dtype)
     bare = jaxrod.make_scene(rod, method=method or jaxrod.consistent())
     frequency = jaxrod.stable_dt(bare, 1.0).angular_frequency
     line, depth = rod.linear_density[0], 0.1 * RADIUS
     floor = jaxrod.plane((0.0, depth - RADIUS, 0.0), (0.0, 1.0, 0.0))
     contact = jaxrod.contact(floor, stiffness=1, damping=1, friction=0.5)
+    contact = contact if faces else contact.with_free_ends(jnp.zeros(2))
     contact = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), contact)
     still = jaxrod.exponential_damping(1.0, 1.0)
     down = jaxrod.uniform_load(jnp.asarray([0.0, -1.0, 0.0], dtype))
@@ -53,9 +57,9 @@ def pressed(n, method=None, dtype=jnp.float64):
     return scene, state
 
 
-def steps_along(name, values, dtype=jnp.float64, method=None, **numbers):
+def steps_along(name, values, dtype=jnp.float64, method=None, faces=True, **numbers):
     """Steps as one number goes through some values, compiled once for all."""
-    scene, _ = pressed(2, method, dtype)
+    scene, _ = pressed(2, method, dtype, faces)
 
     def step(value):
         given = {k: jnp.asarray(v, dtype) for k, v in (USUAL | numbers).items()}
@@ -103,7 +107,8 @@ def test_more_damping_never_asks_for_a_smaller_step(method):
 def test_what_drag_allows_is_its_quadratic_equation():
     """With all inertia and drag alike: k h^2 + 2 c h = 4 m."""
     drag = np.geomspace(1e-3, 1e3, 13)
-    found = steps_along("drag", drag, damping=0.0, moving=0.0, turning=0.0)
+    numbers = {"damping": 0.0, "moving": 0.0, "turning": 0.0}
+    found = steps_along("drag", drag, faces=False, **numbers)
     # A point's velocity by impulse is five times a node's: it is on a round section.
     rate = 5 * drag * _frequency()
     alone = found.angular_frequency
