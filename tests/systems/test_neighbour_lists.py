@@ -177,13 +177,14 @@ def test_a_fast_rod_makes_lists_old():
     lists = jaxrod.neighbour_lists(refresh_every=10, skin=0.5)
     system, dt = system_of(scenes, state, lists=lists), 1e-5
     half = 0.25 * RADIUS
-    for factor in (0.9, 1.2):
-        # After the search nine more drifts are seen.
+    for factor in (0.8, 1.2):
+        # After the search nine more drifts are seen. Places on smooth axes are moved by
+        # up to 1.17 times as much as a node.
         moving = state.velocities.at[1, 0].add(factor * half / (9 * dt))
         first = {"rods": replace(state, velocities=moving)}
         after = jaxrod.advance(system, first, dt, 10)
         assert bool(after["neighbours"].stale) == (factor > 1)
-        assert float(after["neighbours"].moved) == pytest.approx(factor, rel=0.02)
+        assert 0.98 * factor < float(after["neighbours"].moved) < 1.2 * factor
 
 
 @pytest.mark.slow
