@@ -4,9 +4,9 @@ A free end has a face; an end that is tied to another node has none.
 
 Contact of rods with rods counts segments less the nodes between two of them, so that
 every place counts once. Where the ends of rods are tied, a node is between segments
-that are neighbours in no row: of a group of tied nodes all but one are to be taken off
-besides. Of those this can be done for last nodes, which are enough for rods welded end
-to end, and for closed ones.
+that are neighbours in no row: of a group of tied nodes all but one are taken off too.
+This can be done for last nodes, which are enough for rods welded end to end and for
+closed ones.
 """
 
 from __future__ import annotations
