@@ -7,7 +7,7 @@ turned and in other units; in two runs one after the other; from the last record
 `rollout`; three of them as one batch; with its effects, members and couplings in
 another order, the sides of couplings exchanged, what can be halved as two halves, and a
 member far away; and its first rod from the other end. What comes out is the same to
-rounding. How much of rounding is left at the end, scenes being chaotic or not, is told
+rounding. How much of that is left at the end, in chaotic scenes and others, is measured
 by a run that is disturbed: a hundredfold of that is allowed. `stable_dt` of the views
 is compared as well.
 
