@@ -25,7 +25,7 @@ import numpy as np
 import jaxrod
 from benchmarks.page_tables import measured_table
 from jaxrod import control
-from jaxrod.training import actuated_arm
+from jaxrod.envs import actuated_arm
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "control.md"

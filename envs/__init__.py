@@ -4,6 +4,7 @@ if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
 from jaxrod.envs.action_repeat import ActionRepeat
+from jaxrod.envs.arm.actuated_arm import actuated_arm
 from jaxrod.envs.checking import check_environment
 from jaxrod.envs.memory_policy import (
     MemoryPolicy,
@@ -35,6 +36,7 @@ __all__ = [
     "VectorEnvironment",
     "VectorState",
     "VectorStep",
+    "actuated_arm",
     "check_environment",
     "held_for",
     "make",

@@ -6,8 +6,6 @@ if __name__ != "jaxrod.training":
     )
 
 try:
-    from jaxrod.control.arm import ActuatedArm
-    from jaxrod.control.reach import UnreachableTargetWarning
     from jaxrod.training.algorithm import (
         DEVICE_AXIS,
         Algorithm,
@@ -38,9 +36,6 @@ try:
     from jaxrod.training.runs.run import Result
     from jaxrod.training.runs.seeds import train_seeds
     from jaxrod.training.settings import LearnerConfig
-    from jaxrod.training.trajectory.actuated_arm import actuated_arm
-    from jaxrod.training.trajectory.optimise import optimise_trajectory
-    from jaxrod.training.trajectory.result import TrajectoryHistory, TrajectoryResult
 except ModuleNotFoundError as missing:
     package = (missing.name or "").partition(".")[0]
     if package not in ("flax", "optax", "orbax"):
@@ -59,7 +54,6 @@ __all__ = [
     "SHAC",
     "TD3",
     "TRPO",
-    "ActuatedArm",
     "Algorithm",
     "DAggerConfig",
     "DDPGConfig",
@@ -78,17 +72,12 @@ __all__ = [
     "SHACConfig",
     "TD3Config",
     "TRPOConfig",
-    "TrajectoryHistory",
-    "TrajectoryResult",
-    "UnreachableTargetWarning",
-    "actuated_arm",
     "algorithm_names",
     "beginning_with",
     "evaluate",
     "find_algorithm",
     "load_policy",
     "mean_over_devices",
-    "optimise_trajectory",
     "restore_policy",
     "save_policy",
     "steps_per_update",

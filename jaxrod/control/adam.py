@@ -117,6 +117,7 @@ def adam(
         iterations=len(rows),
         compile_s=took[0] + compile_s,
         run_s=float(took[1]),
+        interrupted=ending == "interrupted",
         knots=knots,
     )
 

@@ -19,7 +19,7 @@ class ActuatedArm:
     """A scene, its initial state, and the muscles that are added to it.
 
     Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
-    couple_density)`, or take the benchmark's with `jaxrod.training.actuated_arm`.
+    couple_density)`, or take the benchmark's with `jaxrod.envs.actuated_arm`.
     """
 
     scene: Scene

@@ -41,6 +41,8 @@ class Solution:
     """Time that compiling took [s]; 0 if the program was there."""
     run_s: float
     """Time that running took [s]."""
+    interrupted: bool = False
+    """Whether Ctrl-C ended it."""
     knots: Float[Array, "knots controls"] | None = None
     """Controls at equally spaced times, linear between, of solvers that use knots."""
     gains: Float[Array, "intervals controls numbers"] | None = None

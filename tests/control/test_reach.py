@@ -10,7 +10,8 @@ import pytest
 import jaxrod
 from jaxrod import control
 from jaxrod.control.problem import cost, over_time, residuals
-from jaxrod.training import actuated_arm, optimise_trajectory
+from jaxrod.control.reach import time_steps
+from jaxrod.envs import actuated_arm
 
 TARGET = (0.4, 0.6, 0.2)
 
@@ -176,30 +177,46 @@ def test_of_sixty_reaches_twelve_iterations_bring_most_within_5_mm(dtype, record
 
 
 @pytest.mark.slow
-def test_adam_is_the_loop_of_optimise_trajectory():
+def test_a_target_on_the_axis_does_not_trap_the_straight_arm():
+    problem = short(target=(0.0, 0.97, 0.0))
+    found = control.levenberg_marquardt(problem, n_knots=3, iterations=40)
+    assert found.readouts["distance [m]"][-1] < 0.8 * 0.03
+
+
+@pytest.mark.slow
+def test_the_gradient_of_1000_steps_needs_less_than_5_megabytes():
+    problem = control.reach(
+        actuated_arm(20), TARGET, 0.3, control_interval=0.006, dt=3.001e-4
+    )
+    assert problem.n_intervals * problem.data.steps_per_interval == 1000
+
+    def value(problem, knots):
+        return cost(problem, over_time(knots, problem.n_intervals))
+
+    gradient = jax.jit(jax.grad(value, argnums=1))
+    compiled = gradient.lower(problem, some_knots(problem, 11)).compile()
+    assert compiled.memory_analysis().temp_size_in_bytes < 5e6
+
+
+def test_time_is_cut_into_whole_intervals_of_whole_stable_steps():
     body = arm()
-    slow = {"duration": 0.05, "control_interval": 0.0125}
-    shown = optimise_trajectory(
-        (0.02, 0.99, 0.01),
-        body,
-        n_knots=3,
-        iterations=5,
-        tolerance=1e-9,
-        progress=False,
-        **slow,
-    )
-    seen = []
-    found = control.adam(
-        short(effort_weight=1e-5),
-        n_knots=3,
-        iterations=5,
-        initial_knots=1e-3
-        * jax.random.normal(jax.random.key(0), (3, 2, 4)).reshape(3, 8),
-        progress=lambda k, value: seen.append(value),
-    )
-    np.testing.assert_allclose(shown.history.loss, found.history["cost"], rtol=1e-6)
-    assert seen == found.history["cost"].tolist() and "5 iterations" in found.reason
-    assert control.adam(short(), n_knots=3, enough=1.0).iterations == 1
+    intervals, steps, dt = time_steps(body, 1.0, 0.01, None)
+    assert intervals == 100
+    assert intervals * steps * dt == pytest.approx(1.0, rel=1e-12)
+    assert dt <= float(jaxrod.stable_dt(body.scene).dt) * (1 + 1e-5)
+
+
+def test_a_step_above_the_stability_bound_is_warned_about():
+    with pytest.warns(jaxrod.UnstableStepWarning):
+        control.reach(actuated_arm(20), TARGET, dt=1e-2)
+
+
+def test_twist_is_a_third_direction():
+    body = arm()
+    couples = body.with_controls(jnp.ones((3, 4))).effects[-1].couples
+    assert jnp.all(jnp.any(couples != 0, axis=1))
+    bent = body.with_controls(jnp.ones((2, 4))).effects[-1].couples
+    assert jnp.all(bent[2] == 0) and jnp.array_equal(bent[:2], couples[:2])
 
 
 def test_a_target_beyond_the_arm_is_warned_about():

@@ -1,4 +1,4 @@
-"""The arm of the benchmark, with muscles, for trajectory optimisation."""
+"""The arm of the benchmark, with muscles, for problems of control."""
 
 from __future__ import annotations
 

@@ -1,1 +1,0 @@
-"""Optimisation of trajectories by gradients through the simulation."""
