@@ -32,7 +32,7 @@ FOLDERS = (
     "tests/extremes",
     "tests/systems",
     "tests/pyelastica",
-    "tests/envs/test_clean_problem.py",
+    "tests/benchmarks/test_clean_settings.py",
     "tests/envs/test_clean_obstacles.py",
 )
 HEADER = """\

@@ -41,7 +41,6 @@ COMMANDS = {
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
     "optimise": "find actuation by gradients through the simulation",
-    "gradients": "measure derivatives: errors, cost, memory",
     "doctor": "check that this machine computes right",
     "reproduce": "run the published benchmark: cases, algorithms, seeds *",
     "tradeoff": "measure what accuracy costs, and find the cheapest setting *",

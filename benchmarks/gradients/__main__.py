@@ -7,6 +7,11 @@ sizes, in float64 and float32. Prints two tables; with --out, writes report.md,
 report.json and gradients.png too. A minute or two for each scene.
 
 Exits with 0 if the derivative in float64 is right to 1e-6, and with 1 if not.
+
+For example:
+  python -m benchmarks.gradients swing
+  python -m benchmarks.gradients slam --out runs/gradients   with and without contact
+  python -m benchmarks.gradients rope --elements 10 --duration 0.1 --json
 """
 
 from __future__ import annotations
@@ -15,20 +20,20 @@ import argparse
 import dataclasses
 import io
 import json
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from jaxrod.cli import settings
+import jax
 
-if TYPE_CHECKING:
-    from jaxrod.tradeoff.gradient_report import GradientReport
-
-EXAMPLES = """\
-examples:
-  jaxrod gradients swing
-  jaxrod gradients slam --out runs/gradients      with and without contact
-  jaxrod gradients rope --elements 10 --duration 0.1 --json
-"""
+import jaxrod
+from benchmarks.gradients.report import (
+    GradientReport,
+    gradient_report,
+    without_contact,
+)
+from jaxrod.files import write_atomically
+from jaxrod.tradeoff.scenes import SCENES as PROBLEMS
 
 SCENES = ("swing", "slam", "rope")
 RIGHT = 1e-6
@@ -36,10 +41,14 @@ RIGHT = 1e-6
 INK, BLUE, ORANGE = "#1f2937", "#2563eb", "#ea580c"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments of `jaxrod gradients`."""
-    parser.epilog = EXAMPLES
-    parser.add_argument("scene", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
+def main(words: list[str] | None = None) -> int:
+    """Measures, prints, writes."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.gradients",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", choices=SCENES)
     parser.add_argument(
         "--elements", type=int, default=20, metavar="N", help="(default: 20)"
     )
@@ -53,40 +62,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-memory", action="store_true", help="leave out three long compilations"
     )
     parser.add_argument(
-        "--out", type=settings.path, metavar="DIR", help="folder for report and picture"
+        "--out", type=Path, metavar="DIR", help="folder for report and picture"
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Measures, prints, writes."""
-    import jaxrod
-    from jaxrod.files import write_atomically
-
-    if args.scene not in SCENES:
-        raise ValueError(
-            f"scene must be one of {', '.join(SCENES)}; got {args.scene!r}"
-        )
+    args = parser.parse_args(words)
     jaxrod.configure_cpu(1)
     reports = _reports(args)
     text = markdown(reports)
     document = json.dumps([dataclasses.asdict(r) for r in reports], indent=2)
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
-        folder: Path = args.out
-        write_atomically(folder / "report.md", text.encode())
-        write_atomically(folder / "report.json", (document + "\n").encode())
-        write_atomically(folder / "gradients.png", picture(reports))
+        write_atomically(args.out / "report.md", text.encode())
+        write_atomically(args.out / "report.json", (document + "\n").encode())
+        write_atomically(args.out / "gradients.png", picture(reports))
     print(document if args.json else text)
     return 0 if all(report.error <= RIGHT for report in reports) else 1
 
 
 def _reports(args: argparse.Namespace) -> list[GradientReport]:
-    import jax
-
-    from jaxrod.tradeoff.gradient_report import gradient_report, without_contact
-    from jaxrod.tradeoff.scenes import SCENES as PROBLEMS
-
     problem = PROBLEMS[args.scene]()
     options: dict[str, Any] = {
         "duration": problem.duration if args.duration is None else args.duration,
@@ -192,3 +185,7 @@ def picture(reports: list[GradientReport]) -> bytes:
     made = io.BytesIO()
     figure.savefig(made, format="png")
     return made.getvalue()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

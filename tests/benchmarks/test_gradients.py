@@ -1,22 +1,18 @@
-"""`jaxrod gradients`: derivatives of a named scene, measured."""
+"""`python -m benchmarks.gradients`: derivatives of a named scene, measured."""
 
 import json
 
 import pytest
 
-
-def test_unknown_scenes_are_refused(run):
-    code, _, err = run("gradients", "moon")
-    assert code == 2
-    assert "one of swing, slam, rope" in err
+from benchmarks.gradients.__main__ import main
 
 
 @pytest.mark.slow
-def test_a_report_is_right_and_written(run, tmp_path):
+def test_a_report_is_right_and_written(capsys, tmp_path):
     out = tmp_path / "report"
-    words = ("--elements", 4, "--duration", 0.1, "--batch", 4, "--no-memory")
-    code, text, err = run("gradients", "slam", *words, "--out", out)
-    assert code == 0, err
+    words = "slam --elements 4 --duration 0.1 --batch 4 --no-memory --out".split()
+    assert main([*words, str(out)]) == 0
+    text = capsys.readouterr().out
     assert "slam, no contact" in text
     assert (out / "report.md").read_text() == text.removesuffix("\n")
     assert (out / "gradients.png").read_bytes().startswith(b"\x89PNG")

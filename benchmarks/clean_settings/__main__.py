@@ -1,6 +1,6 @@
 """Regenerates docs/clean_settings.md: how accurate the `clean` tasks' settings are.
 
-    python benchmarks/clean_settings.py
+    python -m benchmarks.clean_settings
 
 Measures every task's own elements and steps against a converged reference, under
 recorded actions of three seeds, and asks `jaxrod.tune` what it would take for 1 %.
@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jaxrod
+from benchmarks.clean_settings.problem import CleanTask, clean_problem, recorded_actions
 from jaxrod.envs import make
-from jaxrod.envs.tasks.clean_problem import CleanTask, clean_problem, recorded_actions
 from jaxrod.files import write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.tradeoff import Reference, Setting, measure, reference, tune
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 TASKS = ("reaching", "structured", "tracking", "unstructured")
 SEEDS = (0, 1, 2)
 REFERENCE_ELEMENTS = 80
@@ -30,9 +30,9 @@ BATCH = 256
 HEADER = """\
 # How accurate the clean tasks are
 
-Written by `python benchmarks/clean_settings.py`; do not edit. The arm of every task's
+Written by `python -m benchmarks.clean_settings`; do not edit. The arm of every task's
 `clean` variant under one second of recorded actions
-(`jaxrod.envs.tasks.clean_problem`): `tracking` under those of a trained policy, a
+(`benchmarks.clean_settings.problem`): `tracking` under those of a trained policy, a
 third of them at their limits;
 `reaching` under actions drawn anew every 0.1 s; the two with obstacles likewise, at
 0.3 of full strength, since at full strength arms a rounding apart soon part ways.

@@ -1,0 +1,1 @@
+"""Accuracy of the settings of the `clean` tasks."""

@@ -1,0 +1,1 @@
+"""Derivatives through time of named scenes: errors, cost, memory."""
