@@ -32,7 +32,7 @@ import functools
 import operator
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +47,6 @@ from jaxrod.contacts.contact_law import (
     friction_force,
     normal_force,
 )
-from jaxrod.contacts.ends import Ends
 from jaxrod.contacts.points import Points, check_spacing, contact_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
@@ -249,7 +248,7 @@ class Contact(Effect):
             x, y, z = (points.of_elements(c) for c in d3)
             axis = x, y, z
 
-        def of_body(body: Body) -> tuple[Vec3, Vec3 | None]:
+        def of_body(body: Body) -> _OfBody:
             distance, normal = body.surface(position)
             leaving = vectors.dot(velocity, normal)
             push = normal_force(
@@ -259,25 +258,47 @@ class Contact(Effect):
                 self.stiffness,
                 self.damping,
             )
-            counted = points.lengths
-            if points.ends is None:
-                force = vectors.scale(counted * push, normal)
-            else:
-                lengths, change = self._at_ends(
-                    points.ends, body, radii, position, distance, normal
-                )
-                counted = counted + lengths
-                force = vectors.add(vectors.scale(counted * push, normal), change)
-            if spin is None:
-                return force, None
-            arm = vectors.scale(-radii, normal)
-            slip = vectors.add(velocity, vectors.cross(spin, arm))
-            along = vectors.subtract(slip, vectors.scale(leaving, normal))
-            drag = self._friction(push, along, normal, axis)
-            drag = vectors.scale(counted, drag)
-            return vectors.add(force, drag), vectors.cross(arm, drag)
+            # Per length: forces, and what turns the section.
+            pressed, arm, drag = vectors.scale(push, normal), None, None
+            if spin is not None:
+                arm = vectors.scale(-radii, normal)
+                slip = vectors.add(velocity, vectors.cross(spin, arm))
+                along = vectors.subtract(slip, vectors.scale(leaving, normal))
+                drag = self._friction(push, along, normal, axis)
+                pressed = vectors.add(pressed, drag)
 
-        force, couple = _summed(of_body, bodies)
+            def counted(lengths: Array, at: Callable[[Array], Array]) -> _Pushed:
+                """Forces on as much length, and couples of friction about the axis."""
+                force = vectors.scale(lengths, _each(at, pressed))
+                if drag is None or arm is None:
+                    return _Pushed(force, None)
+                rub = vectors.scale(lengths, _each(at, drag))
+                return _Pushed(force, vectors.cross(_each(at, arm), rub))
+
+            along_rod = counted(points.lengths, lambda field: field)
+            if points.ends is None:
+                return _OfBody(along_rod, None, None)
+            ends = points.ends
+            beside, outward = body.of_ends().surface(ends.beside(position))
+            own, own_radii = ends.of_points(distance), ends.of_points(radii)
+            lengths, change, pulls = ends.counted_and_changes(
+                own, beside, self._depth(own_radii), self._density(own_radii, own)
+            )
+            at_ends = counted(lengths, ends.of_points)
+            change_of_ends = vectors.scale(change, _each(ends.of_points, normal))
+            at_ends = at_ends._replace(force=vectors.add(at_ends.force, change_of_ends))
+            return _OfBody(along_rod, at_ends, vectors.scale(pulls, outward))
+
+        # Forces on ends are spread over the points once, not for every body.
+        found = _summed(of_body, bodies)
+        force, couple = found.along_rod
+        if found.at_ends is not None and points.ends is not None:
+            ends = points.ends
+            at_ends, turning = found.at_ends
+            force = vectors.add(force, _each(ends.to_points, at_ends))
+            force = vectors.add(force, _each(ends.from_beside, found.beside))
+            if couple is not None:
+                couple = vectors.add(couple, _each(ends.to_points, turning))
         forces = points.to_nodes(force)
         if loads.forces is not None:
             forces = accumulate(forces, loads.forces)
@@ -285,26 +306,6 @@ class Contact(Effect):
             return Loads(forces)
         x, y, z = (points.to_elements(c) for c in couple)
         return Loads(forces, accumulate((x, y, z), loads.couples))
-
-    def _at_ends(
-        self,
-        ends: Ends,
-        body: Body,
-        radii: Array,
-        position: Vec3,
-        distance: Array,
-        normal: Vec3,
-    ) -> tuple[Array, Vec3]:
-        """Lengths of the ends [m], and forces by which they change [N], on nodes."""
-        beside, outward = body.of_ends().surface(ends.beside(position))
-        own, own_radii = ends.of_points(distance), ends.of_points(radii)
-        density = self._density(own_radii, own)
-        lengths, at_ends, pulls = ends.counted_and_changes(
-            own, beside, self._depth(own_radii), density
-        )
-        change = vectors.scale(ends.to_points(at_ends), normal)
-        x, y, z = (ends.from_beside(pulls * c) for c in outward)
-        return ends.to_points(lengths), vectors.add(change, (x, y, z))
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
         """Penetration by the distance, positive; see `Ends.counted`."""
@@ -329,6 +330,30 @@ class Contact(Effect):
             self.friction_drag,
             self.stick_ratio,
         )
+
+
+class _Pushed(NamedTuple):
+    """Forces on points or ends [N], and couples in the world frame [N m]."""
+
+    force: Vec3
+    couple: Vec3 | None
+
+
+class _OfBody(NamedTuple):
+    """Loads of one body."""
+
+    along_rod: _Pushed
+    """On the contact points but the ends."""
+    at_ends: _Pushed | None
+    """On the ends."""
+    beside: Vec3 | None
+    """Forces at the places beside the ends [N]."""
+
+
+def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
+    """A change of every component."""
+    x, y, z = (change(component) for component in vector)
+    return x, y, z
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:

@@ -114,14 +114,16 @@ class BodyContact(Coupling):
         total = vectors.scale(0.0, points.position)
         turning: Vec3 | None = None if self.friction is None else total
         reactions = []
+        # Forces beside the ends are spread over the points once, not for every body.
+        pulled = vectors.scale(0.0, self._ends().beside(points.position))
         for body in self._bodies(seen):
             force, turn, place, beside = self._force(points, body)
             total = vectors.add(total, force)
+            pulled = vectors.add(pulled, beside)
             if turn is not None:
                 assert turning is not None
                 turning = vectors.add(turning, turn)
             couple = vectors.cross(force, vectors.subtract(place, body.position))
-            total = vectors.add(total, mapped(self._ends().from_beside, beside))
             # Along the normal, so that any point of its line will do.
             arm = vectors.subtract(self._ends().beside(points.position), body.position)
             more = vectors.cross(beside, arm)
@@ -131,6 +133,7 @@ class BodyContact(Coupling):
                     vectors.add(mapped(_sum, couple), mapped(_sum, more)),
                 )
             )
+        total = vectors.add(total, mapped(self._ends().from_beside, pulled))
         none = vectors.scale(0.0, mapped(strand.firsts, own.motion.position))
         on_rod = loads_on_member(
             strand,
