@@ -43,7 +43,51 @@ def batch(steps):
     return jax.vmap(lambda one: jaxrod.advance(scene, one, DT, steps))(many)
 
 
+def pair():
+    """Two rods that touch, a spring between them, and a ball that is attached."""
+    one, of_one = rod()
+    two, of_two = rod(start=(0.0, 0.018, 0.0))
+    ball, still = jaxrod.rigid_body(
+        jaxrod.sphere((0.0, 0.018, 0.31), 0.01), density=1000.0
+    )
+    state = {"one": of_one, "two": of_two, "ball": still}
+    system = jaxrod.make_system(
+        {
+            "one": jaxrod.make_scene(one, jaxrod.clamp(of_one)),
+            "two": jaxrod.make_scene(two, jaxrod.gravity()),
+            "ball": ball,
+        },
+        jaxrod.rod_contact("one", "two", stiffness=100.0, damping=0.1, friction=0.3),
+        jaxrod.spring(("one", "finish"), ("two", "finish"), state, stiffness=10.0),
+        jaxrod.attach(("two", "finish"), ("ball",), state),
+        state=state,
+    )
+    return system, jaxrod.with_memory(system, state)
+
+
+def in_a_plane(method, push=0.1):
+    """A hanging rod of a method, pushed in the plane zx."""
+    made, state = rod()
+    effects = jaxrod.clamp(state), jaxrod.gravity((push, 0.0, -1.0))
+    return jaxrod.make_scene(made, *effects, method=method), state
+
+
+METHODS = {
+    "pyelastica": jaxrod.pyelastica,
+    "planar": lambda: jaxrod.planar("zx"),
+    "torsion free": jaxrod.torsion_free,
+    "implicit": jaxrod.implicit,
+}
+
+
 WITHOUT_JIT = {
+    "a step of a system": lambda: jaxrod.advance(*pair(), DT, 1),
+    "the health of a system": lambda: jaxrod.health(*pair(), DT),
+    "the stable step of a system": lambda: jaxrod.stable_dt(pair()[0]).dt,
+    **{
+        f"a step, {name}": lambda method=method: jaxrod.step(*in_a_plane(method()), DT)
+        for name, method in METHODS.items()
+    },
     "a step": lambda: jaxrod.step(*hanging(), DT),
     "no records": lambda: jaxrod.rollout(*hanging(), DT, 0),
     "records of one step": lambda: jaxrod.rollout(*hanging(), DT, 2),
@@ -134,7 +178,34 @@ def equilibrium(push):
     return jaxrod.equilibrium(*hanging(push)).state.tip[0]
 
 
+def tip_of(method):
+    """A loss: where the tip is after two steps of a method, of the push."""
+
+    def tip(push):
+        scene, state = in_a_plane(method(), push)
+        return jaxrod.advance(scene, state, DT, 2).tip[0]
+
+    return tip
+
+
+def height_of_pair(push):
+    """A loss: how high a tip is after two steps of a system, of its speed."""
+    system, state = pair()
+    moving = replace(state["two"], velocities=state["two"].velocities - push)
+    after = jaxrod.advance(system, state | {"two": moving}, DT, 2)
+    return after["two"].tip[1]
+
+
 SOUND = {
+    "a system": lambda: jaxrod.advance(*pair(), DT, 2),
+    "the gradient of a system": lambda: jax.grad(height_of_pair)(0.1),
+    "the health of a system": lambda: jaxrod.health(*pair(), DT),
+    "the energy of a system": lambda: jaxrod.potential_energy(*pair()),
+    "the stable step of a system": lambda: jaxrod.stable_dt(pair()[0]).dt,
+    **{
+        f"the gradient, {name}": lambda m=method: jax.grad(tip_of(m))(0.1)
+        for name, method in METHODS.items()
+    },
     "a step": lambda: jaxrod.step(*hanging(), DT),
     "a batch": lambda: batch(2),
     "a gradient": lambda: jax.grad(tip_after(2))(1.0),

@@ -27,8 +27,7 @@ def strings(source):
 def entries(text):
     """The text, and the entries of its `Args:`, without their names."""
     yield text
-    for entry in re.findall(r"^ +[a-z_*]+(?: \(.*?\))?: (\S.*)$", text, re.MULTILINE):
-        yield entry
+    yield from re.findall(r"^ +[a-z_*]+(?: \(.*?\))?: (\S.*)$", text, re.MULTILINE)
 
 
 def faults(source):

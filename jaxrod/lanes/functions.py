@@ -12,14 +12,6 @@ import math
 
 from jaxrod.lanes.vector_code import BYTES, TYPES, literal
 
-FUNCTIONS = frozenset(
-    {
-        *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
-        *("asinh", "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "cbrt"),
-        *("erf", "erfc", "pow"),
-    }
-)
-"""Names of operations, and of functions of the C library."""
 _OF_TWO = frozenset({"atan2", "pow"})
 _HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
 """Half of pi is the sum of these."""

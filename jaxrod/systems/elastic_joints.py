@@ -273,8 +273,3 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
         node_drag=one(a.node_drag, b.node_drag),
         element_drag=one(a.element_drag, b.element_drag),
     )
-
-
-def world_of(seen: Seen, points: Points, own: Vec3) -> Vec3:
-    """World components of vectors given in the frames of some elements."""
-    return to_world(directors(orientation_at(seen, points)), own)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, Protocol
 
 import jax
 from jaxtyping import Array
 
-from jaxrod.geometry.rotations import directors, to_world
 from jaxrod.methods.consistent import ConsistentStepper
 from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import Loads, Motion
@@ -175,11 +173,3 @@ class BodiesStepper:
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
         """Changes rates by impulses on the origins."""
         return self.rigid.pushed(motion, impulses)
-
-
-def to_world_couples(seen: Seen, loads: Loads) -> Loads:
-    """Loads with their couples in the world frame."""
-    if loads.couples is None:
-        return loads
-    frame = directors(seen.motion.orientation)
-    return replace(loads, couples=to_world(frame, loads.couples))

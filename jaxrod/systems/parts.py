@@ -13,7 +13,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body
@@ -55,14 +54,6 @@ class Parts:
     """Whether they are rods."""
     joint_mean: str = static(default="arithmetic")
     """How joints of rods get their stiffness from two elements."""
-
-    @property
-    def first_nodes(self) -> np.ndarray:
-        """First node of each element of rods; the only one of bodies."""
-        rods = np.arange(self.count)[:, None]
-        within = np.arange(self.n_elements)[None, :]
-        per_rod = self.n_elements + 1 if self.is_rod else 1
-        return np.ravel(rods * per_rod + within)
 
     # As a rod has them, for `Motion.angular_velocities`.
     @property
