@@ -61,8 +61,8 @@ class BraxEnv(Env):
     - The parameters are `sys`: what brax's domain randomisation draws from and sets.
 
     Attributes:
-        env: the environment.
-        sys: its parameters.
+        env: The environment.
+        sys: Its parameters.
     """
 
     def __init__(
@@ -71,12 +71,12 @@ class BraxEnv(Env):
         """Makes the environment.
 
         Args:
-            task: a task for `jaxrod.envs.make`, or an environment.
-            params: parameters of the environment; None for its own.
-            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            task: A task for `jaxrod.envs.make`, or an environment.
+            params: Parameters of the environment; None for its own.
+            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
-            ValueError: an argument does not fit.
+            ValueError: An argument does not fit.
         """
         compile_for_rods()
         if not isinstance(task, str) and options:
@@ -108,7 +108,7 @@ class BraxEnv(Env):
         """Starts an episode.
 
         Args:
-            rng: a key of `jax.random.PRNGKey`, as brax passes them.
+            rng: A key of `jax.random.PRNGKey`, as brax passes them.
 
         Returns:
             The state. `metrics` holds the environment's scalars, of which brax
@@ -130,11 +130,11 @@ class BraxEnv(Env):
         """One control step; none, and no reward, if the episode has ended.
 
         Args:
-            state: state from `reset` or from the step before.
-            action: in [-1, 1], shape (action_size,).
+            state: State from `reset` or from the step before.
+            action: In [-1, 1], shape (action_size,).
 
         Raises:
-            ValueError: the action has another shape.
+            ValueError: The action has another shape.
         """
         action = action_of_size(action, self.env.action_size)
         running = state.pipeline_state

@@ -20,7 +20,7 @@ def check_facts(env: Any) -> None:
     """Checks the attributes of an environment; computes nothing.
 
     Raises:
-        ValueError: it lacks something that `Environment` asks for.
+        ValueError: It lacks something that `Environment` asks for.
     """
     kind = type(env).__name__
     if isinstance(env, type):
@@ -54,7 +54,7 @@ def check_environment(env: Environment) -> None:
     """Checks what an environment returns, by tracing it: no step is computed.
 
     Raises:
-        ValueError: it is not what `Environment` promises, or a method raises, with
+        ValueError: It is not what `Environment` promises, or a method raises, with
             what it raised as the cause.
     """
     check_facts(env)

@@ -39,7 +39,7 @@ def snapshots(env: Drawable, states: Any, params: Any) -> Snapshot:
     has.
 
     Raises:
-        ValueError: what the environment calls a snapshot is none.
+        ValueError: What the environment calls a snapshot is none.
     """
 
     def one(state: Any) -> Snapshot:
@@ -63,13 +63,13 @@ def replay(
     """A motion to look at.
 
     Args:
-        seen: one snapshot of each frame, along the first axis of every leaf.
-        times: of the frames [s].
-        readouts: more numbers of every frame; shown before those of the snapshots.
-        title: its heading.
+        seen: One snapshot of each frame, along the first axis of every leaf.
+        times: Of the frames [s].
+        readouts: More numbers of every frame; shown before those of the snapshots.
+        title: Its heading.
 
     Raises:
-        ValueError: a number is impossible, or a radius or a cylinder changes.
+        ValueError: A number is impossible, or a radius or a cylinder changes.
     """
     seen = jax.tree.map(np.asarray, seen)
     return Replay.from_rollout(
@@ -107,9 +107,9 @@ def picture(
     """A still of one moment, always seen from the same place.
 
     Args:
-        seen: the moment.
-        lengths: what `edge_lengths` returns for the environment.
-        seconds: time since the episode began [s].
+        seen: The moment.
+        lengths: What `edge_lengths` returns for the environment.
+        seconds: Time since the episode began [s].
     """
     nodes = _nodes(seen)
     # The view holds all that straight rods reach, so that it never moves: the moments

@@ -32,13 +32,13 @@ def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..
     Args:
         where: `package.module:callable`, or `folder/file.py:callable` for a file that
             imports nothing from beside it. What follows the colon is one plain name.
-        trust: for what a file names, see `check_trusted`; None for what the user names.
+        trust: For what a file names, see `check_trusted`; None for what the user names.
 
     Raises:
-        ValueError: there is no such module, file or callable; it is of Python's own
+        ValueError: There is no such module, file or callable; it is of Python's own
             library; or importing it raises, with what it raised as the cause.
-        UntrustedError: see `check_trusted` and `check_home`.
-        ModuleNotFoundError: it imports something that is not installed.
+        UntrustedError: See `check_trusted` and `check_home`.
+        ModuleNotFoundError: It imports something that is not installed.
     """
     if trust is not None:
         check_trusted(where, trust)
@@ -79,12 +79,12 @@ def check_trusted(where: str, trust: Collection[str]) -> None:
 
     Args:
         where: `package.module:NAME` or `folder/file.py:NAME`, with one plain name.
-        trust: names of modules, whole and with all their dots; paths of .py files; or
+        trust: Names of modules, whole and with all their dots; paths of .py files; or
             single import paths such as `package.module:NAME`.
 
     Raises:
-        UntrustedError: its module is not among them, or is one of Python's own.
-        ValueError: it is no import path, or `trust` is a text instead of a tuple.
+        UntrustedError: Its module is not among them, or is one of Python's own.
+        ValueError: It is no import path, or `trust` is a text instead of a tuple.
     """
     if isinstance(trust, str):
         raise ValueError(f"trust must be a tuple of names, such as ({trust!r},)")
@@ -126,13 +126,13 @@ def check_home(
     no word for that.
 
     Args:
-        where: the import path.
-        found: what is there.
-        module: in which it was found.
-        trust: see `check_trusted`; a single import path is trusted in any case.
+        where: The import path.
+        found: What is there.
+        module: In which it was found.
+        trust: See `check_trusted`; a single import path is trusted in any case.
 
     Raises:
-        UntrustedError: it is a function or class of another package.
+        UntrustedError: It is a function or class of another package.
     """
     if where in trust or not (inspect.isroutine(found) or isinstance(found, type)):
         return

@@ -61,8 +61,8 @@ class Environment(Protocol):
         """Starts an episode.
 
         Args:
-            key: typed random key; the only source of randomness.
-            params: traced parameters.
+            key: Typed random key; the only source of randomness.
+            params: Traced parameters.
 
         Returns:
             The first observation, shape (observation_size,), and the state.
@@ -85,10 +85,10 @@ class Environment(Protocol):
         """Advances one control step; never resets.
 
         Args:
-            key: typed random key of this step.
-            state: state from `reset` or from the step before.
-            action: in [-1, 1], shape (action_size,).
-            params: traced parameters.
+            key: Typed random key of this step.
+            state: State from `reset` or from the step before.
+            action: In [-1, 1], shape (action_size,).
+            params: Traced parameters.
 
         Returns:
             `(observation, state, reward, terminated, truncated, info)`.
@@ -113,8 +113,8 @@ class Drawable(Environment, Protocol):
         """Bodies to be drawn.
 
         Args:
-            state: of the moment.
-            params: traced parameters.
+            state: Of the moment.
+            params: Traced parameters.
         """
 
 
@@ -139,10 +139,10 @@ class Plannable(Environment, Protocol):
         It is what `step` makes of the state, wherever no random event falls.
 
         Args:
-            state: of the moment.
-            action: in [-1, 1].
-            params: traced parameters.
-            control_steps: for how many the action is held.
+            state: Of the moment.
+            action: In [-1, 1].
+            params: Traced parameters.
+            control_steps: For how many the action is held.
         """
 
     def cost(
@@ -154,9 +154,9 @@ class Plannable(Environment, Protocol):
         steps have none.
 
         Args:
-            state: after the control step.
-            action: in it.
-            params: traced parameters.
+            state: After the control step.
+            action: In it.
+            params: Traced parameters.
         """
 
     def residuals(

@@ -44,15 +44,15 @@ def make(task: str, /, **options: Any) -> Environment:
     """Makes the environment of a task.
 
     Args:
-        task: one of `names()`, or where a callable of your own is that returns an
+        task: One of `names()`, or where a callable of your own is that returns an
             `Environment`: `"mypackage.mymodule:make_task"`, or
             `"folder/file.py:make_task"` for a file that imports nothing from beside
             it.
-        **options: handed to the task's callable, for example `variant="paper"` for
+        **options: Handed to the task's callable, for example `variant="paper"` for
             `"tracking"`.
 
     Raises:
-        ValueError: there is no such task, it has no such option, it raises, or what
+        ValueError: There is no such task, it has no such option, it raises, or what
             it makes is not an environment.
     """
     if task not in _FACTORIES and ":" not in task:
@@ -111,7 +111,7 @@ def _chosen(
     The variant is among them in any case: runs are told apart by it.
 
     Raises:
-        ValueError: there is no such option, or one is missing.
+        ValueError: There is no such option, or one is missing.
     """
     try:
         known = inspect.signature(build).parameters

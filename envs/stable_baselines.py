@@ -49,14 +49,14 @@ class StableBaselinesVecEnv(VecEnv):
         """Makes the batch.
 
         Args:
-            task: a task for `jaxrod.envs.make`, or an environment.
-            num_envs: number of environments, at least 1.
+            task: A task for `jaxrod.envs.make`, or an environment.
+            num_envs: Number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
-            params: parameters shared by the batch; None for the environment's own.
-            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            params: Parameters shared by the batch; None for the environment's own.
+            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
-            ValueError: an argument does not fit.
+            ValueError: An argument does not fit.
         """
         self._batch = Batch(task, num_envs, render_mode, params, options)
         self._render_mode = render_mode
@@ -104,8 +104,8 @@ class StableBaselinesVecEnv(VecEnv):
             environment's scalars.
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
-            ValueError: the actions have another shape.
+            gymnasium.error.ResetNeeded: Before the first reset.
+            ValueError: The actions have another shape.
         """
         step = self._batch.step(self._actions)
         done = np.asarray(step.terminated | step.truncated)
@@ -126,7 +126,7 @@ class StableBaselinesVecEnv(VecEnv):
         """A picture of every environment, RGB of shape (480, 640, 3).
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: Before the first reset.
         """
         state = self._batch.started()
         return [self._batch.picture(state, i) for i in range(self.num_envs)]
@@ -138,7 +138,7 @@ class StableBaselinesVecEnv(VecEnv):
         """An attribute of the environment, once for every index.
 
         Raises:
-            AttributeError: it has none of that name.
+            AttributeError: It has none of that name.
         """
         if attr_name == "render_mode":
             value = self._render_mode
@@ -150,7 +150,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Refused.
 
         Raises:
-            AttributeError: always.
+            AttributeError: Always.
         """
         raise AttributeError(
             f"{attr_name} cannot be set: the environments of a batch are one pure "
@@ -167,7 +167,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Return values of a method of the environment, one for every index.
 
         Raises:
-            AttributeError: it has none of that name.
+            AttributeError: It has none of that name.
         """
         method = getattr(self._batch.env, method_name)
         return [

@@ -105,13 +105,13 @@ class VectorEnvironment:
         """Starts the batch.
 
         Args:
-            key: typed random key.
-            num_envs: number of environments, at least 1.
-            params: traced parameters of the environment, shared by the batch.
-            spread_phases: let the elapsed step count of every environment start
+            key: Typed random key.
+            num_envs: Number of environments, at least 1.
+            params: Traced parameters of the environment, shared by the batch.
+            spread_phases: Let the elapsed step count of every environment start
                 uniformly in [phase, episode_length), so that the episodes of the
                 batch end at different times.
-            phase: where the elapsed step count starts otherwise [control steps].
+            phase: Where the elapsed step count starts otherwise [control steps].
 
         Raises:
             ValueError: `num_envs` is below 1.
@@ -155,15 +155,15 @@ class VectorEnvironment:
         costs nothing in between (under an outer `vmap` both branches run).
 
         Args:
-            state: state of the batch.
-            action: in [-1, 1], shape (num_envs, action_size).
-            params: traced parameters of the environment.
-            restart_phase: where the elapsed step count of episodes that start now
+            state: State of the batch.
+            action: In [-1, 1], shape (num_envs, action_size).
+            params: Traced parameters of the environment.
+            restart_phase: Where the elapsed step count of episodes that start now
                 starts [control steps]. Above 0 they end that much earlier and do not
                 count.
 
         Raises:
-            ValueError: the actions have another shape.
+            ValueError: The actions have another shape.
         """
         shape = (state.ticks.shape[0], self.env.action_size)
         check_action_shape("actions", action, shape)

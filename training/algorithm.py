@@ -26,8 +26,8 @@ class Metrics:
     """Report of one update.
 
     Attributes:
-        scalars: named numbers, the same on every device.
-        episodes: the complete episodes that ended, shape (steps, num_envs), in
+        scalars: Named numbers, the same on every device.
+        episodes: The complete episodes that ended, shape (steps, num_envs), in
             the order of time.
     """
 
@@ -114,7 +114,7 @@ class Algorithm:
         """A configuration of this algorithm, its defaults for None.
 
         Raises:
-            ValueError: it is of another algorithm.
+            ValueError: It is of another algorithm.
         """
         config = self.config_type() if config is None else config
         if not isinstance(config, self.config_type):
@@ -145,16 +145,16 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
     """Returns the algorithm called `name`.
 
     Args:
-        name: one of `algorithm_names()`, or the import path of your own,
+        name: One of `algorithm_names()`, or the import path of your own,
             `module:NAME`.
-        trust: for a name that a file holds, the modules that may be imported because
+        trust: For a name that a file holds, the modules that may be imported because
             of it, see `jaxrod.envs.importing.check_trusted`; None for what the user
             names.
 
     Raises:
-        ValueError: there is none of this name, or what is there is no algorithm.
-        UntrustedError: a file names it, and it is not trusted.
-        ImportError: an import path leads nowhere.
+        ValueError: There is none of this name, or what is there is no algorithm.
+        UntrustedError: A file names it, and it is not trusted.
+        ImportError: An import path leads nowhere.
     """
     if name not in _ALGORITHMS and ":" not in name:
         known = ", ".join(algorithm_names())

@@ -63,14 +63,14 @@ def evaluate(
     """Runs complete episodes side by side.
 
     Args:
-        env: the environment.
-        policy: observations (episodes, observation_size) -> actions; a `Policy`,
+        env: The environment.
+        policy: Observations (episodes, observation_size) -> actions; a `Policy`,
             whose actions are held for its `action_repeat` control steps, or any
             other function of that kind, called at every control step; or a
             `jaxrod.envs.MemoryPolicy`, which remembers, and sees the states.
-        episodes: number of episodes.
-        seed: seed of their randomness.
-        env_params: parameters of the environment, None for its own.
+        episodes: Number of episodes.
+        seed: Seed of their randomness.
+        env_params: Parameters of the environment, None for its own.
 
     Raises:
         ValueError: `episodes` is below 1, or `seed` is not one.

@@ -20,13 +20,13 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
     Args:
         path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM"; NAME is one
             plain name, without dots.
-        trust: for what a file names, the modules that may be imported because of it,
+        trust: For what a file names, the modules that may be imported because of it,
             see `jaxrod.envs.importing.check_trusted`; None for what the user names.
 
     Raises:
-        ValueError: it is no import path.
-        UntrustedError: a file names it, and it is not trusted.
-        ImportError: there is no such module or object, or importing it failed.
+        ValueError: It is no import path.
+        UntrustedError: A file names it, and it is not trusted.
+        ImportError: There is no such module or object, or importing it failed.
     """
     name, colon, attribute = path.partition(":")
     if not (name and colon and attribute.isidentifier()):

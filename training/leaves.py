@@ -37,7 +37,7 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
     """An array as a leaf of the kind of another one.
 
     Raises:
-        ValueError: it is of another kind or shape.
+        ValueError: It is of another kind or shape.
     """
     numbers = _numbers(leaf)
     dtype = np.dtype(numbers.dtype)

@@ -31,11 +31,11 @@ class MultilayerPerceptron(nn.Module):
     """Dense layers, an activation after each but the last.
 
     Attributes:
-        hidden_sizes: widths of the hidden layers.
-        output_size: width of the last layer.
-        output_scale: gain of the orthogonal initial weights of the last layer.
-        activation: a name in `ACTIVATIONS`.
-        dtype: type of the weights and of the arithmetic.
+        hidden_sizes: Widths of the hidden layers.
+        output_size: Width of the last layer.
+        output_scale: Gain of the orthogonal initial weights of the last layer.
+        activation: A name in `ACTIVATIONS`.
+        dtype: Type of the weights and of the arithmetic.
     """
 
     hidden_sizes: tuple[int, ...]
@@ -102,16 +102,16 @@ def make_network(
     """The network of a role, without weights.
 
     Args:
-        config: of a learner. Its `network` makes the module; None stands for a
+        config: Of a learner. Its `network` makes the module; None stands for a
             multilayer perceptron of its `hidden_sizes`, whose output starts near 0 in
             a policy (gain 0.01), so that learning begins undecided.
         role: "policy" or "critic".
-        output_size: numbers that the network returns.
-        activation: of the perceptron.
-        dtype: of the perceptron.
+        output_size: Numbers that the network returns.
+        activation: Of the perceptron.
+        dtype: Of the perceptron.
 
     Raises:
-        ValueError: what `network` made is no flax module.
+        ValueError: What `network` made is no flax module.
     """
     if config.network is None:
         return MultilayerPerceptron(
@@ -128,7 +128,7 @@ def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Modu
     """The network that a user's factory makes for a role, without weights.
 
     Raises:
-        ValueError: it is no flax module.
+        ValueError: It is no flax module.
     """
     module: Any = network(role, output_size)
     if not isinstance(module, nn.Module):
@@ -144,12 +144,12 @@ def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> A
     """First weights of a network, of the type of the inputs.
 
     Args:
-        network: a flax module.
-        key: typed random key.
-        inputs: one input, of shape (size,); its values do not matter.
+        network: A flax module.
+        key: Typed random key.
+        inputs: One input, of shape (size,); its values do not matter.
 
     Raises:
-        ValueError: the network keeps more than weights, such as running statistics.
+        ValueError: The network keeps more than weights, such as running statistics.
     """
     variables = network.init(key, inputs)
     others = sorted(set(variables) - {"params"})
@@ -172,10 +172,10 @@ def check_outputs(
     """Raises ValueError unless a network maps the last axis to so many numbers.
 
     Args:
-        network: a flax module.
-        weights: its parameters.
-        inputs: one input, of shape (size,); its values do not matter.
-        output_size: numbers that it must return for one input.
+        network: A flax module.
+        weights: Its parameters.
+        inputs: One input, of shape (size,); its values do not matter.
+        output_size: Numbers that it must return for one input.
     """
     # A batch of a size that nothing else has.
     for leading in ((), (inputs.size + output_size + 1,)):

@@ -42,8 +42,8 @@ def batch_moments(
     costs no digits of the variance.
 
     Args:
-        samples: one sample per row.
-        axis_name: mapped axis over which the batch is spread, if it is.
+        samples: One sample per row.
+        axis_name: Mapped axis over which the batch is spread, if it is.
     """
     origin = samples[:1]
     shifted = samples - origin

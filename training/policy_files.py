@@ -51,9 +51,9 @@ def save_policy(
     """Writes `policy.json` (what it is) and `policy.npz` (its numbers).
 
     Args:
-        policy: an `MLPPolicy`, or any other pytree of arrays.
-        folder: made if missing.
-        about: further facts for the JSON file, such as the task.
+        policy: An `MLPPolicy`, or any other pytree of arrays.
+        folder: Made if missing.
+        about: Further facts for the JSON file, such as the task.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -73,8 +73,8 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
     """Reads a policy written by `save_policy`.
 
     Args:
-        folder: that of the policy.
-        like: a policy of the same structure, whose numbers do not matter; see
+        folder: That of the policy.
+        like: A policy of the same structure, whose numbers do not matter; see
             `jaxrod.training.untrained_policy`. Only needed for what is no
             `MLPPolicy`. `jaxrod.training.restore_policy` makes it from a run.
 
@@ -82,7 +82,7 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
         An `MLPPolicy`, or a policy like `like`.
 
     Raises:
-        ValueError: the folder holds no policy, or one of another format or structure,
+        ValueError: The folder holds no policy, or one of another format or structure,
             or a file is damaged or holds what no policy can be; with the name of the
             file.
     """
@@ -173,7 +173,7 @@ def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
     other precisions than they were trained in.
 
     Raises:
-        ValueError: they are not the numbers of such a policy.
+        ValueError: They are not the numbers of such a policy.
     """
     leaves = named_leaves(like, _ROOT)
     for name in leaves.keys() & arrays.keys():

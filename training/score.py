@@ -13,9 +13,9 @@ class EpisodeLog:
     """Every complete training episode of a run.
 
     Attributes:
-        returns: sums of the rewards.
-        lengths: control steps.
-        flagged: whether a numerical health flag ended the episode.
+        returns: Sums of the rewards.
+        lengths: Control steps.
+        flagged: Whether a numerical health flag ended the episode.
     """
 
     def __init__(self) -> None:
@@ -34,9 +34,9 @@ class EpisodeLog:
         """Adds the episodes of a chunk.
 
         Args:
-            records: on the host, shape (capacity, steps, num_envs).
-            updates: number of the chunk's updates that were done.
-            env_steps: control steps of the run when the chunk ended.
+            records: On the host, shape (capacity, steps, num_envs).
+            updates: Number of the chunk's updates that were done.
+            env_steps: Control steps of the run when the chunk ended.
 
         Returns:
             The new episodes, as rows of a table.

@@ -74,7 +74,7 @@ def check_steps(steps: int, per_update: int) -> int:
     """Number of updates in a number of control steps, rounded up.
 
     Raises:
-        ValueError: they are not one update, or more than can be counted.
+        ValueError: They are not one update, or more than can be counted.
     """
     if steps < per_update:
         raise ValueError(
@@ -105,7 +105,7 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
     """Checks what every learner has.
 
     Raises:
-        ValueError: with the name and the value of what is wrong.
+        ValueError: With the name and the value of what is wrong.
     """
     check_counts(config, "num_envs", "rollout_steps", "action_repeat")
     check_fractions(config, "discount")

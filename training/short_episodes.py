@@ -23,10 +23,10 @@ def restart_phase(
     """Start of the clock of episodes that start now [control steps].
 
     Args:
-        env: the environment.
-        config: a configuration with the numbers `short_length`, the control steps of a
+        env: The environment.
+        config: A configuration with the numbers `short_length`, the control steps of a
             short episode, and `short_steps`, until when episodes are short.
-        updates: updates of the run so far.
+        updates: Updates of the run so far.
     """
     phase = jnp.maximum(env.episode_length - config.short_length, 0)
     # Updates are compared, not control steps: these outgrow their integers.

@@ -29,12 +29,12 @@ class Batch:
     """Environments that restart by themselves, and the state they are in.
 
     Attributes:
-        env: the environment.
-        num_envs: number of environments.
-        observation_space: of one environment: any finite float32 numbers.
-        action_space: of one environment: [-1, 1].
-        metadata: render modes, and `render_fps`: control steps in a second.
-        params: parameters of the environment; None for its own, until the first
+        env: The environment.
+        num_envs: Number of environments.
+        observation_space: Of one environment: any finite float32 numbers.
+        action_space: Of one environment: [-1, 1].
+        metadata: Render modes, and `render_fps`: control steps in a second.
+        params: Parameters of the environment; None for its own, until the first
             reset makes them.
     """
 
@@ -49,14 +49,14 @@ class Batch:
         """Makes the environment; computes nothing yet.
 
         Args:
-            task: a task for `jaxrod.envs.make`, or an environment.
-            num_envs: number of environments, at least 1.
+            task: A task for `jaxrod.envs.make`, or an environment.
+            num_envs: Number of environments, at least 1.
             render_mode: None or "rgb_array".
-            params: parameters; None for the environment's own.
-            options: handed to `make`.
+            params: Parameters; None for the environment's own.
+            options: Handed to `make`.
 
         Raises:
-            ValueError: an argument does not fit.
+            ValueError: An argument does not fit.
         """
         compile_for_rods()
         if not isinstance(task, str) and options:
@@ -93,8 +93,8 @@ class Batch:
         """Starts all episodes anew, or those of some environments.
 
         Args:
-            seed: of the random numbers.
-            where: which environments; None for all.
+            seed: Of the random numbers.
+            where: Which environments; None for all.
         """
         if self.params is None:
             self.params = self.env.default_params()
@@ -116,8 +116,8 @@ class Batch:
         """One control step of all; the arrays of the result are NumPy's.
 
         Args:
-            actions: shape (num_envs, action_size).
-            waiting: environments that stay as they are: they earn nothing and do not
+            actions: Shape (num_envs, action_size).
+            waiting: Environments that stay as they are: they earn nothing and do not
                 end.
         """
         packed = self.packed()
@@ -136,7 +136,7 @@ class Batch:
         """The state, packed.
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: Before the first reset.
         """
         if self._packed is None:
             raise gymnasium.error.ResetNeeded("call reset before step and render")
@@ -150,7 +150,7 @@ class Batch:
         """The state of now.
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: Before the first reset.
         """
         return self.unpacked(self.packed())
 
@@ -158,7 +158,7 @@ class Batch:
         """A picture of environment number `index`.
 
         Raises:
-            ValueError: the environment does not say what to draw.
+            ValueError: The environment does not say what to draw.
         """
         env = self.env
         if not drawable(env):
@@ -199,10 +199,10 @@ class Program:
         """Compiles nothing yet.
 
         Args:
-            batch: the batch.
-            state: how its state is packed.
-            params: how its parameters are packed.
-            in_order: whether its kernels are to run one after the other.
+            batch: The batch.
+            state: How its state is packed.
+            params: How its parameters are packed.
+            in_order: Whether its kernels are to run one after the other.
         """
         self.outcome: Layout
         """How the results are packed; known once the step was traced."""

@@ -36,13 +36,13 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Makes the environment.
 
         Args:
-            task: a task for `jaxrod.envs.make`, or an environment.
+            task: A task for `jaxrod.envs.make`, or an environment.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
-            params: parameters of the environment; None for its own.
-            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            params: Parameters of the environment; None for its own.
+            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
-            ValueError: an argument does not fit.
+            ValueError: An argument does not fit.
         """
         self._batch = Batch(task, 1, render_mode, params, options)
         self.render_mode = render_mode
@@ -58,8 +58,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Starts an episode.
 
         Args:
-            seed: the same seed, the same episode; None for a fresh one.
-            options: none are known.
+            seed: The same seed, the same episode; None for a fresh one.
+            options: None are known.
 
         Returns:
             The first observation, shape (observation_size,), and an empty dictionary.
@@ -83,14 +83,14 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """One control step.
 
         Args:
-            action: in [-1, 1], shape (action_size,).
+            action: In [-1, 1], shape (action_size,).
 
         Returns:
             Observation, reward, terminated, truncated, and the environment's scalars.
 
         Raises:
-            gymnasium.error.ResetNeeded: no episode runs.
-            ValueError: the action has another shape.
+            gymnasium.error.ResetNeeded: No episode runs.
+            ValueError: The action has another shape.
         """
         if self._ended:
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset")
@@ -114,7 +114,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """A picture, RGB of shape (480, 640, 3), or None without a render mode.
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: Before the first reset.
         """
         if self.render_mode is None:
             gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')

@@ -46,16 +46,16 @@ class GymnasiumVectorEnv(
         """Makes the batch.
 
         Args:
-            task: a task for `jaxrod.envs.make`, or an environment.
-            num_envs: number of environments, at least 1.
+            task: A task for `jaxrod.envs.make`, or an environment.
+            num_envs: Number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
-            params: parameters shared by the batch; None for the environment's own.
-            autoreset_mode: one of `gymnasium.vector.AutoresetMode`, or its value:
+            params: Parameters shared by the batch; None for the environment's own.
+            autoreset_mode: One of `gymnasium.vector.AutoresetMode`, or its value:
                 "SameStep", "NextStep" or "Disabled".
-            **options: handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
-            ValueError: an argument does not fit.
+            ValueError: An argument does not fit.
         """
         self._mode = _mode(autoreset_mode)
         self._batch = Batch(task, num_envs, render_mode, params, options)
@@ -74,7 +74,7 @@ class GymnasiumVectorEnv(
         """Starts all episodes.
 
         Args:
-            seed: the same seed, the same episodes; None for fresh ones.
+            seed: The same seed, the same episodes; None for fresh ones.
             options: `reset_mask`, in the mode `DISABLED`: which environments start an
                 episode, booleans of shape (num_envs,); the others go on.
 
@@ -117,16 +117,16 @@ class GymnasiumVectorEnv(
         """One control step of all environments.
 
         Args:
-            actions: in [-1, 1], shape (num_envs, action_size).
+            actions: In [-1, 1], shape (num_envs, action_size).
 
         Returns:
             Observations (num_envs, observation_size); rewards, terminations and
             truncations (num_envs,); and what else is known.
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset; in the mode
+            gymnasium.error.ResetNeeded: Before the first reset; in the mode
                 `DISABLED` after an episode has ended, too.
-            ValueError: the actions have another shape.
+            ValueError: The actions have another shape.
         """
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             which = np.flatnonzero(self._ended).tolist()
@@ -158,7 +158,7 @@ class GymnasiumVectorEnv(
         """A picture of every environment, RGB of shape (480, 640, 3).
 
         Raises:
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: Before the first reset.
         """
         if self.render_mode is None:
             gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')

@@ -33,7 +33,7 @@ def along_heading(vector: Array, heading: Float[Array, "2"]) -> Array:
     """A vector's parts along the heading and to its left, and others as they are.
 
     Args:
-        vector: x, y and what follows; each may be several numbers.
+        vector: X, y and what follows; each may be several numbers.
         heading: Unit vector.
     """
     along, left = heading

@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line.
 
     Args:
-        argv: the arguments after the program's name; those of the process if None.
+        argv: The arguments after the program's name; those of the process if None.
 
     Returns:
         The exit code.
@@ -182,7 +182,7 @@ def module_of(command: str) -> ModuleType:
     """Imports the module of a command.
 
     Raises:
-        NoCheckoutError: it is one of a checkout, and there is none.
+        NoCheckoutError: It is one of a checkout, and there is none.
     """
     if command in checkout.PROGRAMS:
         return checkout.program(command)

@@ -30,10 +30,10 @@ def program(command: str) -> ModuleType:
     """The module of a command.
 
     Args:
-        command: one of `PROGRAMS`.
+        command: One of `PROGRAMS`.
 
     Raises:
-        NoCheckoutError: there is no checkout around the package.
+        NoCheckoutError: There is no checkout around the package.
     """
     root = Path(jaxrod.__file__).resolve().parents[1]
     name = PROGRAMS[command]

@@ -13,11 +13,11 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
     """The first devices of each process, in their order.
 
     Args:
-        devices: those of all processes.
-        asked: what --devices said of each process; None: all.
+        devices: Those of all processes.
+        asked: What --devices said of each process; None: all.
 
     Raises:
-        ValueError: a process has fewer.
+        ValueError: A process has fewer.
     """
     if asked is None:
         return list(devices)
@@ -36,9 +36,9 @@ def devices_that_fit(num_envs: int, asked: int | None, available: int | None) ->
     """How many devices to use: those asked for, or as many as divide the batch.
 
     Args:
-        num_envs: environments to spread.
-        asked: what --devices said.
-        available: devices there are; None before JAX has started, for the cores.
+        num_envs: Environments to spread.
+        asked: What --devices said.
+        available: Devices there are; None before JAX has started, for the cores.
     """
     if available is None:
         from jaxrod.installation.backend import available_cores

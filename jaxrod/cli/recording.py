@@ -42,15 +42,15 @@ def record(
     """Plays an episode and records what there is to see at up to 60 Hz.
 
     Args:
-        env: the environment.
-        policy: observation -> action, a pytree, or a `jaxrod.envs.MemoryPolicy`; its
+        env: The environment.
+        policy: Observation -> action, a pytree, or a `jaxrod.envs.MemoryPolicy`; its
             actions are held for its `action_repeat` control steps, if it has one.
-        seconds: how long to play [s]; None for a whole episode, which also ends it.
-        seed: seed of the episode.
-        title: heading of the replay.
+        seconds: How long to play [s]; None for a whole episode, which also ends it.
+        seed: Seed of the episode.
+        title: Heading of the replay.
 
     Raises:
-        ValueError: the environment does not say what to draw, or `seconds` is not
+        ValueError: The environment does not say what to draw, or `seconds` is not
             positive.
     """
     if not drawable(env):

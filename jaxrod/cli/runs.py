@@ -44,10 +44,10 @@ class StoredRun:
     """A run on disk, finished or not.
 
     Attributes:
-        path: its folder.
-        config: what was asked for, as in `config.json`.
-        env: the environment it was trained on.
-        trust: modules that may be imported because the run names them.
+        path: Its folder.
+        config: What was asked for, as in `config.json`.
+        env: The environment it was trained on.
+        trust: Modules that may be imported because the run names them.
     """
 
     path: Path
@@ -64,8 +64,8 @@ class StoredRun:
         """Reads the deterministic policy.
 
         Raises:
-            ValueError: there is none yet, or it is damaged or of another task.
-            UntrustedError: the run names an algorithm or a network of somebody's own.
+            ValueError: There is none yet, or it is damaged or of another task.
+            UntrustedError: The run names an algorithm or a network of somebody's own.
         """
         from jaxrod.training import MLPPolicy, restore_policy
         from jaxrod.training.runs.folder import renamed
@@ -117,13 +117,13 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
     """Reads what the run in a folder was.
 
     Args:
-        path: the folder.
-        trust: modules that may be imported because the run names them, see
+        path: The folder.
+        trust: Modules that may be imported because the run names them, see
             `jaxrod.envs.importing.check_trusted`.
 
     Raises:
-        ValueError: there is no run, or its `config.json` is damaged.
-        UntrustedError: its task is somebody's own, and not trusted.
+        ValueError: There is no run, or its `config.json` is damaged.
+        UntrustedError: Its task is somebody's own, and not trusted.
     """
     from jaxrod import envs
 
@@ -165,7 +165,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """Reads `config.json` of a run.
 
     Raises:
-        ValueError: there is no run, or the file is damaged.
+        ValueError: There is no run, or the file is damaged.
     """
     from jaxrod.training import RunFolder
 
@@ -185,15 +185,15 @@ def make_task(
     """Makes the environment of a task; one's own is looked for in this folder, too.
 
     Args:
-        task: as `jaxrod.envs.make` takes it.
-        options: its options. Lists, of which JSON has no other kind, become tuples: an
+        task: As `jaxrod.envs.make` takes it.
+        options: Its options. Lists, of which JSON has no other kind, become tuples: an
             environment has to be hashable.
-        trust: for a task that a file names, see `open_run`; None for one that the user
+        trust: For a task that a file names, see `open_run`; None for one that the user
             names.
 
     Raises:
-        ValueError: there is no such task, or it does not take these options.
-        UntrustedError: a file names it, and it is not trusted.
+        ValueError: There is no such task, or it does not take these options.
+        UntrustedError: A file names it, and it is not trusted.
     """
     from jaxrod import envs
     from jaxrod.envs.importing import callable_at, check_trusted
@@ -229,7 +229,7 @@ def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
     """The paper's result at this; None where scores do not compare.
 
     Args:
-        config: as in `config.json`.
+        config: As in `config.json`.
     """
     from jaxrod import viz
 

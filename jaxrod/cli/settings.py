@@ -29,14 +29,14 @@ def configure(
     """The configuration: defaults, then the stored settings, then NAME=VALUE words.
 
     Args:
-        defaults: settings of the learner.
-        stored: settings that a file holds.
-        words: what the user says, which is the user's own say-so.
-        trust: modules that may be imported because the file names them.
+        defaults: Settings of the learner.
+        stored: Settings that a file holds.
+        words: What the user says, which is the user's own say-so.
+        trust: Modules that may be imported because the file names them.
 
     Raises:
-        ValueError: a name is unknown or a value is not of its kind.
-        UntrustedError: a stored setting is a function that is not trusted.
+        ValueError: A name is unknown or a value is not of its kind.
+        UntrustedError: A stored setting is a function that is not trusted.
     """
     from jaxrod.training.runs.recorded_settings import restored
 
@@ -91,7 +91,7 @@ def options(words: Sequence[str]) -> dict[str, Any]:
     else is text.
 
     Raises:
-        ValueError: a word is not NAME=VALUE.
+        ValueError: A word is not NAME=VALUE.
     """
     found = {}
     for word in words:
@@ -136,7 +136,7 @@ def count(text: str) -> int:
     """Reads a count such as 300, 500k, 10M or 1e7.
 
     Raises:
-        argparse.ArgumentTypeError: it is none; of all errors the one whose words
+        argparse.ArgumentTypeError: It is none; of all errors the one whose words
             argparse passes on.
     """
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
@@ -163,7 +163,7 @@ def path(text: str) -> Path:
     """Reads the name of a file or folder.
 
     Raises:
-        argparse.ArgumentTypeError: there is none. An empty one is mostly a variable
+        argparse.ArgumentTypeError: There is none. An empty one is mostly a variable
             of the shell that is not set, and would be the current folder.
     """
     if not text.strip():

@@ -195,8 +195,8 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
     """Modules and import paths that may be imported where a file names them.
 
     Args:
-        args: those of the command: what --trust names, and what else the user names.
-        said: settings as the user has given them.
+        args: Those of the command: what --trust names, and what else the user names.
+        said: Settings as the user has given them.
     """
     from jaxrod.envs.importing import spelt_out
 

@@ -47,7 +47,7 @@ class Arrows:
         """The vectors as lengths [m], those too short to see made zero; their scale.
 
         Args:
-            size: size of the scene [m].
+            size: Size of the scene [m].
         """
         longest = size / 7 if self.length is None else self.length
         scale = longest / (self.largest or 1.0)

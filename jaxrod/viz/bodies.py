@@ -25,7 +25,7 @@ def mesh_of(bodies: RigidBodies) -> Triangles:
     about the ellipsoid with its mass and inertia, and in larger ones until it fits.
 
     Raises:
-        ValueError: no surface is found.
+        ValueError: No surface is found.
     """
     assert bodies.shape is not None
     known = _centred(bodies.shape)

@@ -49,17 +49,17 @@ def learning_curve(
     or not at all.
 
     Args:
-        progress: progress.csv of each run, with the columns env_steps, wall_s [s]
+        progress: Progress.csv of each run, with the columns env_steps, wall_s [s]
             and episode_return_mean; rows without a return yet are skipped. Without
             any, reward_mean is drawn.
-        out: the PNG file to write; its folder must exist.
+        out: The PNG file to write; its folder must exist.
         paper: (algorithm, case) of the result to compare with, for example
             ("PPO", "Case1"), or the result itself.
-        title: heading of the picture.
-        label: name of the runs in the legend.
+        title: Heading of the picture.
+        label: Name of the runs in the legend.
 
     Raises:
-        ValueError: a file lacks the columns, has neither a finished episode nor
+        ValueError: A file lacks the columns, has neither a finished episode nor
             rewards, or not all runs have the same of the two; or the paper has no such
             result.
     """
@@ -83,8 +83,8 @@ def read_curve(path: Path) -> Curve:
     Where no row has one it is the curve of the mean rewards.
 
     Raises:
-        DamagedFileError: the file is no table, or lacks the columns.
-        ValueError: it has neither finished episodes nor rewards.
+        DamagedFileError: The file is no table, or lacks the columns.
+        ValueError: It has neither finished episodes nor rewards.
     """
     columns, rows = read_csv(path)
     with reading(path):

@@ -44,16 +44,16 @@ def frame(
     The view holds everything in every frame, so that pictures follow each other.
 
     Args:
-        replay: the replay to draw.
-        index: which frame, 0 to T-1; negative counts from the end.
-        width: width of the picture [pixels].
-        height: height of the picture [pixels].
-        azimuth: angle of the view around the upward axis [degrees].
-        elevation: angle of the view above the floor [degrees].
+        replay: The replay to draw.
+        index: Which frame, 0 to T-1; negative counts from the end.
+        width: Width of the picture [pixels].
+        height: Height of the picture [pixels].
+        azimuth: Angle of the view around the upward axis [degrees].
+        elevation: Angle of the view above the floor [degrees].
 
     Raises:
-        ValueError: the size is not positive.
-        IndexError: there is no such frame.
+        ValueError: The size is not positive.
+        IndexError: There is no such frame.
     """
     painter = _Painter(replay, (width, height), azimuth, elevation, fine=1)
     return painter.paint([range(replay.num_frames)[index]])
@@ -78,23 +78,23 @@ def picture(
     The view holds what is drawn. The file appears whole or not at all.
 
     Args:
-        replay: the replay to draw.
-        frame: which frame, 0 to T-1, negative from the end; of several the last is
+        replay: The replay to draw.
+        frame: Which frame, 0 to T-1, negative from the end; of several the last is
             drawn in full, those before it paler.
-        path: the file to write; its folder must exist.
-        width: width of the picture [pixels].
-        height: height of the picture [pixels].
-        azimuth: angle of the view around the upward axis [degrees].
-        elevation: angle of the view above the floor [degrees].
-        zoom: above one, nearer than what holds everything.
-        field: label of the field that colours the rods; `None`: their own colours.
-        captions: whether to write title, time and legend on it.
-        small: whether to keep 256 colours only, which makes the file less than half
+        path: The file to write; its folder must exist.
+        width: Width of the picture [pixels].
+        height: Height of the picture [pixels].
+        azimuth: Angle of the view around the upward axis [degrees].
+        elevation: Angle of the view above the floor [degrees].
+        zoom: Above one, nearer than what holds everything.
+        field: Label of the field that colours the rods; `None`: their own colours.
+        captions: Whether to write title, time and legend on it.
+        small: Whether to keep 256 colours only, which makes the file less than half
             as large.
 
     Raises:
-        ValueError: a number is not positive, or there is no such field.
-        IndexError: there is no such frame.
+        ValueError: A number is not positive, or there is no such field.
+        IndexError: There is no such frame.
     """
     frames = [frame] if isinstance(frame, int | np.integer) else list(frame)
     frames = [range(replay.num_frames)[int(k)] for k in frames]
@@ -120,22 +120,22 @@ def film(
     """Writes the motion as a GIF, or as an MP4 where ffmpeg is installed.
 
     Args:
-        replay: the replay to draw.
-        path: the file to write, ending in .gif or .mp4; its folder must exist.
-        frames_per_second: pictures per second of the film [Hz]. Frames of the replay
+        replay: The replay to draw.
+        path: The file to write, ending in .gif or .mp4; its folder must exist.
+        frames_per_second: Pictures per second of the film [Hz]. Frames of the replay
             that lie closer are left out, none are made up.
-        speed: seconds of the replay per second of the film [1].
-        width: width of the picture [pixels]; even for MP4.
-        height: height of the picture [pixels]; even for MP4.
-        azimuth: angle of the view around the upward axis [degrees].
-        elevation: angle of the view above the floor [degrees].
-        zoom: above one, nearer than what holds everything.
-        field: label of the field that colours the rods; `None`: their own colours.
-        captions: whether to write title, time and legend on it.
+        speed: Seconds of the replay per second of the film [1].
+        width: Width of the picture [pixels]; even for MP4.
+        height: Height of the picture [pixels]; even for MP4.
+        azimuth: Angle of the view around the upward axis [degrees].
+        elevation: Angle of the view above the floor [degrees].
+        zoom: Above one, nearer than what holds everything.
+        field: Label of the field that colours the rods; `None`: their own colours.
+        captions: Whether to write title, time and legend on it.
 
     Raises:
-        ValueError: the ending is another one, or a number is not positive.
-        FileNotFoundError: an MP4 is asked for and there is no ffmpeg.
+        ValueError: The ending is another one, or a number is not positive.
+        FileNotFoundError: An MP4 is asked for and there is no ffmpeg.
     """
     ending = Path(path).suffix.lower()
     if ending not in (".gif", ".mp4"):
@@ -168,15 +168,15 @@ def animation(
     For looking at a motion prefer `html`: it is smaller, smoother and turns.
 
     Args:
-        replay: the replay to draw; frames beyond `frames_per_second` are thinned out.
-        frames_per_second: pictures per second of simulated time [Hz].
-        width: width of the picture [pixels].
-        height: height of the picture [pixels].
-        azimuth: angle of the view around the upward axis [degrees].
-        elevation: angle of the view above the floor [degrees].
+        replay: The replay to draw; frames beyond `frames_per_second` are thinned out.
+        frames_per_second: Pictures per second of simulated time [Hz].
+        width: Width of the picture [pixels].
+        height: Height of the picture [pixels].
+        azimuth: Angle of the view around the upward axis [degrees].
+        elevation: Angle of the view above the floor [degrees].
 
     Raises:
-        ValueError: the size or the rate is not positive.
+        ValueError: The size or the rate is not positive.
     """
     need_matplotlib()
     from matplotlib.animation import FuncAnimation

@@ -132,8 +132,8 @@ def refined(nodes: np.ndarray, pieces: int) -> np.ndarray:
     """Rows with more between them: a Catmull-Rom curve for places, lines for the rest.
 
     Args:
-        nodes: rows of x, y, z [m] and other numbers, (n+1, 3+k).
-        pieces: pieces per element.
+        nodes: Rows of x, y, z [m] and other numbers, (n+1, 3+k).
+        pieces: Pieces per element.
     """
     if pieces == 1:
         return nodes

@@ -36,14 +36,14 @@ def grid_curves(
     its seeds. Right, the same over wall-clock time, with the paper's at their hours.
 
     Args:
-        curves: for every group, such as "PPO", the curve of every seed: a CSV file
+        curves: For every group, such as "PPO", the curve of every seed: a CSV file
             with the columns env_steps, wall_s [s] and episode_return_mean.
-        papers: the paper's result with it; None or missing where nothing compares.
-        out: the PNG file to write; its folder must exist.
-        title: heading of the picture.
+        papers: The paper's result with it; None or missing where nothing compares.
+        out: The PNG file to write; its folder must exist.
+        title: Heading of the picture.
 
     Raises:
-        ValueError: a file lacks the columns or has no finished episode.
+        ValueError: A file lacks the columns or has no finished episode.
     """
     need_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg

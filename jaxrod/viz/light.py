@@ -60,12 +60,12 @@ def view_of(
     """A view that holds all points.
 
     Args:
-        points: to be seen [m], (N, 3).
-        up: the upward axis.
-        azimuth: around it [degrees].
-        elevation: above the ground [degrees].
-        shape: shares of the height that may be used to either side and up or down.
-        zoom: above one, nearer.
+        points: To be seen [m], (N, 3).
+        up: The upward axis.
+        azimuth: Around it [degrees].
+        elevation: Above the ground [degrees].
+        shape: Shares of the height that may be used to either side and up or down.
+        zoom: Above one, nearer.
     """
     a, e = np.radians([azimuth, elevation])
     axes = np.roll(np.eye(3), -(up + 1), axis=0)  # first x second = up
@@ -95,8 +95,8 @@ def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
     """Linear light of a picture, (height, width, 3).
 
     Args:
-        triangles: what is there.
-        ground: what is behind and below it, and where the reader stands.
+        triangles: What is there.
+        ground: What is behind and below it, and where the reader stands.
         fine: 2 draws solids at twice the size and averages, which smooths their edges
             and darkens crevices; 1 does not, and takes a third of the time.
     """
@@ -173,12 +173,12 @@ class Ground:
         """Draws it without shadows.
 
         Args:
-            view: where the reader stands.
-            floor: height of the ground [m].
-            step: distance of the lines on it [m].
-            size: width and height of the picture [pixels].
-            centre: where the lines are clearest [m], (3,).
-            span: how far around they are [m].
+            view: Where the reader stands.
+            floor: Height of the ground [m].
+            step: Distance of the lines on it [m].
+            size: Width and height of the picture [pixels].
+            centre: Where the lines are clearest [m], (3,).
+            span: How far around they are [m].
         """
         self.view, self.floor, self.size = view, floor, size
         width, height = size
@@ -297,7 +297,7 @@ def _crevices(near: np.ndarray) -> np.ndarray:
     """Share of light where nearer things are around: dark in crevices and contacts.
 
     Args:
-        near: a depth that is smaller in front, NaN where nothing is.
+        near: A depth that is smaller in front, NaN where nothing is.
     """
     reach = max(2, near.shape[0] // 70)
     there = np.isfinite(near)

@@ -52,14 +52,14 @@ def html(
     """Returns a self-contained page that plays the replay in 3-D.
 
     Args:
-        replay: the replay to show.
-        frames_per_second: frames recorded more often than this [Hz] are thinned out;
+        replay: The replay to show.
+        frames_per_second: Frames recorded more often than this [Hz] are thinned out;
             the page interpolates between frames.
-        autoplay: start playing on opening, unless the reader asked their system for
+        autoplay: Start playing on opening, unless the reader asked their system for
             less motion.
 
     Raises:
-        ValueError: frames_per_second is not positive.
+        ValueError: Frames_per_second is not positive.
     """
     header, data = encode(replay.thinned(frames_per_second))
     header["autoplay"] = bool(autoplay)
@@ -85,10 +85,10 @@ def save_html(
     """Writes the page of `html` to a file, which appears whole or not at all.
 
     Args:
-        replay: the replay to show.
-        path: file to write; its folder must exist.
-        frames_per_second: as in `html` [Hz].
-        autoplay: as in `html`.
+        replay: The replay to show.
+        path: File to write; its folder must exist.
+        frames_per_second: As in `html` [Hz].
+        autoplay: As in `html`.
     """
     page = html(replay, frames_per_second=frames_per_second, autoplay=autoplay)
     write_atomically(path, page.encode("utf-8"))

@@ -51,10 +51,10 @@ def paper_result(
     Args:
         case: "Case1" to "Case4" (or a variant such as "Case3-ctrlpts").
         algorithm: "PPO", "TRPO", "SAC", "TD3" or "DDPG"; capitals do not matter.
-        configuration: one of the settings the paper varied.
+        configuration: One of the settings the paper varied.
 
     Raises:
-        ValueError: the paper has no such result, or several.
+        ValueError: The paper has no such result, or several.
     """
     key = (case.lower(), algorithm.lower())
     tried = [r for r in _results() if (r.case.lower(), r.algorithm.lower()) == key]

@@ -18,10 +18,10 @@ def nearest(
     holds it.
 
     Args:
-        corners: of the triangles, x to the right and y down in pixels, and a depth
+        corners: Of the triangles, x to the right and y down in pixels, and a depth
             that is linear on the screen, smaller in front.
-        width: of the picture [pixels].
-        height: of the picture [pixels].
+        width: Of the picture [pixels].
+        height: Of the picture [pixels].
 
     Returns:
         Number of the triangle, -1 where there is none, and depth, both row by row.

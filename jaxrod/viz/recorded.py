@@ -51,7 +51,7 @@ def recorded(
     """Members of a scene or a system as they are drawn; see `Replay.from_states`.
 
     Raises:
-        ValueError: an argument has the wrong shape or an impossible value.
+        ValueError: An argument has the wrong shape or an impossible value.
         TypeError: `model` is neither.
     """
     if isinstance(model, Scene):

@@ -62,14 +62,14 @@ class Replay:
         """Makes a replay from component-first arrays, as a rollout returns them.
 
         Args:
-            positions: node positions [m], (T, 3, n+1) for one rod or
+            positions: Node positions [m], (T, 3, n+1) for one rod or
                 (T, R, 3, n+1) for R rods shown together.
-            radii: element radii [m], (n,) or (R, n), or one number for all.
-            times: time of each frame [s], shape (T,).
-            **more: the remaining arguments of `from_nodes`.
+            radii: Element radii [m], (n,) or (R, n), or one number for all.
+            times: Time of each frame [s], shape (T,).
+            **more: The remaining arguments of `from_nodes`.
 
         Raises:
-            ValueError: an argument has the wrong shape or an impossible value.
+            ValueError: An argument has the wrong shape or an impossible value.
         """
         nodes = numbers("positions", positions, "m")
         if nodes.ndim not in (3, 4) or nodes.shape[-2] != 3:
@@ -102,26 +102,26 @@ class Replay:
         """Makes a replay from one xyz triple per node.
 
         Args:
-            positions: node positions [m], (T, n+1, 3) for one rod or
+            positions: Node positions [m], (T, n+1, 3) for one rod or
                 (T, R, n+1, 3) for R rods shown together.
-            radii: element radii [m], (n,) or (R, n), or one number for all.
-            times: time of each frame [s], increasing, shape (T,).
-            spheres: spheres to show; positions (3,) or (T, 3).
-            cylinders: cylinders to show.
-            meshes: rigid bodies to show.
-            arrows: forces and the like to show.
-            readouts: name -> one number per frame, shape (T,).
-            fields: label with a unit -> numbers to colour the rods by, broadcastable
+            radii: Element radii [m], (n,) or (R, n), or one number for all.
+            times: Time of each frame [s], increasing, shape (T,).
+            spheres: Spheres to show; positions (3,) or (T, 3).
+            cylinders: Cylinders to show.
+            meshes: Rigid bodies to show.
+            arrows: Forces and the like to show.
+            readouts: Name -> one number per frame, shape (T,).
+            fields: Label with a unit -> numbers to colour the rods by, broadcastable
                 to (T, R, n) with n for elements, n+1 for nodes or n-1 for joints.
-            rod_names: names of the rods in the legend; empty, or R names.
-            name: what the rods are called together.
-            colour: of all rods, as "#rrggbb"; empty: one of its own for each.
-            title: heading of the player.
-            up: the world axis drawn upwards: "x", "y" or "z".
-            floor: height of the ground along it [m]; `None`: below everything.
+            rod_names: Names of the rods in the legend; empty, or R names.
+            name: What the rods are called together.
+            colour: Of all rods, as "#rrggbb"; empty: one of its own for each.
+            title: Heading of the player.
+            up: The world axis drawn upwards: "x", "y" or "z".
+            floor: Height of the ground along it [m]; `None`: below everything.
 
         Raises:
-            ValueError: an argument has the wrong shape or an impossible value.
+            ValueError: An argument has the wrong shape or an impossible value.
         """
         nodes = numbers("positions", positions, "m")
         clock = checked_times(times, nodes.shape[:1])
@@ -165,19 +165,19 @@ class Replay:
         """Makes a replay of rods that are checked already and of what is with them.
 
         Args:
-            times: time of each frame [s], increasing, shape (T,).
-            rods: rods, those with as many elements together.
-            spheres: as in `from_nodes`, and so are the others.
-            cylinders: cylinders to show.
-            meshes: rigid bodies to show.
-            arrows: forces and the like to show.
-            readouts: name -> one number per frame, shape (T,).
-            title: heading of the player.
-            up: the world axis drawn upwards.
-            floor: height of the ground along it [m].
+            times: Time of each frame [s], increasing, shape (T,).
+            rods: Rods, those with as many elements together.
+            spheres: As in `from_nodes`, and so are the others.
+            cylinders: Cylinders to show.
+            meshes: Rigid bodies to show.
+            arrows: Forces and the like to show.
+            readouts: Name -> one number per frame, shape (T,).
+            title: Heading of the player.
+            up: The world axis drawn upwards.
+            floor: Height of the ground along it [m].
 
         Raises:
-            ValueError: an argument has the wrong shape or an impossible value.
+            ValueError: An argument has the wrong shape or an impossible value.
         """
         clock = checked_times(times, (np.size(times),))
         if up not in ("x", "y", "z"):
@@ -224,29 +224,29 @@ class Replay:
         member under its name.
 
         Args:
-            model: the scene or the system.
-            states: its states with a leading axis of T, as `jaxrod.rollout` returns
+            model: The scene or the system.
+            states: Its states with a leading axis of T, as `jaxrod.rollout` returns
                 them; of a system, a dict by member.
-            times: time of each frame [s], shape (T,).
-            fields: label with a unit -> what to colour rods by: a function of a scene
+            times: Time of each frame [s], shape (T,).
+            fields: Label with a unit -> what to colour rods by: a function of a scene
                 (as it is at the time of the frame) and a state of its rod that gives a
                 number for each of n elements, n+1 nodes or n-1 joints, or one for all;
                 or such numbers, with leading axes for frames and equal rods; or a dict
                 of either by member, for some members. `jaxrod.viz.speed`, `stretch`,
                 `bending` and `twist_rate` are such functions.
-            forces: whether to show the contact forces on rods as arrows, those at each
+            forces: Whether to show the contact forces on rods as arrows, those at each
                 node added up.
-            colours: member -> "#rrggbb".
-            spheres: spheres to show, such as targets.
-            cylinders: cylinders to show.
-            readouts: name -> one number per frame, shape (T,).
-            title: heading of the player.
-            up: the world axis drawn upwards.
-            floor: height of the ground along it [m]; by default that of a level plane
+            colours: Member -> "#rrggbb".
+            spheres: Spheres to show, such as targets.
+            cylinders: Cylinders to show.
+            readouts: Name -> one number per frame, shape (T,).
+            title: Heading of the player.
+            up: The world axis drawn upwards.
+            floor: Height of the ground along it [m]; by default that of a level plane
                 which a rod may touch.
 
         Raises:
-            ValueError: an argument has the wrong shape or an impossible value.
+            ValueError: An argument has the wrong shape or an impossible value.
             TypeError: `model` is neither.
         """
         from jaxrod.viz.recorded import recorded
@@ -270,7 +270,7 @@ class Replay:
         """This replay and others with the same times, in one.
 
         Raises:
-            ValueError: their times or their upward axes differ.
+            ValueError: Their times or their upward axes differ.
         """
         for other in others:
             if not np.array_equal(self.times, other.times) or other.up != self.up:
@@ -351,7 +351,7 @@ class Replay:
         The first and the last frame are kept; kept frames are not altered.
 
         Raises:
-            ValueError: frames_per_second is not positive.
+            ValueError: Frames_per_second is not positive.
         """
         if not frames_per_second > 0:
             raise ValueError(
@@ -388,10 +388,10 @@ class Replay:
         """Writes a still of one frame, or of several in one, as a PNG file.
 
         Args:
-            frame: which frame, 0 to T-1, negative from the end; of several the last
+            frame: Which frame, 0 to T-1, negative from the end; of several the last
                 is drawn in full, those before it paler.
-            path: the file to write; its folder must exist.
-            **look: as in `jaxrod.viz.picture`.
+            path: The file to write; its folder must exist.
+            **look: As in `jaxrod.viz.picture`.
         """
         from jaxrod.viz.drawing import picture
 
@@ -401,8 +401,8 @@ class Replay:
         """Writes the motion as a GIF, or as an MP4 where ffmpeg is installed.
 
         Args:
-            path: the file to write, ending in .gif or .mp4; its folder must exist.
-            **look: as in `jaxrod.viz.film`.
+            path: The file to write, ending in .gif or .mp4; its folder must exist.
+            **look: As in `jaxrod.viz.film`.
         """
         from jaxrod.viz.drawing import film
 

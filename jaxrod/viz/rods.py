@@ -115,10 +115,10 @@ def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.nd
     """A number at every node and frame, or an error in words.
 
     Args:
-        label: its name.
-        values: broadcastable to frames, rods and nodes, elements or inner joints; or
+        label: Its name.
+        values: Broadcastable to frames, rods and nodes, elements or inner joints; or
             one number per rod.
-        shape: frames, rods, nodes.
+        shape: Frames, rods, nodes.
     """
     frames, rods, nodes = shape
     given = numbers(f"fields[{label!r}]", values, "-")

@@ -25,17 +25,17 @@ def show(
     a script the player is written to `replay.html`, and the name printed.
 
     Args:
-        model: the scene or the system.
-        states: its states, as `jaxrod.rollout` returns them.
-        times: time of each record [s], as `jaxrod.rollout_times` returns them; or the
+        model: The scene or the system.
+        states: Its states, as `jaxrod.rollout` returns them.
+        times: Time of each record [s], as `jaxrod.rollout_times` returns them; or the
             time between records.
-        path: the file to write, in a notebook as well.
-        **more: the remaining arguments of `Replay.from_states`.
+        path: The file to write, in a notebook as well.
+        **more: The remaining arguments of `Replay.from_states`.
 
     Raises:
-        ValueError: an argument has the wrong shape or an impossible value.
+        ValueError: An argument has the wrong shape or an impossible value.
         TypeError: `model` is neither.
-        OSError: the file cannot be written.
+        OSError: The file cannot be written.
     """
     import jax
 

@@ -47,8 +47,8 @@ def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
     """The surface that a line in the plane of z sweeps as it turns about z.
 
     Args:
-        across: distances from the axis [m], from the lowest point to the highest.
-        along: heights [m].
+        across: Distances from the axis [m], from the lowest point to the highest.
+        along: Heights [m].
     """
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AROUND)], axis=-1)
@@ -91,13 +91,13 @@ def of_distance(
     along the normal; cells around an edge that it crosses make a face.
 
     Args:
-        surface: distance [m] and outward normal at points (N, 3).
-        low: lowest corner of the box to look in [m].
-        high: its highest corner [m].
-        cells: cells along its longest side.
+        surface: Distance [m] and outward normal at points (N, 3).
+        low: Lowest corner of the box to look in [m].
+        high: Its highest corner [m].
+        cells: Cells along its longest side.
 
     Raises:
-        ValueError: the surface does not cross the box.
+        ValueError: The surface does not cross the box.
     """
     step = float(np.max(high - low)) / cells
     counts = np.maximum(np.ceil((high - low) / step).astype(int), 1) + 1

@@ -98,11 +98,11 @@ def critic_loss(
     short is continued by the value of its final observation.
 
     Args:
-        weights: of the critics.
-        config: of the learner; it says what networks the critics are.
-        transition: a batch.
+        weights: Of the critics.
+        config: Of the learner; it says what networks the critics are.
+        transition: A batch.
         next_value: V', the value of what follows; no gradient goes through it.
-        discount: gamma.
+        discount: Gamma.
 
     Returns:
         The loss, and what to report of it.

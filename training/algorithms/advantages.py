@@ -27,15 +27,15 @@ def generalised_advantages(
     and V_(t+1) otherwise. The sum stops where `done`.
 
     Args:
-        reward: reward of each step.
-        value: value of the observation each step acted on.
-        last_value: value of the observation after the last step.
-        final_value: value of the observation each step ended on, before any
+        reward: Reward of each step.
+        value: Value of the observation each step acted on.
+        last_value: Value of the observation after the last step.
+        final_value: Value of the observation each step ended on, before any
             restart; read only where an episode was cut short.
-        terminated: the task ended in this step.
-        done: the episode ended in this step, for whatever reason.
-        discount: gamma in [0, 1].
-        trace_decay: lambda in [0, 1].
+        terminated: The task ended in this step.
+        done: The episode ended in this step, for whatever reason.
+        discount: Gamma in [0, 1].
+        trace_decay: Lambda in [0, 1].
 
     Source: Schulman et al., "High-dimensional continuous control using
     generalized advantage estimation", 2016; Pardo et al., "Time limits in
@@ -63,9 +63,9 @@ def standardised(
     """Shifts and scales advantages to mean 0 and variance 1.
 
     Args:
-        advantage: of any shape.
-        axes: axes that are taken together.
-        axis_name: mapped axis over which the environments are spread, if any.
+        advantage: Of any shape.
+        axes: Axes that are taken together.
+        axis_name: Mapped axis over which the environments are spread, if any.
     """
 
     def mean(x: Array) -> Array:

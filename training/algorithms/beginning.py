@@ -35,10 +35,10 @@ def beginning_with(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     Args:
         algorithm: `PPO` or `TRPO`, whose configuration must have the policy's
             `hidden_sizes`.
-        policy: what to begin with, of the same task.
+        policy: What to begin with, of the same task.
 
     Raises:
-        ValueError: the policy is no perceptron, or not of the kind these learn;
+        ValueError: The policy is no perceptron, or not of the kind these learn;
             when the run begins, that the algorithm does not learn on policy, or that
             sizes differ.
     """

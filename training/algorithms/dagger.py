@@ -54,8 +54,8 @@ def update(
     """One update: act and be advised, then fit.
 
     Args:
-        state: the train state.
-        axis_name: mapped axis over which the environments are spread, if any.
+        state: The train state.
+        axis_name: Mapped axis over which the environments are spread, if any.
     """
     state, report, episodes = _act(state, axis_name)
     state, fitted = _fit(state, axis_name)

@@ -115,7 +115,7 @@ def validate(config: DAggerConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: with the name and the value of what is wrong.
+        ValueError: With the name and the value of what is wrong.
     """
     check_learner(config, num_devices)
     check_counts(
@@ -158,14 +158,14 @@ def init(
     """The train state before the first update; pure, so `vmap` it over keys.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment, a `jaxrod.envs.Plannable`.
-        config: settings; `vmap` over their numbers works too.
-        env_params: parameters of the environment, None for its own.
-        total_steps: control steps over which the learning rate falls.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment, a `jaxrod.envs.Plannable`.
+        config: Settings; `vmap` over their numbers works too.
+        env_params: Parameters of the environment, None for its own.
+        total_steps: Control steps over which the learning rate falls.
 
     Raises:
-        ValueError: the environment cannot be planned with.
+        ValueError: The environment cannot be planned with.
     """
     model_of(env)
     env = repeating(env, config.action_repeat)

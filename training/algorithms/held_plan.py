@@ -33,7 +33,7 @@ def model_of(env: Environment) -> Any:
     """The environment as a model of itself.
 
     Raises:
-        ValueError: it is none.
+        ValueError: It is none.
     """
     model = env.env if isinstance(env, ActionRepeat) else env
     check_model(model, ("predict", "residuals"))
@@ -54,13 +54,13 @@ def better_actions(
     Where a step makes nothing better, or the model breaks, an action is left as it is.
 
     Args:
-        model: an environment with `predict` and `residuals`.
-        params: its parameters.
-        states: its states, every leaf with the batch in front.
-        actions: where to begin, in [-1, 1].
-        lookahead: control steps for which an action is held.
-        effort: cost of the mean squared action.
-        iterations: steps of the method.
+        model: An environment with `predict` and `residuals`.
+        params: Its parameters.
+        states: Its states, every leaf with the batch in front.
+        actions: Where to begin, in [-1, 1].
+        lookahead: Control steps for which an action is held.
+        effort: Cost of the mean squared action.
+        iterations: Steps of the method.
     """
     cost = PlanCost(
         params=params,

@@ -110,11 +110,11 @@ def start(
     """The train state before the first update.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment.
-        config: of the learner that is made.
-        env_params: parameters of the environment, None for its own.
-        total_updates: updates of the whole run.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment.
+        config: Of the learner that is made.
+        env_params: Parameters of the environment, None for its own.
+        total_updates: Updates of the whole run.
         make_learner: `(key, config, dtype) -> Learner`.
     """
     env = repeating(env, config.action_repeat)

@@ -53,9 +53,9 @@ def act_and_store(
     standard normal, but slow enough to carry an arm somewhere.
 
     Args:
-        state: the train state.
+        state: The train state.
         act: (normalised observation, standard normal noise) -> action, on a batch.
-        axis_name: mapped axis over which the environments are spread, if any.
+        axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
         The state with environments, memory and moments moved on, the mean reward
@@ -122,12 +122,12 @@ def learn(
     """Makes the gradient steps of one update; none before `learning_starts`.
 
     Args:
-        state: the train state, its memory up to date.
+        state: The train state, its memory up to date.
         gradient_step: `(learner, batches) -> (learner, report)`.
-        acted: results of acting.
-        batches_per_step: batches of one call; divides `gradient_steps`.
-        noises: arrays of noise, of the shape of the actions, that a batch brings.
-        axis_name: mapped axis over which the environments are spread, if any.
+        acted: Results of acting.
+        batches_per_step: Batches of one call; divides `gradient_steps`.
+        noises: Arrays of noise, of the shape of the actions, that a batch brings.
+        axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
         The state, and what acting brought with the means of what the calls report

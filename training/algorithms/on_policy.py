@@ -155,12 +155,12 @@ def start(
     """The train state before the first update.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment.
-        config: an `OnPolicyConfig`.
-        env_params: parameters of the environment, None for its own.
-        total_updates: length of the schedules, in updates.
-        optimiser: optax transformation, to make its state.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment.
+        config: An `OnPolicyConfig`.
+        env_params: Parameters of the environment, None for its own.
+        total_updates: Length of the schedules, in updates.
+        optimiser: Optax transformation, to make its state.
     """
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)

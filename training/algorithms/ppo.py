@@ -72,7 +72,7 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: with the name and the value of what is wrong.
+        ValueError: With the name and the value of what is wrong.
     """
     check_on_policy(config, num_devices)
     check_counts(config, "epochs", "minibatches")
@@ -97,11 +97,11 @@ def init(
     """The train state before the first update; pure, so `vmap` it over keys.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment.
-        config: settings; `vmap` over their numbers works too.
-        env_params: parameters of the environment, None for its own.
-        total_steps: control steps over which the learning rate falls.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment.
+        config: Settings; `vmap` over their numbers works too.
+        env_params: Parameters of the environment, None for its own.
+        total_steps: Control steps over which the learning rate falls.
     """
     updates = -(-total_steps // steps_per_update(config))
     optimiser = _optimiser(config.gradient_norm)
@@ -118,8 +118,8 @@ def update(
     come from independent environments, and it is read in long runs of memory.
 
     Args:
-        state: the train state.
-        axis_name: mapped axis over which the environments are spread, if any.
+        state: The train state.
+        axis_name: Mapped axis over which the environments are spread, if any.
     """
     config: PPOConfig = state.config
     state, experience, episodes = gather_experience(state, axis_name)

@@ -17,10 +17,10 @@ def canonicalise(
     """Gives settings and parameters the type that all learning is done in.
 
     Args:
-        key: any random key; nothing is drawn from it.
-        env: the environment.
-        config: settings of a learner, their numbers floats or arrays.
-        env_params: parameters of the environment, None for its own.
+        key: Any random key; nothing is drawn from it.
+        env: The environment.
+        config: Settings of a learner, their numbers floats or arrays.
+        env_params: Parameters of the environment, None for its own.
 
     Returns:
         `(config, env_params, dtype)`: dtype is that of the observations.

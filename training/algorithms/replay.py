@@ -74,12 +74,12 @@ def append(replay: Replay, steps: Any) -> Replay:
     """Writes a block of time steps over the oldest there are.
 
     Args:
-        replay: the ring; its length is a multiple of the block's, so that a block
+        replay: The ring; its length is a multiple of the block's, so that a block
             never runs over the end.
-        steps: shape (block, num_envs, ...), the same length in every call.
+        steps: Shape (block, num_envs, ...), the same length in every call.
 
     Raises:
-        ValueError: the block does not divide the ring.
+        ValueError: The block does not divide the ring.
     """
     block = jax.tree.leaves(steps)[0].shape[0]
     if replay.slots % block:
@@ -102,10 +102,10 @@ def sample_indices(
     """Slots to sample, uniform over what is filled, with replacement.
 
     Args:
-        replay: the ring.
-        keys: one typed random key for every environment.
-        batches: number of batches.
-        per_env: samples of a batch from each environment.
+        replay: The ring.
+        keys: One typed random key for every environment.
+        batches: Number of batches.
+        per_env: Samples of a batch from each environment.
     """
     times = jax.vmap(
         lambda key: jax.random.randint(

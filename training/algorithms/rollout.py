@@ -45,14 +45,14 @@ def collect(
     """Acts for `steps` steps.
 
     Args:
-        environment: the batch.
-        state: its state.
-        env_params: parameters of the environment.
+        environment: The batch.
+        state: Its state.
+        env_params: Parameters of the environment.
         act: (observation, noise) -> action, on a batch.
-        value: observation -> value, on a batch. Called only in steps in which an
+        value: Observation -> value, on a batch. Called only in steps in which an
             episode is cut short.
-        noise: the randomness of the actions, standard normal.
-        restart_phase: as in `jaxrod.envs.VectorEnvironment.step`.
+        noise: The randomness of the actions, standard normal.
+        restart_phase: As in `jaxrod.envs.VectorEnvironment.step`.
     """
 
     def step(

@@ -63,7 +63,7 @@ def validate(config: SACConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: with the name and the value of what is wrong.
+        ValueError: With the name and the value of what is wrong.
     """
     check_off_policy(config, num_devices)
     check_positive(config, "temperature_learning_rate", "initial_temperature")
@@ -85,11 +85,11 @@ def init(
     """The train state before the first update; pure, so `vmap` it over keys.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment.
-        config: settings; `vmap` over their numbers works too.
-        env_params: parameters of the environment, None for its own.
-        total_steps: without effect: nothing follows a schedule.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment.
+        config: Settings; `vmap` over their numbers works too.
+        env_params: Parameters of the environment, None for its own.
+        total_steps: Without effect: nothing follows a schedule.
     """
 
     def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:
@@ -114,8 +114,8 @@ def update(
     """One update: act, store, and make the gradient steps.
 
     Args:
-        state: the train state.
-        axis_name: mapped axis over which the environments are spread, if any.
+        state: The train state.
+        axis_name: Mapped axis over which the environments are spread, if any.
     """
     config: SACConfig = state.config
     dtype = state.environments.observation.dtype

@@ -98,7 +98,7 @@ def validate(config: SHACConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: with the name and the value of what is wrong.
+        ValueError: With the name and the value of what is wrong.
     """
     check_on_policy(config, num_devices)
     check_counts(config, "epochs", "minibatches")
@@ -134,14 +134,14 @@ def init(
     """The train state before the first update; pure, so `vmap` it over keys.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment, with a `cost` where that is the objective.
-        config: settings; `vmap` over their numbers works too.
-        env_params: parameters of the environment, None for its own.
-        total_steps: control steps over which the learning rate falls.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment, with a `cost` where that is the objective.
+        config: Settings; `vmap` over their numbers works too.
+        env_params: Parameters of the environment, None for its own.
+        total_steps: Control steps over which the learning rate falls.
 
     Raises:
-        ValueError: the environment has no cost, and that is the objective.
+        ValueError: The environment has no cost, and that is the objective.
     """
     updates = -(-total_steps // steps_per_update(config))
     adam = _optimiser(config)
@@ -163,8 +163,8 @@ def update(
     """One update: a gradient step of the policy, then some of the critic.
 
     Args:
-        state: the train state.
-        axis_name: mapped axis over which the environments are spread, if any.
+        state: The train state.
+        axis_name: Mapped axis over which the environments are spread, if any.
     """
     config: SHACConfig = state.config
     adam = _optimiser(config)

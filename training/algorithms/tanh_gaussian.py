@@ -33,9 +33,9 @@ def tanh_gaussian(
     2 (log 2 - u - softplus(-2 u)), which loses no digits where tanh is flat.
 
     Args:
-        mean: of u.
-        log_std: logarithm of the standard deviation of u.
-        noise: z, standard normal.
+        mean: Of u.
+        log_std: Logarithm of the standard deviation of u.
+        noise: Z, standard normal.
 
     Source: Haarnoja et al., "Soft actor-critic algorithms and applications", 2018,
     appendix C.

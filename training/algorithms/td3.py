@@ -71,7 +71,7 @@ def validate(config: TD3Config, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: with the name and the value of what is wrong.
+        ValueError: With the name and the value of what is wrong.
     """
     check_off_policy(config, num_devices)
     check_counts(config, "policy_delay", "critics")
@@ -96,11 +96,11 @@ def init(
     """The train state before the first update; pure, so `vmap` it over keys.
 
     Args:
-        key: typed random key; all randomness of the run comes from it.
-        env: the environment.
-        config: settings; `vmap` over their numbers works too.
-        env_params: parameters of the environment, None for its own.
-        total_steps: control steps over which the exploration noise falls.
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment.
+        config: Settings; `vmap` over their numbers works too.
+        env_params: Parameters of the environment, None for its own.
+        total_steps: Control steps over which the exploration noise falls.
     """
 
     def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
@@ -126,10 +126,10 @@ def smoothed_target_action(
     """Actions in [-1, 1] with clipped noise: target policy smoothing.
 
     Args:
-        action: in [-1, 1].
-        noise: standard normal.
-        spread: standard deviation of the noise before clipping.
-        limit: the noise is clipped to +- this.
+        action: In [-1, 1].
+        noise: Standard normal.
+        spread: Standard deviation of the noise before clipping.
+        limit: The noise is clipped to +- this.
     """
     return jnp.clip(action + jnp.clip(spread * noise, -limit, limit), -1, 1)
 
@@ -140,8 +140,8 @@ def update(
     """One update: act, store, and make the gradient steps.
 
     Args:
-        state: the train state.
-        axis_name: mapped axis over which the environments are spread, if any.
+        state: The train state.
+        axis_name: Mapped axis over which the environments are spread, if any.
     """
     config: TD3Config = state.config
     dtype = state.environments.observation.dtype

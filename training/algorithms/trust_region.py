@@ -26,8 +26,8 @@ def fisher_product(
     linearised once: every product is one sweep forwards and one backwards.
 
     Args:
-        outputs: parameters -> (mean, shape (samples, actions); log std, (actions,)).
-        parameters: where the matrix is taken.
+        outputs: Parameters -> (mean, shape (samples, actions); log std, (actions,)).
+        parameters: Where the matrix is taken.
 
     Source: Schulman et al., "Trust region policy optimization", 2015, appendix C.
     """
@@ -54,10 +54,10 @@ def conjugate_gradient(
     follows would be rounding.
 
     Args:
-        product: x -> A x.
-        right_side: b.
-        iterations: the most products.
-        tolerance: of the squared residual, relative.
+        product: X -> A x.
+        right_side: B.
+        iterations: The most products.
+        tolerance: Of the squared residual, relative.
     """
     enough = tolerance * jnp.vdot(right_side, right_side)
 
@@ -115,11 +115,11 @@ def backtrack(
     """Shortens a step until where it leads is acceptable.
 
     Args:
-        acceptable: whether a point will do.
-        start: where the step starts.
-        step: the longest step.
-        shrink: factor between one try and the next.
-        tries: the most tries; if none will do, the search stays at the start.
+        acceptable: Whether a point will do.
+        start: Where the step starts.
+        step: The longest step.
+        shrink: Factor between one try and the next.
+        tries: The most tries; if none will do, the search stays at the start.
     """
 
     def unfinished(carry: tuple[Array, Array]) -> Bool[Array, ""]:

@@ -15,7 +15,7 @@ class WithCost:
     """The environment with its cost in `info`, of the state before any restart.
 
     Raises:
-        ValueError: it has none.
+        ValueError: It has none.
     """
 
     env: Environment

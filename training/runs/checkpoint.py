@@ -54,8 +54,8 @@ class Checkpoints:
         """Names the folder.
 
         Args:
-            folder: made with the first checkpoint if missing.
-            keep: number of checkpoints to keep.
+            folder: Made with the first checkpoint if missing.
+            keep: Number of checkpoints to keep.
         """
         self.folder, self._keep = folder, keep
         self._latest: int | None = None
@@ -76,13 +76,13 @@ class Checkpoints:
         """Writes a checkpoint and removes the oldest ones.
 
         Args:
-            step: number of the checkpoint, growing along the run. Nothing is
+            step: Number of the checkpoint, growing along the run. Nothing is
                 written if it is the one that was saved or restored last.
-            state: the train state.
-            facts: further facts to store; anything JSON can hold.
+            state: The train state.
+            facts: Further facts to store; anything JSON can hold.
 
         Raises:
-            OSError: it cannot be written; with the name of the file.
+            OSError: It cannot be written; with the name of the file.
         """
         if step == self._latest:
             return
@@ -114,17 +114,17 @@ class Checkpoints:
         """Reads a checkpoint.
 
         Args:
-            template: a train state of the same structure and shapes.
-            step: number of the checkpoint, None for the newest.
-            check: raises if these are not the facts that are looked for; asked
+            template: A train state of the same structure and shapes.
+            step: Number of the checkpoint, None for the newest.
+            check: Raises if these are not the facts that are looked for; asked
                 before the state is looked at.
 
         Returns:
             The state, in host memory, and the facts.
 
         Raises:
-            ValueError: there is no checkpoint, or it is of another structure.
-            jaxrod.files.DamagedFileError: the file is damaged.
+            ValueError: There is no checkpoint, or it is of another structure.
+            jaxrod.files.DamagedFileError: The file is damaged.
         """
         step = next(iter(self.steps()), None) if step is None else step
         if step is None:

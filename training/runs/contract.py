@@ -22,13 +22,13 @@ def resolve(
     """The algorithm of a name, and its configuration.
 
     Args:
-        algorithm: a name, an import path or an `Algorithm`.
-        config: its configuration, None for the defaults.
-        trust: for a name that a file holds, see `find_algorithm`.
+        algorithm: A name, an import path or an `Algorithm`.
+        config: Its configuration, None for the defaults.
+        trust: For a name that a file holds, see `find_algorithm`.
 
     Raises:
-        UntrustedError: a file names it, and it is not trusted.
-        ValueError: there is no such algorithm, the configuration is of another one, or
+        UntrustedError: A file names it, and it is not trusted.
+        ValueError: There is no such algorithm, the configuration is of another one, or
             either is not what `Algorithm` says; with the name of what is wrong.
     """
     if isinstance(algorithm, str):
@@ -73,9 +73,9 @@ def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
     """Checks what an algorithm makes of its first train state; computes nothing.
 
     Args:
-        algorithm: that made the state.
-        state: as `init` returned it.
-        env: the environment.
+        algorithm: That made the state.
+        state: As `init` returned it.
+        env: The environment.
 
     Raises:
         ValueError: `update`, `policy` or `partition` is not what `Algorithm` says.

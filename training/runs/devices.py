@@ -59,10 +59,10 @@ def compile_updates(
     """Compiles up to `capacity` updates into one program.
 
     Args:
-        algorithm: the learner.
-        state: a train state, placed on the mesh; it is not changed here.
-        capacity: most updates of one call.
-        mesh: from `device_mesh`.
+        algorithm: The learner.
+        state: A train state, placed on the mesh; it is not changed here.
+        capacity: Most updates of one call.
+        mesh: From `device_mesh`.
 
     Returns:
         `(state, count) -> (state, metrics)`. The state given is consumed. The

@@ -55,14 +55,14 @@ class EventFile:
         """Begins the file, with what is known of the run so far.
 
         Args:
-            folder: folder of the file; made if it is not there. Other files of the
+            folder: Folder of the file; made if it is not there. Other files of the
                 same kind in it are removed.
-            rows: rows of the table of progress, as numbers or as it keeps them.
-            wall_s: seconds the run has taken so far [s].
+            rows: Rows of the table of progress, as numbers or as it keeps them.
+            wall_s: Seconds the run has taken so far [s].
 
         Raises:
             ModuleNotFoundError: tensorboardX is not installed.
-            OSError: the file cannot be written; with its name.
+            OSError: The file cannot be written; with its name.
         """
         from tensorboardX.proto.event_pb2 import Event, SessionLog
 
@@ -93,7 +93,7 @@ class EventFile:
         """Adds a row, with its `env_steps` and `wall_s`.
 
         Raises:
-            OSError: it cannot be written; with its name.
+            OSError: It cannot be written; with its name.
         """
         event = self._event(row)
         if event:

@@ -108,7 +108,7 @@ class RunFolder(OwnedFolder):
         """Reads `config.json`.
 
         Raises:
-            ValueError: there is no run in this folder, or the file is damaged.
+            ValueError: There is no run in this folder, or the file is damaged.
         """
         content = renamed(self.stored())
         with reading(self.path / CONFIG):
@@ -119,7 +119,7 @@ class RunFolder(OwnedFolder):
         """Reads `summary.json`.
 
         Raises:
-            ValueError: there is no finished run in this folder, or the file is
+            ValueError: There is no finished run in this folder, or the file is
                 damaged.
         """
         file = self.summary_file

@@ -38,7 +38,7 @@ class Hosts:
         """Finds out whose the devices are.
 
         Raises:
-            ValueError: they belong to some of the other processes only.
+            ValueError: They belong to some of the other processes only.
         """
         owners = {device.process_index for device in devices}
         mine = jax.process_index()
@@ -59,8 +59,8 @@ class Hosts:
         """What the writer makes, at every process.
 
         Raises:
-            ValueError: the writer has refused, and why; so do all.
-            OSError: at the writer, where it could not read or write.
+            ValueError: The writer has refused, and why; so do all.
+            OSError: At the writer, where it could not read or write.
         """
         if not self.several:
             return make()
@@ -89,8 +89,8 @@ class Hosts:
         """A tree in the memory of the host; every process has to ask for it.
 
         Args:
-            tree: its leaves are spread over the mesh or repeated on it.
-            mesh: of all devices of the run.
+            tree: Its leaves are spread over the mesh or repeated on it.
+            mesh: Of all devices of the run.
             at_all: False: where only the writer needs it, and others get None.
         """
         if not self.several:
@@ -115,7 +115,7 @@ class Hosts:
         """Says what it means when JAX cannot exchange what it has to.
 
         Raises:
-            LostProcessError: instead of JAX's error.
+            LostProcessError: Instead of JAX's error.
         """
         try:
             yield

@@ -20,7 +20,7 @@ class Interruption:
         """Listens only within the context.
 
         Args:
-            say: called with a sentence when the first signal comes.
+            say: Called with a sentence when the first signal comes.
         """
         self.asked = False
         self._say = say

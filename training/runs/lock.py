@@ -41,9 +41,9 @@ def only_process(folder: Path) -> Iterator[None]:
     The folder is made if it is missing, and removed again if nothing came into it.
 
     Raises:
-        FolderInUseError: another process holds it, which is named.
-        jaxrod.files.LinkedFileError: the file of the lock is a link.
-        OSError: the folder cannot be made or written to.
+        FolderInUseError: Another process holds it, which is named.
+        jaxrod.files.LinkedFileError: The file of the lock is a link.
+        OSError: The folder cannot be made or written to.
     """
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)

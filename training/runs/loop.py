@@ -54,39 +54,39 @@ def train(
     checkpoint and ends bit by bit as if nothing had happened.
 
     Args:
-        env: the environment. Of one that `jaxrod.envs.make` has made the run records
+        env: The environment. Of one that `jaxrod.envs.make` has made the run records
             how, so that `jaxrod evaluate` and `jaxrod render` make it again; of
             another they say that they cannot.
-        algorithm: a name, an import path `module:NAME`, or an `Algorithm`.
-        steps: control steps, rounded up to whole updates.
-        seed: the seed of all randomness.
-        out: folder of the run, see `jaxrod.training.runs.folder`; None writes
+        algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
+        steps: Control steps, rounded up to whole updates.
+        seed: The seed of all randomness.
+        out: Folder of the run, see `jaxrod.training.runs.folder`; None writes
             nothing.
-        config: settings of the algorithm, None for its defaults.
-        env_params: parameters of the environment, None for its own.
-        resume: continue the run in `out`.
-        overwrite: replace the run in `out`; other files there stay.
+        config: Settings of the algorithm, None for its defaults.
+        env_params: Parameters of the environment, None for its own.
+        resume: Continue the run in `out`.
+        overwrite: Replace the run in `out`; other files there stay.
         score_window: `final_score` is the mean return of this many last
             complete training episodes.
-        evaluation_episodes: episodes of the evaluation at the end, 0 for none.
-        checkpoint_seconds: time between checkpoints [s]; there is one at the end
+        evaluation_episodes: Episodes of the evaluation at the end, 0 for none.
+        checkpoint_seconds: Time between checkpoints [s]; there is one at the end
             in any case.
-        chunk_steps: a chunk is at least this many control steps, in whole
+        chunk_steps: A chunk is at least this many control steps, in whole
             updates.
-        devices: devices to spread the environments over, None for all; one for an
+        devices: Devices to spread the environments over, None for all; one for an
             algorithm without a `partition`.
-        progress: show a progress bar on stderr.
-        log: called with every row of the progress table; or "tensorboard", which
+        progress: Show a progress bar on stderr.
+        log: Called with every row of the progress table; or "tensorboard", which
             keeps an event file of them in `out` (`docs/learning.md`).
 
     Raises:
-        ModuleNotFoundError: what `log` needs is not installed.
-        ValueError: an argument or a setting makes no sense; `out` holds a run
+        ModuleNotFoundError: What `log` needs is not installed.
+        ValueError: An argument or a setting makes no sense; `out` holds a run
             that was not asked to be resumed or overwritten, or files that are not
             of a run; another process trains there; or what is to be resumed is
             damaged.
-        OSError: something cannot be written; with its name.
-        FloatingPointError: learning diverged; the checkpoints are from before.
+        OSError: Something cannot be written; with its name.
+        FloatingPointError: Learning diverged; the checkpoints are from before.
     """
     steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
     learner, config = resolve(algorithm, config)

@@ -43,10 +43,10 @@ class OwnedFolder:
         """Names the folder; it need not exist.
 
         Args:
-            path: the folder.
-            kind: kind of its content, such as "training run".
-            files: names of the files in it, beside `config.json`.
-            folders: names of the folders in it, and as a regular expression the
+            path: The folder.
+            kind: Kind of its content, such as "training run".
+            files: Names of the files in it, beside `config.json`.
+            folders: Names of the folders in it, and as a regular expression the
                 names of the files in each.
 
         Raises:
@@ -72,7 +72,7 @@ class OwnedFolder:
         """Reads `config.json` without its mark.
 
         Raises:
-            ValueError: it is not there, is damaged, or marks something else.
+            ValueError: It is not there, is damaged, or marks something else.
         """
         file = self.path / CONFIG
         try:
@@ -134,7 +134,7 @@ class OwnedFolder:
         """Removes what was written here before and writes `config.json`.
 
         Raises:
-            ValueError: see `check_replaceable`; or the configuration has no form
+            ValueError: See `check_replaceable`; or the configuration has no form
                 in JSON. Then nothing is removed.
         """
         text = as_json(CONFIG, {"format": self._mark, **config})
@@ -147,7 +147,7 @@ class OwnedFolder:
         """Removes what jaxrod has written here, and nothing else.
 
         Raises:
-            ValueError: see `check_replaceable`; then nothing is removed.
+            ValueError: See `check_replaceable`; then nothing is removed.
         """
         self.check_replaceable()
         self._remove_results()
@@ -169,7 +169,7 @@ class OwnedFolder:
         """Removes files that a killed process was about to write.
 
         Args:
-            but: files that others may be writing just now.
+            but: Files that others may be writing just now.
         """
         names = "|".join(re.escape(name) for name in self._files if name not in but)
         for folder, pattern in {".": names, **self._folders}.items():
@@ -202,8 +202,8 @@ def as_json(name: str, content: Mapping[str, Any]) -> bytes:
     """The text of a JSON file.
 
     Raises:
-        ValueError: a number is not finite.
-        TypeError: something has no form in JSON.
+        ValueError: A number is not finite.
+        TypeError: Something has no form in JSON.
     """
     try:
         text = json.dumps(dict(content), indent=2, allow_nan=False)

@@ -29,7 +29,7 @@ def recorded(settings: Any) -> dict[str, Any]:
     """The settings of a learner, a dataclass, as `config.json` keeps them.
 
     Raises:
-        ValueError: one is a function that no other process could find.
+        ValueError: One is a function that no other process could find.
     """
     return {
         field.name: _recorded(field.name, getattr(settings, field.name))
@@ -43,15 +43,15 @@ def restored(
     """Settings from what `config.json` keeps of them.
 
     Args:
-        defaults: settings of the learner; those that are not stored stay.
-        stored: what was kept; what is no setting of the learner is left out.
-        trust: modules that may be imported because the file names them, see
+        defaults: Settings of the learner; those that are not stored stay.
+        stored: What was kept; what is no setting of the learner is left out.
+        trust: Modules that may be imported because the file names them, see
             `jaxrod.envs.importing.check_trusted`; what is as by default needs none.
 
     Raises:
-        ValueError: one is not of its kind.
-        UntrustedError: one is a function that is not trusted.
-        ImportError: a function is not found.
+        ValueError: One is not of its kind.
+        UntrustedError: One is a function that is not trusted.
+        ImportError: A function is not found.
     """
     known = {field.name for field in dataclasses.fields(defaults)}
     return dataclasses.replace(
@@ -83,15 +83,15 @@ def find_function(name: str, path: Any, trust: Collection[str] | None = None) ->
     """The function that a setting names.
 
     Args:
-        name: of the setting.
-        path: its import path; None stands for itself.
-        trust: for a path that a file holds, see `restored`; None for what the user
+        name: Of the setting.
+        path: Its import path; None stands for itself.
+        trust: For a path that a file holds, see `restored`; None for what the user
             names.
 
     Raises:
-        ValueError: it is no import path, or not that of a function.
-        UntrustedError: a file names it, and it is not trusted.
-        ImportError: it is not found.
+        ValueError: It is no import path, or not that of a function.
+        UntrustedError: A file names it, and it is not trusted.
+        ImportError: It is not found.
     """
     if path is None:
         return None

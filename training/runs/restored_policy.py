@@ -29,18 +29,18 @@ def restore_policy(
     """Reads the policy of a run.
 
     Args:
-        run: folder of the run.
-        env: the environment it was trained on.
-        env_params: parameters of the environment, None for its own.
-        trust: modules that may be imported because the run names them, such as
+        run: Folder of the run.
+        env: The environment it was trained on.
+        env_params: Parameters of the environment, None for its own.
+        trust: Modules that may be imported because the run names them, such as
             `("my_learners",)`: those of an algorithm or a network of your own. The
             policies of built-in algorithms and networks need none.
 
     Raises:
-        ValueError: there is no run, it has no policy yet, or a file is damaged; with
+        ValueError: There is no run, it has no policy yet, or a file is damaged; with
             its name.
-        UntrustedError: the run names an algorithm or a network that is not trusted.
-        ImportError: the algorithm or a network that it was trained with is not found.
+        UntrustedError: The run names an algorithm or a network that is not trusted.
+        ImportError: The algorithm or a network that it was trained with is not found.
     """
     folder = RunFolder(run)
     stored = folder.config()
@@ -63,10 +63,10 @@ def untrained_policy(
     """Structure of the policy that training would make; computes nothing.
 
     Args:
-        env: the environment.
-        algorithm: a name, an import path or an `Algorithm`.
-        config: settings of the algorithm, None for its defaults.
-        env_params: parameters of the environment, None for its own.
+        env: The environment.
+        algorithm: A name, an import path or an `Algorithm`.
+        config: Settings of the algorithm, None for its defaults.
+        env_params: Parameters of the environment, None for its own.
 
     Returns:
         The policy, with shapes and types (`jax.ShapeDtypeStruct`) in place of numbers.

@@ -81,21 +81,21 @@ def restore(
     """Reads the newest checkpoint that can be read and cuts the tables back to it.
 
     Args:
-        folder: of the run.
-        checkpoints: of the run.
-        asked: its configuration.
-        template: what is stored, of the same structure and shapes.
+        folder: Of the run.
+        checkpoints: Of the run.
+        asked: Its configuration.
+        template: What is stored, of the same structure and shapes.
 
     Returns:
         What was stored and the facts; None where there is no checkpoint, for a run
         that was killed before the first one starts over.
 
     Raises:
-        ValueError: no checkpoint can be read, the newest is of another run, or a
+        ValueError: No checkpoint can be read, the newest is of another run, or a
             table has lost what it counts on. Then nothing is changed.
 
     Warns:
-        DamagedCheckpointWarning: the newest cannot be read, an older one can.
+        DamagedCheckpointWarning: The newest cannot be read, an older one can.
     """
     found, damaged = None, []
     for step in checkpoints.steps():

@@ -32,12 +32,12 @@ def train_seeds(
     little in every step.
 
     Args:
-        env: the environment.
-        algorithm: a name, an import path `module:NAME`, or an `Algorithm`.
-        steps: control steps of each run, rounded up to whole updates.
-        seeds: the seeds.
-        config: settings of the algorithm, None for its defaults.
-        env_params: parameters of the environment, None for its own.
+        env: The environment.
+        algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
+        steps: Control steps of each run, rounded up to whole updates.
+        seeds: The seeds.
+        config: Settings of the algorithm, None for its defaults.
+        env_params: Parameters of the environment, None for its own.
 
     Returns:
         The train states, with a leading axis of seeds, and metrics of shape
@@ -46,7 +46,7 @@ def train_seeds(
         none).
 
     Raises:
-        ValueError: an argument or a setting makes no sense.
+        ValueError: An argument or a setting makes no sense.
     """
     learner, config = resolve(algorithm, config)
     learner.validate(config, 1)

@@ -46,9 +46,9 @@ class Table:
         """Adds rows; the first row of the file decides the columns.
 
         Raises:
-            ValueError: another process has written to the file, or a row is of
+            ValueError: Another process has written to the file, or a row is of
                 other columns.
-            OSError: it cannot be written; with its name.
+            OSError: It cannot be written; with its name.
         """
         rows = list(rows)
         if not rows:
@@ -131,7 +131,7 @@ class Table:
         """Cuts the table back to a mark: later rows were not checkpointed.
 
         Raises:
-            ValueError: see `check`.
+            ValueError: See `check`.
         """
         if mark is None or not mark["bytes"]:
             self.path.unlink(missing_ok=True)
@@ -148,7 +148,7 @@ class Table:
         """Returns all complete rows, none if the file does not exist.
 
         Raises:
-            ValueError: the file is damaged.
+            ValueError: The file is damaged.
         """
         if not self.path.exists():
             return []

@@ -95,7 +95,7 @@ class RayCluster:
         """Describes the tasks of a cluster that is connected.
 
         Args:
-            cores: processor cores that a run asks for.
+            cores: Processor cores that a run asks for.
             gpus: GPUs that a run asks for.
         """
         import ray
@@ -126,12 +126,12 @@ def cluster(address: str, cores: int, gpus: float) -> Iterator[RayCluster]:
     """Connects to a cluster for as long as the context lasts.
 
     Args:
-        address: where its head listens, HOST:PORT, or "auto" on one of its nodes.
-        cores: processor cores that a run asks for.
+        address: Where its head listens, HOST:PORT, or "auto" on one of its nodes.
+        cores: Processor cores that a run asks for.
         gpus: GPUs that a run asks for.
 
     Raises:
-        ConnectionError: there is no cluster.
+        ConnectionError: There is no cluster.
         ModuleNotFoundError: Ray is not installed.
     """
     import ray
@@ -149,10 +149,10 @@ def train_here(
     """Trains a run on this node, from where it is, and waits for its end.
 
     Args:
-        words: the command, after `jaxrod`.
-        place: folder of the run.
-        cwd: folder in which to run it, where a task of one's own is looked for.
-        variables: of the environment, beside those of this node.
+        words: The command, after `jaxrod`.
+        place: Folder of the run.
+        cwd: Folder in which to run it, where a task of one's own is looked for.
+        variables: Of the environment, beside those of this node.
     """
     import ray
 

@@ -92,20 +92,20 @@ def plan(
     """Lays out a sweep, in the order in which it is run: all runs of a seed first.
 
     Args:
-        tasks: names or import paths of tasks.
-        algorithms: names or import paths of learners.
-        seeds: seeds of every combination.
-        steps: control steps of every run.
-        variant: of the tasks, None for their own.
-        options: of the tasks, as NAME=VALUE.
-        sets: settings as NAME=VALUE,VALUE,..., of one algorithm as
+        tasks: Names or import paths of tasks.
+        algorithms: Names or import paths of learners.
+        seeds: Seeds of every combination.
+        steps: Control steps of every run.
+        variant: Of the tasks, None for their own.
+        options: Of the tasks, as NAME=VALUE.
+        sets: Settings as NAME=VALUE,VALUE,..., of one algorithm as
             ALGORITHM.NAME=VALUE; several of a name are alternatives, too, and of what
             is a tuple the only way to have any.
-        cores: cores of every run; None for those that its process finds.
+        cores: Cores of every run; None for those that its process finds.
 
     Raises:
-        ValueError: something is not known or makes no sense.
-        ImportError: a task or a learner of one's own cannot be imported.
+        ValueError: Something is not known or makes no sense.
+        ImportError: A task or a learner of one's own cannot be imported.
     """
     check_count("steps", steps, 1)
     seeds = [check_seed(seed, "seeds") for seed in dict.fromkeys(seeds)]

@@ -42,9 +42,9 @@ def differs(
     """How a run that was begun differs from what is planned, one phrase per entry.
 
     Args:
-        planned: the run.
-        folder: where it was begun, if it was.
-        stored: its configuration, if that of the folder is not to be read.
+        planned: The run.
+        folder: Where it was begun, if it was.
+        stored: Its configuration, if that of the folder is not to be read.
     """
     if stored is None:
         stored = folder.config() if folder.exists else planned.config

@@ -43,7 +43,7 @@ def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
     """Waits until nobody trains in any of the folders.
 
     Raises:
-        FolderInUseError: somebody still does after `WAIT_SECONDS`.
+        FolderInUseError: Somebody still does after `WAIT_SECONDS`.
     """
     until = time.monotonic() + WAIT_SECONDS
     for folder in folders:
@@ -96,11 +96,11 @@ class Child:
         """Starts it; it goes on with what there is in the folder.
 
         Args:
-            words: the command, after `jaxrod`.
-            folder: of the run.
-            cores: the processor's cores it may use; all if empty.
-            cwd: folder in which it runs, None for this one.
-            environment: its variables, None for those of this process.
+            words: The command, after `jaxrod`.
+            folder: Of the run.
+            cores: The processor's cores it may use; all if empty.
+            cwd: Folder in which it runs, None for this one.
+            environment: Its variables, None for those of this process.
         """
         self.cores = tuple(cores)
         self._log = log_of(folder)
@@ -148,10 +148,10 @@ class ThisMachine:
         """Deals out the cores.
 
         Args:
-            jobs: how many runs are trained side by side.
+            jobs: How many runs are trained side by side.
 
         Raises:
-            ValueError: there is no room for any.
+            ValueError: There is no room for any.
         """
         if jobs < 1:
             raise ValueError(f"jobs must be at least 1, got {jobs}")

@@ -37,7 +37,7 @@ class Results:
         """Reads what the folders hold.
 
         Raises:
-            ValueError: a file in them is damaged.
+            ValueError: A file in them is damaged.
         """
         self._runs, self._out = list(runs), out
         self._settings = sorted({name for run in runs for name in run.chosen})

@@ -77,12 +77,12 @@ def train_all(
     other starts.
 
     Args:
-        runs: in the order in which they start.
-        folder_of: where each is trained. What is there is gone on with.
-        place: where the processes are.
-        view: shows how far they are.
-        interruption: may ask to stop.
-        more: words that all the commands get.
+        runs: In the order in which they start.
+        folder_of: Where each is trained. What is there is gone on with.
+        place: Where the processes are.
+        view: Shows how far they are.
+        interruption: May ask to stop.
+        more: Words that all the commands get.
     """
     waiting, told = list(runs), False
     running: list[_Running[PlannedT, WorkT]] = []
