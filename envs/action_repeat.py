@@ -1,8 +1,8 @@
 """An environment whose actions are held for several control steps.
 
-Control steps of the benchmark are 1.4 ms, far shorter than an arm takes to answer. An
-agent that decides at every one of them explores with noise that the arm averages out,
-and has to look hundreds of decisions ahead.
+Control steps of the benchmark are 1.4 ms, far shorter than the response time of an arm.
+An agent that decides at every step explores with noise that the arm averages out, and
+has to look hundreds of decisions ahead.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from jaxrod.envs.protocol import Environment
 
 @dataclasses.dataclass(frozen=True)
 class ActionRepeat:
-    """Every action is held for `times` control steps, whose rewards are added up.
+    """Holds every action for `times` control steps and adds up their rewards.
 
     An episode that ends in between ends there: rewards of the remaining control steps
-    are not counted. `info` is that of the last step that counts, with
-    `"control_steps"`, the number that counted, for `VectorEnvironment`'s clock.
+    do not count. `info` is that of the last step that counts. It also holds
+    `"control_steps"`, the number of steps that counted, for `VectorEnvironment`'s
+    clock.
 
     Raises:
         ValueError: If `times` is below 1.
@@ -32,7 +33,7 @@ class ActionRepeat:
     env: Environment
     """The environment."""
     times: int
-    """Control steps of one decision."""
+    """Number of control steps per decision."""
 
     def __post_init__(self) -> None:
         """Checks the number."""
@@ -99,11 +100,11 @@ class ActionRepeat:
 
 
 def _counted(outcome: Any, control_steps: Array) -> Any:
-    """An environment's step with the number of control steps in its `info`."""
+    """Outcome of a step, with the number of control steps added to its `info`."""
     *most, info = outcome
     return (*most, info | {"control_steps": control_steps})
 
 
 def repeating(env: Environment, times: int) -> Environment:
-    """The environment itself, or one whose actions are held for `times` steps."""
+    """The environment itself, or a wrapper that holds actions for `times` steps."""
     return env if times == 1 else ActionRepeat(env, times)

@@ -1,4 +1,4 @@
-"""Actions: as many numbers as the task says, in one environment or in each of many."""
+"""Actions: checks that their shape fits one environment or a batch of them."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from jaxtyping import Array, ArrayLike
 
 
 def action_of_size(action: ArrayLike, size: int) -> Array:
-    """The action, if it is a vector of so many numbers.
+    """The action, if it is a vector of the given size.
 
     Raises:
-        ValueError: If the shape differs: an action that could be broadcast would
-            drive other actuators than it was meant for.
+        ValueError: If the shape differs: an action that could be broadcast would drive
+            other actuators than intended.
     """
     check_action_shape("action", action, (size,))
     return jnp.asarray(action)
 
 
 def check_action_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
-    """Raises unless what the caller handed over has the shape that is expected.
+    """Raises unless an array from the caller has the expected shape.
 
-    Whoever adds a batch axis asks before it does, so that the message speaks of the
-    caller's own array.
+    Callers that add a batch axis check first, so that the message describes the user's
+    own array.
 
     Args:
-        name: "action" of one environment, "actions" of several.
-        given: What was handed over.
-        shape: `(action_size,)` or `(num_envs, action_size)`.
+        name: "action" for one environment, "actions" for several.
+        given: Array from the caller.
+        shape: Expected shape, `(action_size,)` or `(num_envs, action_size)`.
 
     Raises:
-        ValueError: With both shapes.
+        ValueError: If the shapes differ; the message shows both.
     """
     found = np.shape(given)
     if found == shape:

@@ -35,30 +35,30 @@ __all__ = ["BraxEnv", "patched_jax"]
 
 @pytree
 class Running:
-    """State of the physics as brax keeps it and puts back at a restart."""
+    """State of the physics that brax carries and restores at a restart."""
 
     state: Any
     """State of the environment."""
     elapsed: UInt32[Array, ""]
-    """Control steps of the running episode; more than its length once it has ended
-    before."""
+    """Control steps of the running episode. It exceeds the episode length once the
+    episode has ended before the time limit."""
 
 
 class BraxEnv(Env):
     """An environment as brax knows it.
 
-    Under brax's own training wrappers a batch of it is
+    Under brax's own training wrappers, a batch of it is
     `jaxrod.envs.VectorEnvironment`, restarts included: environment i has the i-th
-    random key given to `reset`. Three things are said in brax's way:
+    random key given to `reset`. Three things follow brax's conventions:
 
-    - brax's `AutoResetWrapper` replays the first episode for ever. It takes what it
-      restores from `info`, so a fresh start is put there with every step.
-    - brax's `EpisodeWrapper` knows one truncation, its own clock running out, and
-      takes all else for the task's end. So a step truncated before the time limit
-      puts that clock forward instead of being `done`, and at the time limit the
-      clock decides. Without the wrapper both are `done`; `info["time_out"]` marks
-      them with it and without.
-    - The parameters are `sys`: what brax's domain randomisation draws from and sets.
+    - brax's `AutoResetWrapper` replays the first episode for ever. It restores the
+      start from `info`, so every step puts a fresh start there.
+    - brax's `EpisodeWrapper` knows one kind of truncation: its own clock running out.
+      It takes every other end for the task's own. So a step truncated before the time
+      limit advances that clock instead of being `done`, and at the time limit the
+      clock decides. Without the wrapper both are `done`. `info["time_out"]` marks
+      them with and without the wrapper.
+    - The parameters are `sys`: brax's domain randomisation samples and replaces it.
 
     Attributes:
         env: The environment.
@@ -72,8 +72,8 @@ class BraxEnv(Env):
 
         Args:
             task: A task for `jaxrod.envs.make`, or an environment.
-            params: Parameters of the environment; None for its own.
-            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            params: Parameters of the environment; None for its defaults.
+            **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: An argument does not fit.
@@ -96,23 +96,23 @@ class BraxEnv(Env):
 
     @property
     def episode_length(self) -> int:
-        """Control steps of an episode: the most to ask of brax's `EpisodeWrapper`."""
+        """Control steps of an episode; the largest valid limit for `EpisodeWrapper`."""
         return self.env.episode_length
 
     @property
     def backend(self) -> str:
-        """The simulator."""
+        """Name of the simulator."""
         return "jaxrod"
 
     def reset(self, rng: UInt32[Array, "2"]) -> State:
         """Starts an episode.
 
         Args:
-            rng: A key of `jax.random.PRNGKey`, as brax passes them.
+            rng: Key of `jax.random.PRNGKey`, as brax passes keys.
 
         Returns:
-            The state. `metrics` holds the environment's scalars, of which brax
-            reports sums over episodes; `info` what a restart leaves alone.
+            The state. `metrics` holds the environment's scalars; brax reports their
+            sums over episodes. `info` holds the data that a restart leaves alone.
         """
         ticks = jnp.zeros((), jnp.uint32)
         observation, running = self._start(_key(rng, 2 * ticks))
@@ -127,7 +127,7 @@ class BraxEnv(Env):
         )
 
     def step(self, state: State, action: Float[Array, " action"]) -> State:
-        """One control step; none, and no reward, if the episode has ended.
+        """Advances one control step; an ended episode stays as it is, without reward.
 
         Args:
             state: State from `reset` or from the step before.
@@ -139,12 +139,13 @@ class BraxEnv(Env):
         action = action_of_size(action, self.env.action_size)
         running = state.pipeline_state
         following = self._advance(state, action)
-        # brax repeats an action past the end of an episode: nothing moves any more.
+        # brax repeats an action past the end of an episode: nothing moves then.
         over = running.elapsed >= self.env.episode_length
         still = state.replace(reward=jnp.zeros_like(state.reward))
         if "truncation" in state.info:
             limit, steps = self.env.episode_length, state.info["steps"]
-            # A clock set to more than the episode's length has not stopped at its end.
+            # A clock beyond the episode's length belongs to an episode that ended
+            # early.
             early = (running.elapsed > limit) & (state.done == 0)
             ignored = (running.elapsed == limit) & (steps >= limit)
             still = still.replace(
@@ -154,7 +155,7 @@ class BraxEnv(Env):
         return jax.tree.map(lambda a, b: jnp.where(over, a, b), still, following)
 
     def _advance(self, state: State, action: Float[Array, " action"]) -> State:
-        """One control step of an episode that runs."""
+        """One control step of a running episode."""
         info = dict(state.info)
         ticks = info["ticks"] + 1
         observation, following, reward, terminated, truncated, scalars = self.env.step(
@@ -163,7 +164,8 @@ class BraxEnv(Env):
             action,
             self._params(),
         )
-        # As in VectorEnvironment: what is not finite is truncated before it is seen.
+        # As in VectorEnvironment: non-finite results are truncated before anyone sees
+        # them.
         sound = jnp.isfinite(reward) & jnp.all(jnp.isfinite(observation))
         observation = jnp.where(sound, observation, state.obs)
         scalars = scalars | {"flagged": ~sound | scalars.get("flagged", ~sound)}
@@ -171,7 +173,8 @@ class BraxEnv(Env):
         limit = self.env.episode_length
         done = terminated & sound
         time_out = (truncated | ~sound | (elapsed >= limit)) & ~done
-        # What ends otherwise than by the clock is past the limit from now on.
+        # An episode that ends for another reason than the clock counts as past the
+        # limit.
         early = time_out & (elapsed < limit)
         elapsed = jnp.where(early | done, jnp.uint32(limit + 1), elapsed)
         if "truncation" in info:  # An EpisodeWrapper keeps the clock.
@@ -198,10 +201,10 @@ class BraxEnv(Env):
         return _number(observation, jnp.float32), Running(state, elapsed)
 
     def _params(self) -> Any:
-        """The parameters, kept from the compiler.
+        """The parameters, hidden from constant folding.
 
-        brax's programs hold them as constants. What XLA computes of constants ahead
-        differs in the last bit from what it computes of arguments.
+        brax's programs hold them as constants. XLA folds constants ahead of time, and
+        the result differs in the last bit from a computation with arguments.
         """
         return jax.lax.optimization_barrier(self.sys)
 
@@ -224,5 +227,5 @@ def _key(rng: UInt32[Array, "2"], index: UInt32[Array, ""]) -> Key[Array, ""]:
 
 
 def _number(value: Array, dtype: Any = float) -> Array:
-    """A number of the kind that brax's own are, so that its scans carry it."""
+    """A number of the dtype that brax itself uses, so that its scans can carry it."""
     return jnp.asarray(value, dtype)

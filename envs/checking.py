@@ -1,4 +1,4 @@
-"""Whether somebody's own object is an environment, and what it lacks in words."""
+"""Checks whether a user's own object is an environment, and reports what it lacks."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _WORDS: dict[Any, str] = {jnp.floating: "floats", jnp.bool_: "bool"}
 
 
 def check_facts(env: Any) -> None:
-    """Checks the attributes of an environment; computes nothing.
+    """Checks the attributes of an environment, without computing anything.
 
     Raises:
-        ValueError: It lacks something that `Environment` asks for.
+        ValueError: It lacks something that `Environment` requires.
     """
     kind = type(env).__name__
     if isinstance(env, type):
@@ -51,11 +51,11 @@ def check_facts(env: Any) -> None:
 
 
 def check_environment(env: Environment) -> None:
-    """Checks what an environment returns, by tracing it: no step is computed.
+    """Checks the results of an environment by tracing it, without computing a step.
 
     Raises:
-        ValueError: It is not what `Environment` promises, or a method raises, with
-            what it raised as the cause.
+        ValueError: They are not what `Environment` promises, or a method raises, with
+            that exception as the cause.
     """
     check_facts(env)
     params = _called("default_params", env, env.default_params)
@@ -102,9 +102,9 @@ def _called(
 
 
 def _remedy(error: Exception) -> str:
-    """What to write instead, where JAX's words alone do not tell."""
+    """Advice for errors whose JAX message alone does not tell what to change."""
     if isinstance(error, jax.errors.TracerBoolConversionError):
-        # JAX says where, in lines that follow the first.
+        # JAX names the place in the lines that follow the first.
         return (
             ". What `if`, `while`, `and` or `or` decides by must be known before the "
             "program runs: jnp.where and jax.lax.cond decide while it runs"

@@ -1,4 +1,4 @@
-"""Snapshots of a task as a replay and as a still."""
+"""Snapshots of a task turned into a replay or a still."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from jaxrod.viz import Cylinder, Replay, Sphere, frame
 
 
 def drawable(env: Environment) -> TypeGuard[Drawable]:
-    """Whether the environment says what to draw."""
+    """Whether the environment can be drawn."""
     return not missing(env)
 
 
 def missing(env: Environment) -> str:
-    """Parts that an environment lacks to be drawn, in a sentence; empty if none."""
+    """Parts that an environment lacks for drawing, in a sentence; empty if none."""
     lacks = []
     if not callable(getattr(env, "snapshot", None)):
         lacks.append("no method snapshot(state, params)")
@@ -35,11 +35,10 @@ def missing(env: Environment) -> str:
 def snapshots(env: Drawable, states: Any, params: Any) -> Snapshot:
     """Snapshots of many states, along the first axis of every leaf.
 
-    Not compiled, so that every number is the one that the snapshot of a single state
-    has.
+    Not compiled, so that every number equals that of a single state's snapshot.
 
     Raises:
-        ValueError: What the environment calls a snapshot is none.
+        ValueError: The environment returns something other than a `Snapshot`.
     """
 
     def one(state: Any) -> Snapshot:
@@ -60,13 +59,14 @@ def replay(
     readouts: Mapping[str, Any] | None = None,
     title: str = "",
 ) -> Replay:
-    """A motion to look at.
+    """Replay of a motion.
 
     Args:
-        seen: One snapshot of each frame, along the first axis of every leaf.
-        times: Of the frames [s].
-        readouts: More numbers of every frame; shown before those of the snapshots.
-        title: Its heading.
+        seen: Snapshots of the frames, stacked along the first axis of every leaf.
+        times: Times of the frames [s].
+        readouts: Additional numbers of every frame, shown before those of the
+            snapshots.
+        title: Heading of the replay.
 
     Raises:
         ValueError: A number is impossible, or a radius or a cylinder changes.
@@ -104,16 +104,16 @@ def edge_lengths(env: Drawable, params: Any) -> Float[np.ndarray, "rods n"]:
 def picture(
     seen: Snapshot, lengths: Float[np.ndarray, "rods n"], seconds: float
 ) -> UInt8[np.ndarray, "480 640 3"]:
-    """A still of one moment, always seen from the same place.
+    """A still of one moment, always from the same viewpoint.
 
     Args:
-        seen: The moment.
-        lengths: What `edge_lengths` returns for the environment.
+        seen: Snapshot of the moment.
+        lengths: Element lengths, as `edge_lengths` returns them for the environment.
         seconds: Time since the episode began [s].
     """
     nodes = _nodes(seen)
-    # The view holds all that straight rods reach, so that it never moves: the moments
-    # before the one that is drawn show the rods along every axis.
+    # The view must contain everything that straight rods can reach, so that it never
+    # moves. So the frames before the drawn one show the rods straight along every axis.
     arcs = np.cumsum(np.pad(lengths, ((0, 0), (1, 0))), axis=1)
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     reach = nodes[None, :, :, :1] + axes[:, None, :, None] * arcs[None, :, None, :]
@@ -128,13 +128,13 @@ def picture(
 
 
 def _nodes(seen: Snapshot) -> Float[np.ndarray, "rods 3 n+1"]:
-    """Nodes of all rods of one moment [m]."""
+    """Nodes of all rods at one moment [m]."""
     nodes = np.asarray(seen.positions, float)
     return nodes if nodes.ndim == 3 else nodes[None]
 
 
 def _lasting(name: str, values: Any) -> np.ndarray:
-    """Parts that are the same in all frames."""
+    """Values that must be the same in all frames."""
     if not np.array_equal(values, np.broadcast_to(values[:1], values.shape)):
         raise ValueError(f"{name} of a snapshot must not change during an episode")
     return values[0]

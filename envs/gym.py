@@ -2,7 +2,7 @@
 
 The ids are `jaxrod/TASK-VARIANT-v0`, for example `jaxrod/tracking-paper-v0`; `ids()`
 lists them. Keyword arguments of `make` and `make_vec` go to the task, for example
-`controls=4` to a structured one. An id's version rises when what it computes changes.
+`controls=4` to `structured`. An id's version rises when its results change.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ VARIANTS = {
     "gripper": ("clean",),
     "following": ("clean",),
 }
-"""The tasks, and what variants each has."""
+"""The tasks, and the variants of each."""
 
 
 def ids() -> tuple[str, ...]:
-    """Returns the ids that are registered."""
+    """Returns the registered ids."""
     return tuple(_id(task, variant) for task in VARIANTS for variant in VARIANTS[task])
 
 

@@ -1,9 +1,9 @@
-"""A callable of somebody's own, found by `module:callable` or `file.py:callable`.
+"""A user's own callable, found by `module:callable` or `file.py:callable`.
 
-What a user types is the user's own say-so. What a file names may be anybody's: it is
-imported only where the user has vouched for its module (`check_trusted`). A list of
-what is too dangerous to call could not be complete; this is a list of what is allowed,
-and it is empty to begin with.
+An import path that the user types is trusted. A path that a file names may come from
+anybody. It is imported only if the user has vouched for its module (`check_trusted`). A
+list of everything too dangerous to call could never be complete, so this is a list of
+what is allowed. It is empty by default.
 """
 
 from __future__ import annotations
@@ -27,16 +27,18 @@ class _NotThereError(ValueError):
 
 
 def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..., Any]:
-    """Imports what a path names.
+    """Imports the callable at an import path.
 
     Args:
         where: `package.module:callable`, or `folder/file.py:callable` for a file that
-            imports nothing from beside it. What follows the colon is one plain name.
-        trust: For what a file names, see `check_trusted`; None for what the user names.
+            imports nothing from its own folder. One plain name follows the colon.
+        trust: Trusted modules if a file names the path, see `check_trusted`; None if
+            the
+            user names it.
 
     Raises:
-        ValueError: There is no such module, file or callable; it is of Python's own
-            library; or importing it raises, with what it raised as the cause.
+        ValueError: There is no such module, file or callable; it belongs to Python's
+            standard library; or importing it raises, with that exception as the cause.
         UntrustedError: See `check_trusted` and `check_home`.
         ModuleNotFoundError: It imports something that is not installed.
     """
@@ -71,20 +73,22 @@ def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..
 
 
 def check_trusted(where: str, trust: Collection[str]) -> None:
-    """Refuses what a file names, unless the user trusts its module.
+    """Refuses an import path from a file, unless the user trusts its module.
 
-    Nothing is imported here. Trust in a package does not extend to its modules, nor
-    trust in a module to its package, although importing the module runs the package's
-    `__init__.py`.
+    Nothing is imported here. Trust in a package does not extend to its modules. Trust
+    in a module does not extend to its package, although importing the module runs the
+    package's `__init__.py`.
 
     Args:
         where: `package.module:NAME` or `folder/file.py:NAME`, with one plain name.
-        trust: Names of modules, whole and with all their dots; paths of .py files; or
-            single import paths such as `package.module:NAME`.
+        trust: Full dotted names of modules; paths of .py files; or single import paths
+            such as `package.module:NAME`.
 
     Raises:
-        UntrustedError: Its module is not among them, or is one of Python's own.
-        ValueError: It is no import path, or `trust` is a text instead of a tuple.
+        UntrustedError: Its module is not trusted, or belongs to Python's standard
+            library.
+        ValueError: `where` is no import path, or `trust` is a string instead of a
+            tuple.
     """
     if isinstance(trust, str):
         raise ValueError(f"trust must be a tuple of names, such as ({trust!r},)")
@@ -120,16 +124,16 @@ def check_trusted(where: str, trust: Collection[str]) -> None:
 def check_home(
     where: str, found: Any, module: ModuleType, trust: Collection[str]
 ) -> None:
-    """Refuses what a trusted module has itself only imported from another package.
+    """Refuses a callable that a trusted module only imports from another package.
 
-    Somebody's module may well begin with `from os import system`; vouching for it is
-    no word for that.
+    A user's module may well begin with `from os import system`; vouching for the module
+    does not vouch for that function.
 
     Args:
         where: The import path.
-        found: What is there.
-        module: In which it was found.
-        trust: See `check_trusted`; a single import path is trusted in any case.
+        found: Callable found at the path.
+        module: Module in which it was found.
+        trust: See `check_trusted`; a single import path is always trusted.
 
     Raises:
         UntrustedError: It is a function or class of another package.
@@ -146,7 +150,7 @@ def check_home(
 
 
 def spelt_out(where: str) -> str:
-    """The same path, of a file the absolute one: valid in whatever folder."""
+    """The same import path, with absolute file names: valid in every folder."""
     place, _, name = where.rpartition(":")
     return f"{Path(place).resolve()}:{name}" if _is_file(place) else where
 
@@ -171,7 +175,7 @@ def _by_name(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        # Not what the module itself imports, that is another fault.
+        # A failed import inside the module itself is another fault.
         if error.name and (name == error.name or name.startswith(error.name + ".")):
             raise _NotThereError(
                 f"there is no module {error.name!r} where Python looks for modules"
@@ -180,19 +184,19 @@ def _by_name(name: str) -> ModuleType:
 
 
 def _from_file(path: Path) -> ModuleType:
-    """The module in a file; the same one for the same file."""
+    """The module in a file; the same object for the same file."""
     path = path.resolve()
     if not path.is_file():
         raise _NotThereError(f"there is no file {path}")
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:8]
-    # Nothing that can be imported has a name like this.
+    # No importable module has a name like this.
     name = f"{path.stem}@{digest}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
-    # Before it runs: its dataclasses look themselves up there.
+    # Registered before it runs: its dataclasses look themselves up there.
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)

@@ -1,15 +1,13 @@
-"""Policies that remember: planners, recurrent networks, filters.
+"""Policies with memory: planners, recurrent networks, filters.
 
-A policy without memory is a function of the observation. One with memory has two
-methods instead, on whole batches, so that what a batch does together (a plan is due) is
-decided once:
-
-- `init(observation, state) -> memory` when episodes begin,
+A policy without memory is a function of the observation. A policy with memory has two
+methods instead. They act on whole batches, so that decisions for the whole batch (that
+a plan is due, say) are made once:
 - `act(memory, observation, state) -> (action, memory)` at every decision.
 
-Leaves of observation and state have the batch in front; memory is any pytree. A learned
-policy leaves the state alone, a planner starts from it. Both kinds may have an
-`action_repeat`: the control steps for which an action is held.
+Leaves of observation and state have a leading batch axis; memory is any pytree. A
+learned policy ignores the state, a planner starts from it. Both kinds may have an
+`action_repeat`: the number of control steps for which an action is held.
 """
 
 from __future__ import annotations
@@ -26,59 +24,59 @@ from jaxrod.structure import pytree
 
 @runtime_checkable
 class MemoryPolicy(Protocol):
-    """A policy with memory; see the module. A pytree, as every policy."""
+    """A policy with memory; see the module docstring. Like every policy, a pytree."""
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Any:
-        """Memory of a batch of episodes that begin.
+        """Initial memory of a batch of episodes.
 
         Args:
-            observation: The first ones, shape (batch, observation_size).
-            state: Of the environments, every leaf with the batch in front.
+            observation: First observations, shape (batch, observation_size).
+            state: States of the environments; every leaf has a leading batch axis.
         """
 
     def act(
         self, memory: Any, observation: Float[Array, "batch observation"], state: Any
     ) -> tuple[Float[Array, "batch action"], Any]:
-        """Actions, and what is remembered of now.
+        """Actions, and the updated memory.
 
         Args:
-            memory: From `init` or the decision before.
+            memory: Memory from `init` or from the previous decision.
             observation: Shape (batch, observation_size).
-            state: Of the environments, every leaf with the batch in front.
+            state: States of the environments; every leaf has a leading batch axis.
         """
 
 
 @pytree
 class WithoutMemory:
-    """A function of the observation, as a policy that remembers nothing."""
+    """A function of the observation, wrapped as a policy with empty memory."""
 
     policy: Any
-    """Observations (batch, observation_size) -> actions."""
+    """Function from observations (batch, observation_size) to actions."""
 
     def init(self, observation: Array, state: Any) -> None:
-        """Nothing."""
+        """Empty memory."""
         del observation, state
 
     def act(self, memory: None, observation: Array, state: Any) -> tuple[Array, None]:
-        """Actions of the observations."""
+        """Actions for the observations."""
         del memory, state
         return self.policy(observation), None
 
 
 def remembering(policy: Callable[[Array], Array] | MemoryPolicy) -> MemoryPolicy:
-    """A policy of either kind as one with memory."""
+    """Returns a policy of either kind as a policy with memory."""
     return policy if isinstance(policy, MemoryPolicy) else WithoutMemory(policy)
 
 
 @pytree
 class OneEpisode:
-    """A policy of either kind for one episode: nothing has a batch in front."""
+    """A policy of either kind for one episode: no leaf has a batch axis."""
 
     policy: Any
-    """A function of one observation, or a `MemoryPolicy`."""
+    """Function of one observation, or a `MemoryPolicy`."""
 
     def init(self, observation: Float[Array, " observation"], state: Any) -> Any:
-        """Memory of an episode that begins."""
+        """Initial memory of an episode."""
         if not isinstance(self.policy, MemoryPolicy):
             return None
         return self.policy.init(*_in_front((observation, state)))
@@ -86,7 +84,7 @@ class OneEpisode:
     def act(
         self, memory: Any, observation: Float[Array, " observation"], state: Any
     ) -> tuple[Float[Array, " action"], Any]:
-        """The action in [-1, 1], and what is remembered of now."""
+        """The action in [-1, 1], and the updated memory."""
         if not isinstance(self.policy, MemoryPolicy):
             return jnp.clip(self.policy(observation), -1, 1), None
         action, memory = self.policy.act(memory, *_in_front((observation, state)))
@@ -94,7 +92,7 @@ class OneEpisode:
 
 
 def held_for(policy: Any) -> int:
-    """Control steps for which an action of a policy is to be held: 1 if not told."""
+    """Number of control steps for which a policy's action is held; 1 by default."""
     return getattr(policy, "action_repeat", 1)
 
 

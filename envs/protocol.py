@@ -1,14 +1,13 @@
-"""The environment protocol: two pure functions and four facts; what to draw besides.
+"""The environment protocol: two pure functions, four properties, and optional drawing.
 
-An environment is a *namespace*: static, without state, hashable. All that
-changes in time is in the state it returns, all its numbers are in its
-parameters, and both are pytrees. So `jax.vmap` makes a batch of it, `jax.grad`
-differentiates through it, and a change of a number recompiles nothing.
+An environment is a *namespace*: static, stateless and hashable. Everything that changes
+in time is in the state it returns. All its numbers are in its parameters. Both are
+pytrees. So `jax.vmap` makes a batch of it, `jax.grad` differentiates through it, and
+changing a number recompiles nothing.
 
-Time limit: an environment counts its own control steps with an integer in its
-state and says `truncated` at step `episode_length`. Wrappers may end an episode
-earlier, never later; `jaxrod.envs.wrappers.VectorEnvironment` does so to spread
-the phases of a batch.
+Time limit: an environment counts its own control steps with an integer in its state and
+returns `truncated` at step `episode_length`. Wrappers may end an episode earlier, never
+later; `jaxrod.envs.wrappers.VectorEnvironment` does so to spread the phases of a batch.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Environment(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the task, for people; that of a built-in one as in the registry."""
+        """Name of the task for display; a built-in task has its registry name."""
 
     @property
     def observation_size(self) -> int:
@@ -53,7 +52,7 @@ class Environment(Protocol):
         """Control steps after which an episode is truncated."""
 
     def default_params(self) -> Params:
-        """Parameters of the task as published, every float a traced leaf."""
+        """Parameters of the task as published; every float is a traced leaf."""
 
     def reset(
         self, key: Key[Array, ""], params: Params
@@ -95,15 +94,16 @@ class Environment(Protocol):
             `terminated`: the task itself ended; the value of the final
             observation is 0. `truncated`: the episode was cut short (time
             limit, numerical health); the final observation has a value, to be
-            estimated from it. `info` maps fixed names to scalars; under
+            estimated from it. `info` maps fixed names to scalars. Under
             `"flagged"` an environment may report that a numerical health flag
-            rose, in which case the step is also truncated or terminated. What the
-            tasks then report of the arm (`"distance"`) is of the last sound one.
+            rose; the step is then also truncated or terminated. What the
+            tasks then report about the arm (`"distance"`) comes from its last sound
+            state.
         """
 
 
 class Drawable(Environment, Protocol):
-    """An environment that says what to draw; the others train and evaluate as well."""
+    """An environment that can be drawn; training and evaluation do not need this."""
 
     @property
     def control_period(self) -> float:
@@ -113,18 +113,18 @@ class Drawable(Environment, Protocol):
         """Bodies to be drawn.
 
         Args:
-            state: Of the moment.
+            state: Current state.
             params: Traced parameters.
         """
 
 
 class Plannable(Environment, Protocol):
-    """An environment that can be planned with; the others train and evaluate as well.
+    """An environment that planners can use; training and evaluation do not need this.
 
-    The four tasks of the arm are, and `following`. `predict` and `cost` are pure and
-    differentiable; what is random is not foreseen, so a plan knows no more than an
-    agent could.
-    `jaxrod.control.mpc` takes it; `residuals` only where it plans by Gauss-Newton.
+    The four tasks of the arm are plannable, and so is `following`. `predict` and `cost`
+    are pure and differentiable. They do not foresee random events, so a plan knows no
+    more than an agent could. `jaxrod.control.mpc` takes such an environment; it needs
+    `residuals` only for planning by Gauss-Newton.
     """
 
     def predict(
@@ -134,15 +134,15 @@ class Plannable(Environment, Protocol):
         params: Params,
         control_steps: int = 1,
     ) -> State:
-        """The state later, under one action, without the randomness to come.
+        """Predicts the state under one action, without future random events.
 
-        It is what `step` makes of the state, wherever no random event falls.
+        This is the state that `step` computes, as long as no random event occurs.
 
         Args:
-            state: Of the moment.
+            state: Current state.
             action: In [-1, 1].
             params: Traced parameters.
-            control_steps: For how many the action is held.
+            control_steps: Number of control steps for which the action is held.
         """
 
     def cost(
@@ -150,16 +150,16 @@ class Plannable(Environment, Protocol):
     ) -> Float[Array, ""]:
         """Smooth cost of a state and of the action that led there.
 
-        It is least where the reward is greatest, and has a slope where the reward's
-        steps have none.
+        It is least where the reward is greatest, and it has a slope where the reward is
+        a step function without one.
 
         Args:
-            state: After the control step.
-            action: In it.
+            state: State after the control step.
+            action: Action of that step.
             params: Traced parameters.
         """
 
     def residuals(
         self, state: State, action: Float[Array, " action"], params: Params
     ) -> Float[Array, " residuals"]:
-        """Numbers whose squares add up to the cost; arguments as of `cost`."""
+        """Residuals whose squares sum to the cost; arguments as in `cost`."""

@@ -1,4 +1,4 @@
-"""Environments by the name of their task, imported only when asked for."""
+"""Environments by the name of their task, imported on demand."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _FACTORIES = {
 
 @dataclasses.dataclass(frozen=True)
 class Made:
-    """How an environment was made: `make(task, **options)` makes it again."""
+    """Recipe of an environment: `make(task, **options)` makes it again."""
 
     task: str
-    """As `make` was told; the path of a file is an absolute one."""
+    """Task as passed to `make`; the path of a file is made absolute."""
     options: Mapping[str, Any]
-    """Those that are not as by default, and the variant."""
+    """Options with non-default values, and the variant."""
 
 
 def names() -> tuple[str, ...]:
@@ -44,16 +44,17 @@ def make(task: str, /, **options: Any) -> Environment:
     """Makes the environment of a task.
 
     Args:
-        task: One of `names()`, or where a callable of your own is that returns an
+        task: One of `names()`, or the import path of a callable of your own that
+            returns an
             `Environment`: `"mypackage.mymodule:make_task"`, or
-            `"folder/file.py:make_task"` for a file that imports nothing from beside
-            it.
-        **options: Handed to the task's callable, for example `variant="paper"` for
+            `"folder/file.py:make_task"` for a file that imports nothing from its own
+            folder.
+        **options: Passed to the task's callable, for example `variant="paper"` for
             `"tracking"`.
 
     Raises:
-        ValueError: There is no such task, it has no such option, it raises, or what
-            it makes is not an environment.
+        ValueError: There is no such task, it has no such option, it raises, or its
+            result is not an environment.
     """
     if task not in _FACTORIES and ":" not in task:
         raise ValueError(
@@ -68,22 +69,23 @@ def make(task: str, /, **options: Any) -> Environment:
 
 
 def made(env: Environment) -> Made | None:
-    """How `make` made an environment; None for one that something else made."""
+    """Recipe of an environment from `make`; None for any other environment."""
     remembered, how = _MADE.get(id(env), (lambda: None, None))
     return how if remembered() is env else None
 
 
 _MADE: dict[int, tuple[Callable[[], Any], Made]] = {}
-"""By the identity of an environment: itself, unless it is gone, and how it was made.
+"""Weak reference to an environment and its recipe, by the environment's identity.
 
-By identity, because what is equal may have been made otherwise, or not by `make`.
+By identity, because an equal environment may have been made by other options, or not by
+`make`.
 """
 
 
 def _made_by(
     task: str, build: Callable[..., Any], options: Mapping[str, Any]
 ) -> Environment:
-    """Environment that a callable of somebody's own makes."""
+    """Environment from a user's own callable."""
     try:
         env = build(**options)
         check_facts(env)
@@ -98,7 +100,7 @@ def _remember(env: Environment, how: Made) -> None:
     key = id(env)
     try:
         reference: Callable[[], Any] = weakref.ref(env, lambda _: _MADE.pop(key, None))
-    except TypeError:  # Some classes allow none: these few objects are kept.
+    except TypeError:  # Some classes allow no weak reference: keep them.
         reference = lambda: env
     _MADE[key] = (reference, how)
 
@@ -106,9 +108,9 @@ def _remember(env: Environment, how: Made) -> None:
 def _chosen(
     task: str, build: Callable[..., Any], options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Checks the names of options; returns those that are not as by default.
+    """Checks the names of options; returns those with non-default values.
 
-    The variant is among them in any case: runs are told apart by it.
+    The variant is always included: it tells runs apart.
 
     Raises:
         ValueError: There is no such option, or one is missing.
@@ -147,7 +149,7 @@ def _chosen(
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two values of an option are one."""
+    """Whether two values of an option are the same."""
     try:
         return a is b or (type(a) is type(b) and bool(a == b))
     except (TypeError, ValueError):  # An array, say.

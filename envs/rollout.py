@@ -1,8 +1,9 @@
-"""One environment stepped many times: cheap to differentiate in reverse.
+"""One environment stepped many times, with cheap reverse-mode gradients.
 
-Reverse mode through a plain loop keeps what happens in every step. Here the steps go in
-blocks of about the root of their number, and only the states between blocks are kept,
-and those within one block at a time, for one more pass forward.
+Reverse mode through a plain loop stores the intermediate values of every step. Here the
+steps are grouped into blocks of about the square root of their number. Only the states
+between blocks are stored. The states within a block are recomputed by one more forward
+pass, one block at a time.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ from jaxrod.validation import check_count
 
 @pytree
 class Rollout:
-    """What happened, the rewards of every control step among it."""
+    """Results of a rollout, with the reward of every control step."""
 
     observation: Float[Array, " observation"]
-    """The last one."""
+    """Last observation."""
     state: Any
-    """The last one."""
+    """Last state."""
     reward: Float[Array, " steps"]
-    """Of every control step; zero once the episode has ended."""
+    """Reward of every control step; zero once the episode has ended."""
     running: Bool[Array, " steps"]
-    """Whether the episode still ran after it."""
+    """Whether the episode was still running after each control step."""
     collected: Any
-    """What `collect` made of every state, stacked in front."""
+    """Results of `collect` for every state, stacked along a new first axis."""
 
 
 def rollout(
@@ -50,9 +51,9 @@ def rollout(
 ) -> Rollout:
     """Steps one environment; pure, differentiable, for `jax.vmap`.
 
-    Its gradient is the plain loop's, and takes memory of about twice the root of the
-    number of steps; any number will do. After the end of an episode, by the task or by
-    the time limit, all stays as it is and nothing is paid.
+    The gradient equals that of a plain loop. Its memory grows as about twice the square
+    root of the number of steps, which may be any number. Once the episode has ended, by
+    the task or by the time limit, the state no longer changes and rewards are zero.
 
     Args:
         env: The environment.
@@ -61,10 +62,10 @@ def rollout(
             observation, or a `MemoryPolicy`, with a batch of one. A policy's actions
             are clipped, and held for its `action_repeat`.
         params: Traced parameters.
-        steps: How many control steps, at least 1; needed for a policy.
-        key: Of the randomness: step k draws from `fold_in(key, k)`. May be left out
-            where the task's steps draw nothing that matters.
-        collect: Of a state, what is to be kept of every step.
+        steps: Number of control steps, at least 1; required for a policy.
+        key: Random key: step k draws from `fold_in(key, k)`. May be omitted if the
+            task's steps draw nothing that matters.
+        collect: Function of a state; its results are stored for every step.
 
     Returns:
         See `Rollout`.
@@ -129,7 +130,7 @@ def rollout(
 
 
 def _scanned(step: Any, carry: Any, along: Any, length: int) -> tuple[Any, Any]:
-    """A scan in two nested loops, both checkpointed, and a remainder."""
+    """A scan as two nested, checkpointed loops, plus a loop for the remainder."""
     remembered = jax.checkpoint(step, prevent_cse=False)
     block = max(1, math.isqrt(length))
     blocks, rest = divmod(length, block)

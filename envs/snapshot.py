@@ -12,26 +12,27 @@ from jaxrod.structure import pytree, static
 Number = Float[Array, ""] | float
 """One number."""
 Point = Float[Array, "3"]
-"""Where something is [m]."""
+"""Position [m]."""
 
 
 @pytree
 class Snapshot:
-    """The rods of one moment and what stands around them.
+    """The rods at one moment, and the objects around them.
 
-    Shapes are those of one moment; `jax.vmap` puts frames before them. What is
-    neither a node nor the centre of a sphere stays as it is during an episode.
+    Shapes are those of one moment; `jax.vmap` puts a frame axis first. Everything but
+    the nodes and the centres of the spheres stays constant during an episode.
     """
 
     positions: Float[Array, "*rods 3 n+1"]
-    """Nodes of the rod [m]; of several rods of one size, stacked along a first axis."""
+    """Nodes of the rod [m]; several rods of one size are stacked along a first axis."""
     radii: Float[Array, "*#rods n"]
-    """Of its elements [m]."""
+    """Radii of the elements [m]."""
     spheres: tuple[tuple[Point, Number], ...] = ()
-    """Centre and radius of each sphere [m], a target for one."""
+    """Centre and radius of each sphere [m], for example a target."""
     cylinders: tuple[tuple[Point, Point, Number], ...] = ()
-    """Middles of both ends and radius of each cylinder [m], an obstacle for one."""
+    """Midpoints of both ends and radius of each cylinder [m], for example an
+    obstacle."""
     readouts: dict[str, Number] = dataclasses.field(default_factory=dict)
-    """Numbers to show beside them, by what they are called."""
+    """Numbers to show with the picture, by their labels."""
     up: Literal["x", "y", "z"] = static(default="z")
-    """The axis that points up."""
+    """Axis that points up."""

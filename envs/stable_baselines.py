@@ -24,15 +24,15 @@ from jaxrod.envs.protocol import Environment
 __all__ = ["StableBaselinesVecEnv"]
 
 Indices = None | int | Iterable[int]
-"""Indices of environments of the batch: None for all."""
+"""Indices of environments in the batch; None for all."""
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """`jaxrod.envs.VectorEnvironment` as Stable Baselines 3 knows it, to rounding.
+    """`jaxrod.envs.VectorEnvironment` for Stable Baselines 3, equal up to round-off.
 
-    `seed(s)` before `reset` starts the batch with `jax.random.key(s)`, without it
+    `seed(s)` before `reset` starts the batch with `jax.random.key(s)`; without it,
     episodes are fresh. The environments of the batch are one pure function: `get_attr`
-    and `env_method` ask it, and nothing of it can be set.
+    and `env_method` query this function, and none of its attributes can be set.
     """
 
     metadata: dict[str, Any]
@@ -52,8 +52,8 @@ class StableBaselinesVecEnv(VecEnv):
             task: A task for `jaxrod.envs.make`, or an environment.
             num_envs: Number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
-            params: Parameters shared by the batch; None for the environment's own.
-            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            params: Parameters shared by the batch; None for the environment's defaults.
+            **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: An argument does not fit.
@@ -74,7 +74,7 @@ class StableBaselinesVecEnv(VecEnv):
             First observations, shape (num_envs, observation_size).
 
         Raises:
-            ValueError: `set_options` has set something.
+            ValueError: `set_options` was called with options.
         """
         options = sorted({name for each in self._options for name in each})
         if options:
@@ -89,22 +89,23 @@ class StableBaselinesVecEnv(VecEnv):
         return observed(self._batch.started().observation)
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Takes the actions of the next step, shape (num_envs, action_size)."""
+        """Stores the actions of the next step, shape (num_envs, action_size)."""
         self._actions = actions
 
     def step_wait(
         self,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """One control step of all environments.
+        """Advances all environments by one control step.
 
         Returns:
             Observations (num_envs, observation_size); rewards and ends (num_envs,);
-            and a dictionary each, empty unless the episode ended: the last
-            observation of the episode that ended, whether it was cut short, and the
-            environment's scalars.
+            and one dictionary for each environment. The dictionary is empty unless the
+            episode ended. Then it holds the last observation of that episode, whether
+            the
+            episode was cut short, and the environment's scalars.
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
             ValueError: The actions have another shape.
         """
         step = self._batch.step(self._actions)
@@ -123,22 +124,22 @@ class StableBaselinesVecEnv(VecEnv):
         )
 
     def get_images(self) -> Sequence[np.ndarray]:
-        """A picture of every environment, RGB of shape (480, 640, 3).
+        """Returns a picture of every environment, RGB of shape (480, 640, 3).
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
         """
         state = self._batch.started()
         return [self._batch.picture(state, i) for i in range(self.num_envs)]
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Does nothing: no resource is open."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the environment, once for every index.
+        """Returns an attribute of the environment, once for every index.
 
         Raises:
-            AttributeError: It has none of that name.
+            AttributeError: The environment has no attribute of that name.
         """
         if attr_name == "render_mode":
             value = self._render_mode
@@ -147,10 +148,10 @@ class StableBaselinesVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refused.
+        """Refuses to set anything.
 
         Raises:
-            AttributeError: Always.
+            AttributeError: Always raised.
         """
         raise AttributeError(
             f"{attr_name} cannot be set: the environments of a batch are one pure "
@@ -164,10 +165,10 @@ class StableBaselinesVecEnv(VecEnv):
         indices: Indices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Return values of a method of the environment, one for every index.
+        """Returns the results of a method of the environment, one for every index.
 
         Raises:
-            AttributeError: It has none of that name.
+            AttributeError: The environment has no method of that name.
         """
         method = getattr(self._batch.env, method_name)
         return [
@@ -177,5 +178,5 @@ class StableBaselinesVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type, indices: Indices = None
     ) -> list[bool]:
-        """Never: an environment of the batch wears no wrapper of its own."""
+        """Always False: no environment of the batch has a wrapper of its own."""
         return [False for _ in self._get_indices(indices)]

@@ -1,8 +1,8 @@
-"""A point on a line that wants to stand at zero: a task solved in seconds.
+"""A point on a line that should stay at zero: a task that is solved in seconds.
 
-It exists to test learners. The best policy and the return it earns are known in
-closed form, an episode can end both ways (time limit, running off the line),
-and a step costs next to nothing.
+It exists to test learners. The best policy and its return are known in closed form, an
+episode can end both ways (time limit, running off the line), and a step costs next to
+nothing.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class TrivialState:
 class Trivial:
     """Moves a point to zero: x' = x + stride a, reward 1 - x'^2, |x_0| <= 1 m.
 
-    The best action is `clip(-x / stride, -1, 1)`; with the default parameters it
-    earns `optimal_return` on average. Standing still earns 2/3 per step. A point
-    farther than `edge` from zero is lost: the episode is terminated.
+    The best action is `clip(-x / stride, -1, 1)`. With the default parameters it earns
+    `optimal_return` on average. Standing still earns 2/3 per step. A point farther than
+    `edge` from zero is lost: the episode is terminated.
     """
 
     episode_length: int = 20
@@ -68,7 +68,7 @@ class Trivial:
     def reset(
         self, key: Key[Array, ""], params: TrivialParams
     ) -> tuple[Float[Array, " observation"], TrivialState]:
-        """Puts the point uniformly in [-1, 1] m."""
+        """Starts the point uniformly in [-1, 1] m."""
         position = jax.random.uniform(key, minval=-1.0, maxval=1.0)
         return position[None], TrivialState(position, jnp.zeros((), jnp.int32))
 
@@ -86,7 +86,7 @@ class Trivial:
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """Moves the point; see the class."""
+        """Moves the point; see the class docstring."""
         action = action_of_size(action, self.action_size)
         position = state.position + params.stride * action[0]
         steps = state.steps + 1
@@ -103,7 +103,7 @@ class Trivial:
         params: TrivialParams,
         control_steps: int = 1,
     ) -> TrivialState:
-        """The state later, under one action."""
+        """Predicts the state under one action."""
         position = state.position + control_steps * params.stride * action[0]
         return TrivialState(position, state.steps + control_steps)
 
@@ -113,7 +113,7 @@ class Trivial:
         action: Float[Array, " action"],
         params: TrivialParams,
     ) -> Float[Array, "1"]:
-        """The point's place."""
+        """Position of the point."""
         del action, params
         return state.position[None]
 
@@ -123,5 +123,5 @@ class Trivial:
         action: Float[Array, " action"],
         params: TrivialParams,
     ) -> Float[Array, ""]:
-        """Squared distance from zero: what the reward takes off."""
+        """Squared distance from zero, which the reward subtracts."""
         return jnp.sum(self.residuals(state, action, params) ** 2)

@@ -1,8 +1,8 @@
-"""A batch of environments that restart by themselves and keep score.
+"""A batch of environments that restart by themselves and record their scores.
 
 Randomness: environment i of the batch has its own key, and step t draws from
-`fold_in(key_i, t)`. What happens to an environment therefore depends neither on
-its neighbours nor on how many devices share the batch.
+`fold_in(key_i, t)`. So the results of an environment depend neither on its neighbours
+nor on the number of devices that share the batch.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ class VectorState:
     """State of a batch of self-restarting environments; every leaf is batched."""
 
     keys: Key[Array, " num_envs"]
-    """One random key for every environment, never changed."""
+    """One random key per environment, which never changes."""
     ticks: UInt[Array, " num_envs"]
-    """Control steps since the batch was made; counts the randomness."""
+    """Control steps since the batch was made; index of the random draws."""
     states: Any
     """States of the environments."""
     observation: Float[Array, "num_envs observation"]
     """Current observation of each environment."""
     elapsed: Int[Array, " num_envs"]
-    """Control steps of the running episode, initial phase included."""
+    """Control steps of the running episode, including its initial phase."""
     episode_return: Float[Array, " num_envs"]
     """Sum of the rewards of the running episode."""
     partial: Bool[Array, " num_envs"]
-    """The running episode began in mid-course and does not count."""
+    """Whether the running episode began in mid-course, so that it does not count."""
 
 
 @pytree
@@ -44,11 +44,12 @@ class EpisodeRecord:
     """Results of the episodes that end in a step."""
 
     finished: Bool[Array, "*batch"]
-    """A complete episode ended here; the rest is valid where true."""
+    """Whether a complete episode ended in this step; the other fields are valid where
+    it is true."""
     episode_return: Float[Array, "*batch"]
     """Sum of its rewards."""
     length: Int[Array, "*batch"]
-    """Its control steps."""
+    """Its number of control steps."""
     flagged: Bool[Array, "*batch"]
     """Whether a numerical health flag ended it."""
 
@@ -58,36 +59,36 @@ class VectorStep:
     """Results of one step of the batch; every leaf is batched."""
 
     observation: Float[Array, "num_envs observation"]
-    """Observations after the restart of those that ended: those to act on next."""
+    """Observations to act on next: those after the restart of the ended episodes."""
     final_observation: Float[Array, "num_envs observation"]
-    """Observations before the restart: those to bootstrap from."""
+    """Observations to bootstrap from: those before the restart."""
     reward: Float[Array, " num_envs"]
     """Reward of the step."""
     terminated: Bool[Array, " num_envs"]
-    """The task ended: the value of what follows is 0."""
+    """Whether the task ended: the value of the next state is 0."""
     truncated: Bool[Array, " num_envs"]
-    """The episode was cut short: the value of what follows is that of
-    `final_observation`. Terminated wins where both hold."""
+    """Whether the episode was cut short: the value of the next state is that of
+    `final_observation`. Terminated takes precedence if both hold."""
     info: dict[str, Array]
-    """The environment's scalars, before the restart; `"flagged"` is always among them,
-    raised by the environment or by a number that is not finite."""
+    """The environment's scalars before the restart. `"flagged"` is always among them;
+    the environment raises it, or a number that is not finite."""
     episodes: EpisodeRecord
     """The complete episodes that ended here."""
 
 
 @dataclasses.dataclass(frozen=True)
 class VectorEnvironment:
-    """Many copies of one environment, each restarting when its episode ends.
+    """Many copies of one environment, each of which restarts when its episode ends.
 
-    The batch keeps the clock of every episode and applies the time limit itself,
-    beside the environment's own. The two agree, except in the first episodes of
-    a batch with spread phases and after restarts in mid-course: those begin as if
-    part of the episode had passed, end early, and are left out of the score.
+    The batch keeps the clock of every episode and applies the time limit itself, in
+    addition to the environment's own. The two agree, except in the first episodes of a
+    batch with spread phases and after restarts in mid-course. Those episodes start as
+    if part of them had passed, end early, and do not count for the score.
 
-    A step that returns a number that is not finite is reported as flagged, pays
-    nothing and truncates there, with the observation before it as the final one. One
-    broken environment never affects the others: their results are the same to the
-    last bit.
+    A step that returns a non-finite number is reported as flagged, has zero reward, and
+    truncates the episode there. Its final observation is the one before the step. A
+    broken environment never affects the others: their results are the same to the last
+    bit.
     """
 
     env: Environment
@@ -108,10 +109,11 @@ class VectorEnvironment:
             key: Typed random key.
             num_envs: Number of environments, at least 1.
             params: Traced parameters of the environment, shared by the batch.
-            spread_phases: Let the elapsed step count of every environment start
+            spread_phases: Whether the elapsed step count of every environment starts
                 uniformly in [phase, episode_length), so that the episodes of the
                 batch end at different times.
-            phase: Where the elapsed step count starts otherwise [control steps].
+            phase: Initial elapsed step count [control steps]; the lower bound with
+                `spread_phases`.
 
         Raises:
             ValueError: `num_envs` is below 1.
@@ -150,16 +152,16 @@ class VectorEnvironment:
     ) -> tuple[VectorState, VectorStep]:
         """Advances every environment by one control step.
 
-        Where its `info` has `"control_steps"` (`jaxrod.envs.ActionRepeat`), by that
-        many. The restart runs in a branch taken only when some episode ends, so it
-        costs nothing in between (under an outer `vmap` both branches run).
+        If `info` has `"control_steps"` (`jaxrod.envs.ActionRepeat`), by that many. The
+        restart runs in a branch that is taken only when some episode ends, so it costs
+        nothing in other steps (under an outer `vmap` both branches run).
 
         Args:
             state: State of the batch.
             action: In [-1, 1], shape (num_envs, action_size).
             params: Traced parameters of the environment.
-            restart_phase: Where the elapsed step count of episodes that start now
-                starts [control steps]. Above 0 they end that much earlier and do not
+            restart_phase: Initial elapsed step count of episodes that start now
+                [control steps]. If above 0 they end that much earlier and do not
                 count.
 
         Raises:
@@ -223,7 +225,7 @@ class VectorEnvironment:
 def _randomness(
     keys: Key[Array, " num_envs"], index: UInt[Array, " num_envs"]
 ) -> Key[Array, " num_envs"]:
-    """Keys number `index`; nothing is computed where the result is not used."""
+    """Folds `index` into the keys; unused results are never computed."""
     return jax.vmap(jax.random.fold_in)(keys, index)
 
 

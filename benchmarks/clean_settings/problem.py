@@ -1,6 +1,6 @@
-"""The `clean` variants as problems of the trade between speed and accuracy.
+"""The `clean` variants as problems for the trade-off between speed and accuracy.
 
-How many elements and steps a task is given is chosen and recorded with these
+The numbers of elements and steps of a task are chosen and recorded with these problems
 (`python -m benchmarks.clean_settings`).
 """
 
@@ -27,11 +27,11 @@ from jaxrod.validation import Numbers
 
 
 class CleanTask(Drawable, Protocol):
-    """Parts of a task of the benchmark that a problem needs: all four have them."""
+    """Parts of a benchmark task that a problem needs; all four tasks have them."""
 
     @property
     def variant(self) -> str:
-        """Which physics: "paper" or "clean"."""
+        """Variant of the physics: "paper" or "clean"."""
 
     @property
     def n_elements(self) -> int:
@@ -43,29 +43,29 @@ class CleanTask(Drawable, Protocol):
 
     @property
     def plane(self) -> PlaneName | None:
-        """The plane of motion, where there is one."""
+        """Plane of motion, if any."""
 
     def control_points(self) -> int | Numbers:
-        """Their number, or their arc lengths [m]."""
+        """Number of control points, or their arc lengths [m]."""
 
 
 RECORDED = {"tracking": "tracking_actions.npy"}
-"""Tasks with actions of a trained policy, and the file of them."""
+"""Tasks with recorded actions of a trained policy, and the file of each."""
 STRENGTHS = {"reaching": 1.0, "structured": 0.3, "unstructured": 0.3}
-"""The strongest actions that are drawn for the others. Full strength throws an arm
-about among obstacles, and where it is after a second then depends on details beyond any
+"""Largest actions drawn for the other tasks. Full strength throws an arm about among
+the obstacles. Its position after a second then depends on details beyond any
 resolution."""
 
 
 def clean_problem(
     task: CleanTask, actions: Float[np.ndarray, "periods actions"]
 ) -> Problem:
-    """The arm of a task, and what is in its way, under recorded actions.
+    """Problem of a task's arm and its obstacles, under recorded actions.
 
     Args:
-        task: A task of the `clean` variant; any number of elements can then be asked
-            for.
-        actions: One for every control period; as in the task, not clipped.
+        task: Task of the `clean` variant; the problem can then be built with any number
+            of elements.
+        actions: Actions, one for every control period; not clipped, as in the task.
 
     Raises:
         ValueError: If the task is not `clean`, or the actions are not of its size or
@@ -89,7 +89,7 @@ def clean_problem(
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         if law != "consistent":
             raise ValueError("the clean variants have the consistent law only")
-        # All four tasks are dataclasses, which their common protocol does not say.
+        # All four tasks are dataclasses, but their common protocol cannot state this.
         finer = dataclasses.replace(task, n_elements=n_elements)  # type: ignore[type-var]
         arm: CleanArm = finer.default_params().arm
         return dataclasses.replace(arm.scene(), method=consistent()), arm.rest
@@ -115,14 +115,14 @@ def clean_problem(
 
 
 def recorded_actions(task: CleanTask, seed: int = 0) -> np.ndarray:
-    """Actions of one second `(periods, actions)` to judge a task's settings by.
+    """Actions of one second `(periods, actions)` for judging a task's settings.
 
-    Tracking: those of a trained policy, a third of them at their limits. The others:
-    drawn anew every 0.1 s, up to `STRENGTHS`.
+    Tracking: actions of a trained policy, a third of them at their limits. The other
+    tasks: random actions, redrawn every 0.1 s, up to `STRENGTHS`.
 
     Args:
         task: The task.
-        seed: Of what is drawn.
+        seed: Seed of the random actions.
     """
     if task.name in RECORDED:
         file = resources.files("jaxrod.data") / RECORDED[task.name]
@@ -137,7 +137,7 @@ def recorded_actions(task: CleanTask, seed: int = 0) -> np.ndarray:
 
 
 def _controls(arm: CleanArm, actions: np.ndarray) -> np.ndarray:
-    """Control values about all axes, as fast as they may change `(periods, 3 m)`."""
+    """Rate-limited control values about all axes `(periods, 3 m)`."""
     n_controls = arm.spline.n_controls
     controls = np.zeros((len(actions), 3, n_controls))
     values = actions.reshape(len(actions), -1, n_controls)

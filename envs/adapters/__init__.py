@@ -1,1 +1,1 @@
-"""Environments as other libraries know them."""
+"""Adapters that expose environments to other libraries."""

@@ -1,4 +1,4 @@
-"""A function that brax 0.14.2, the newest release, calls and JAX has dropped."""
+"""A function that JAX has removed but brax 0.14.2, the newest release, still calls."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 @contextmanager
 def patched_jax() -> Iterator[None]:
-    """JAX with `device_put_replicated`, which brax's learners call.
+    """Restores `jax.device_put_replicated`, which brax's learners call.
 
-    JAX 0.10 removed it. Inside `with patched_jax():` it is back, and gone again
-    afterwards: call brax's `train` there.
+    JAX 0.10 removed it. Inside `with patched_jax():` it exists again, and afterwards it
+    is gone: call brax's `train` there.
     """
     if hasattr(jax, "device_put_replicated"):
         yield
@@ -33,7 +33,7 @@ def _device_put_replicated(x: Any, devices: Sequence[jax.Device]) -> Any:
     """A copy of every array for every device, along a new first axis.
 
     The axis has the name that brax's learners give it. Under another name their first
-    epoch would be compiled for arrays of its own, and the next once more.
+    epoch would be compiled for arrays of its own, and the next epoch once more.
     """
     one_each = NamedSharding(Mesh(np.array(devices), ("i",)), PartitionSpec("i"))
     return jax.tree.map(

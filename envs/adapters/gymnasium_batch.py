@@ -1,4 +1,4 @@
-"""The running batch behind the Gymnasium adapters: seeds and NumPy in and out."""
+"""The running batch behind the Gymnasium adapters: seeds, NumPy inputs and outputs."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 from jaxrod.installation.backend import compile_for_rods
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
-"""Metadata that Gymnasium reads from both classes before there is an environment."""
+"""Metadata that Gymnasium reads from both classes before an environment exists."""
 
 
 class Batch:
-    """Environments that restart by themselves, and the state they are in.
+    """Environments that restart by themselves, and their current state.
 
     Attributes:
         env: The environment.
         num_envs: Number of environments.
-        observation_space: Of one environment: any finite float32 numbers.
-        action_space: Of one environment: [-1, 1].
-        metadata: Render modes, and `render_fps`: control steps in a second.
-        params: Parameters of the environment; None for its own, until the first
-            reset makes them.
+        observation_space: Space of one environment: any finite float32 numbers.
+        action_space: Space of one environment: [-1, 1].
+        metadata: Render modes, and `render_fps`: control steps per second.
+        params: Parameters of the environment; None means its defaults, which the first
+            reset makes.
     """
 
     def __init__(
@@ -52,8 +52,8 @@ class Batch:
             task: A task for `jaxrod.envs.make`, or an environment.
             num_envs: Number of environments, at least 1.
             render_mode: None or "rgb_array".
-            params: Parameters; None for the environment's own.
-            options: Handed to `make`.
+            params: Parameters; None for the environment's defaults.
+            options: Passed to `make`.
 
         Raises:
             ValueError: An argument does not fit.
@@ -90,11 +90,11 @@ class Batch:
     def reset(
         self, seed: int, where: Bool[np.ndarray, " num_envs"] | None = None
     ) -> None:
-        """Starts all episodes anew, or those of some environments.
+        """Starts new episodes in all environments, or in some.
 
         Args:
-            seed: Of the random numbers.
-            where: Which environments; None for all.
+            seed: Seed of the random numbers.
+            where: Mask of the environments that start; None for all.
         """
         if self.params is None:
             self.params = self.env.default_params()
@@ -107,17 +107,19 @@ class Batch:
         self._numbers = numbers.pack(self.params)
         self._dtype = np.dtype(state.observation.dtype)
         made_of = batch, self._layout, numbers, self.num_envs == 1
-        # Looked up here, once: in every step it would take a twentieth of one arm's.
+        # Looked up once, here: in every step it would take a twentieth of one arm's
+        # time.
         self._programs = [_program(*made_of, waits) for waits in (False, True)]
 
     def step(
         self, actions: Any, waiting: Bool[np.ndarray, " num_envs"] | None = None
     ) -> VectorStep:
-        """One control step of all; the arrays of the result are NumPy's.
+        """Advances all environments by one control step; the results are NumPy arrays.
 
         Args:
             actions: Shape (num_envs, action_size).
-            waiting: Environments that stay as they are: they earn nothing and do not
+            waiting: Mask of environments that stay as they are: they earn nothing and
+                do not
                 end.
         """
         packed = self.packed()
@@ -136,21 +138,21 @@ class Batch:
         """The state, packed.
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
         """
         if self._packed is None:
             raise gymnasium.error.ResetNeeded("call reset before step and render")
         return self._packed
 
     def unpacked(self, packed: Packed) -> VectorState:
-        """A state."""
+        """The unpacked state."""
         return self._layout.unpack(packed)
 
     def started(self) -> VectorState:
-        """The state of now.
+        """The current state.
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
         """
         return self.unpacked(self.packed())
 
@@ -158,7 +160,7 @@ class Batch:
         """A picture of environment number `index`.
 
         Raises:
-            ValueError: The environment does not say what to draw.
+            ValueError: The environment cannot be drawn.
         """
         env = self.env
         if not drawable(env):
@@ -171,12 +173,12 @@ class Batch:
 
 
 def observed(observation: Array) -> Float[np.ndarray, "..."]:
-    """An observation of the caller's own: float32, writable, shared with nobody."""
+    """A private copy of an observation: float32, writable, shared with nobody."""
     return np.array(observation, np.float32)
 
 
 def random_key(seed: int) -> Key[Array, ""]:
-    """`jax.random.key(seed)`, and another one for every larger seed."""
+    """`jax.random.key(seed)`; a distinct key for every larger seed, too."""
     key = jax.random.key(seed & 0xFFFFFFFF)
     while seed := seed >> 32:
         key = jax.random.fold_in(key, seed & 0xFFFFFFFF)
@@ -196,16 +198,16 @@ class Program:
     def __init__(
         self, batch: VectorEnvironment, state: Layout, params: Layout, in_order: bool
     ) -> None:
-        """Compiles nothing yet.
+        """Prepares the step; compiles nothing yet.
 
         Args:
             batch: The batch.
-            state: How its state is packed.
-            params: How its parameters are packed.
+            state: Layout of its packed state.
+            params: Layout of its packed parameters.
             in_order: Whether its kernels are to run one after the other.
         """
         self.outcome: Layout
-        """How the results are packed; known once the step was traced."""
+        """Layout of the packed results; known once the step has been traced."""
 
         def step(
             packed: Packed,
@@ -233,9 +235,10 @@ def _program(
     in_order: bool,
     waits: bool,
 ) -> Program:
-    """The compiled control step, one for all batches that are equal.
+    """The compiled control step, shared by all equal batches.
 
-    Another one where environments wait: the others do not pay for it.
+    Batches with waiting environments get their own program: the others do not pay for
+    it.
     """
     del waits
     return Program(batch, state, params, in_order)
@@ -244,7 +247,7 @@ def _program(
 def _without(
     waiting: Bool[Array, " num_envs"], before: VectorState, outcome: VectorStep
 ) -> VectorStep:
-    """What comes of a step in which some environments wait."""
+    """Outcome of a step in which some environments wait."""
     nothing = jnp.zeros_like(outcome.reward)
     shown, final = outcome.observation, outcome.final_observation
     return dataclasses.replace(
@@ -259,7 +262,7 @@ def _without(
 
 @jax.jit
 def _chosen(where: Bool[Array, " num_envs"], these: Any, those: Any) -> Any:
-    """Of one batch where it holds, of the other elsewhere."""
+    """Leaves of `these` where the mask holds, of `those` elsewhere."""
     return jax.tree.map(
         lambda a, b: jnp.where(
             jnp.reshape(where, where.shape + (1,) * (jnp.ndim(a) - 1)), a, b
@@ -271,10 +274,10 @@ def _chosen(where: Bool[Array, " num_envs"], these: Any, those: Any) -> Any:
 
 @functools.cache
 def _in_order_options() -> dict[str, Any] | None:
-    """Has XLA run the kernels of a program one after the other, on one thread.
+    """XLA options to run the kernels of a program one after the other, on one thread.
 
-    On CPUs it hands kernels that do not wait for each other to several threads, which
-    takes one arm twice as long as its kernels. None where XLA has no such option.
+    On CPUs XLA distributes independent kernels over several threads. For one arm this
+    takes twice as long as the kernels themselves. None if XLA has no such option.
     """
     options = {"xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED"}
     try:

@@ -14,13 +14,12 @@ from jaxrod.envs.protocol import Environment
 
 
 class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """An environment as Gymnasium knows it.
+    """An environment as a `gymnasium.Env`.
 
-    It is a batch of one of `jaxrod.envs.VectorEnvironment`, to rounding, and the
-    `GymnasiumVectorEnv` of one to the last bit: the seed s starts it with
-    `jax.random.key(s)`, and the episode that follows when one has ended is the batch's.
-    `reset` without a seed in mid-episode starts anew with a seed drawn from
-    `np_random`.
+    It is a batch of one of `jaxrod.envs.VectorEnvironment`, up to round-off, and equal
+    to the `GymnasiumVectorEnv` of one to the last bit. The seed s starts it with
+    `jax.random.key(s)`, and the episode after an ended one is the batch's next episode.
+    `reset` without a seed in mid-episode starts with a new seed drawn from `np_random`.
     """
 
     metadata = METADATA
@@ -38,8 +37,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Args:
             task: A task for `jaxrod.envs.make`, or an environment.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
-            params: Parameters of the environment; None for its own.
-            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            params: Parameters of the environment; None for its defaults.
+            **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: An argument does not fit.
@@ -58,14 +57,14 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Starts an episode.
 
         Args:
-            seed: The same seed, the same episode; None for a fresh one.
-            options: None are known.
+            seed: Seed; equal seeds give equal episodes. None for a fresh episode.
+            options: Must be empty or None: no options are known.
 
         Returns:
             The first observation, shape (observation_size,), and an empty dictionary.
 
         Raises:
-            ValueError: `options` holds something.
+            ValueError: `options` is not empty.
         """
         super().reset(seed=seed)
         if options:
@@ -80,7 +79,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(
         self, action: np.ndarray
     ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step.
+        """Advances one control step.
 
         Args:
             action: In [-1, 1], shape (action_size,).
@@ -89,7 +88,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             Observation, reward, terminated, truncated, and the environment's scalars.
 
         Raises:
-            gymnasium.error.ResetNeeded: No episode runs.
+            gymnasium.error.ResetNeeded: No episode is running.
             ValueError: The action has another shape.
         """
         if self._ended:
@@ -99,8 +98,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         step = self._batch.step(np.asarray(action)[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._ended = terminated or truncated
-        # The batch has begun the next episode: what is drawn is the last moment but
-        # one of the episode that ended.
+        # The batch has already begun the next episode: the picture shows the last
+        # moment but one of the ended episode.
         self._shown = before if self._ended else self._batch.packed()
         return (
             observed(step.final_observation[0]),
@@ -114,7 +113,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """A picture, RGB of shape (480, 640, 3), or None without a render mode.
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
         """
         if self.render_mode is None:
             gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')

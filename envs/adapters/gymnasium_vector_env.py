@@ -18,17 +18,17 @@ from jaxrod.envs.wrappers import VectorStep
 class GymnasiumVectorEnv(
     gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
 ):
-    """`jaxrod.envs.VectorEnvironment` as Gymnasium knows it, to rounding.
+    """`jaxrod.envs.VectorEnvironment` for Gymnasium, equal up to round-off.
 
     The seed s starts the batch with `jax.random.key(s)`. When an episode ends the
-    environment restarts, by `autoreset_mode`, as Gymnasium defines them:
+    environment restarts by `autoreset_mode`, as Gymnasium defines the modes:
 
-    - `SAME_STEP`: at once. The observation is the first of the next episode,
-      `infos["final_obs"]` and `infos["final_info"]` are the last of the one that ended,
-      where `infos["_final_obs"]` says so.
-    - `NEXT_STEP`: in the step after, which takes no action and pays nothing. Wrappers
-      of Gymnasium that normalise observations want it.
-    - `DISABLED`: when told so, by `reset(options={"reset_mask": ended})`.
+    - `SAME_STEP`: at once. The observation is the first of the next episode.
+      `infos["final_obs"]` and `infos["final_info"]` are the last of the ended episode,
+      where `infos["_final_obs"]` is true.
+    - `NEXT_STEP`: in the next step, which ignores the action and earns nothing.
+      Gymnasium's wrappers that normalise observations require it.
+    - `DISABLED`: on request, by `reset(options={"reset_mask": ended})`.
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -49,10 +49,10 @@ class GymnasiumVectorEnv(
             task: A task for `jaxrod.envs.make`, or an environment.
             num_envs: Number of environments, at least 1.
             render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
-            params: Parameters shared by the batch; None for the environment's own.
+            params: Parameters shared by the batch; None for the environment's defaults.
             autoreset_mode: One of `gymnasium.vector.AutoresetMode`, or its value:
                 "SameStep", "NextStep" or "Disabled".
-            **options: Handed to `jaxrod.envs.make`, for example `variant="clean"`.
+            **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: An argument does not fit.
@@ -74,9 +74,10 @@ class GymnasiumVectorEnv(
         """Starts all episodes.
 
         Args:
-            seed: The same seed, the same episodes; None for fresh ones.
-            options: `reset_mask`, in the mode `DISABLED`: which environments start an
-                episode, booleans of shape (num_envs,); the others go on.
+            seed: Seed; equal seeds give equal episodes. None for fresh ones.
+            options: `reset_mask`, in the mode `DISABLED`: booleans of shape
+                (num_envs,), true
+                for the environments that start an episode; the others go on.
 
         Returns:
             First observations, shape (num_envs, observation_size), and an empty
@@ -93,7 +94,7 @@ class GymnasiumVectorEnv(
         return observed(self._batch.started().observation), {}
 
     def _where(self, options: dict[str, Any]) -> np.ndarray | None:
-        """Which environments are to start an episode; None for all."""
+        """Mask of the environments that start an episode; None for all."""
         if not options:
             return None
         if self._mode is not AutoresetMode.DISABLED or set(options) != {"reset_mask"}:
@@ -114,18 +115,18 @@ class GymnasiumVectorEnv(
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step of all environments.
+        """Advances all environments by one control step.
 
         Args:
             actions: In [-1, 1], shape (num_envs, action_size).
 
         Returns:
             Observations (num_envs, observation_size); rewards, terminations and
-            truncations (num_envs,); and what else is known.
+            truncations (num_envs,); and a dictionary with other information.
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset; in the mode
-                `DISABLED` after an episode has ended, too.
+            gymnasium.error.ResetNeeded: `reset` was not called before; in the mode
+                `DISABLED` also after an episode has ended.
             ValueError: The actions have another shape.
         """
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
@@ -158,7 +159,7 @@ class GymnasiumVectorEnv(
         """A picture of every environment, RGB of shape (480, 640, 3).
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
         """
         if self.render_mode is None:
             gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')
@@ -168,7 +169,7 @@ class GymnasiumVectorEnv(
 
 
 def _mode(given: AutoresetMode | str) -> AutoresetMode:
-    """The mode, by itself or by its value."""
+    """The mode, given as the enumeration member or as its value."""
     try:
         return AutoresetMode(given)
     except ValueError:
@@ -179,7 +180,7 @@ def _mode(given: AutoresetMode | str) -> AutoresetMode:
 
 
 def _infos(step: VectorStep, ended: np.ndarray) -> dict[str, Any]:
-    """Scalars of the episodes that go on, and the last of those that ended."""
+    """Scalars of the running episodes, and final ones of the ended episodes."""
     infos: dict[str, Any] = _masked(step.info, ~ended)
     if not ended.any():
         return infos
@@ -196,7 +197,7 @@ def _infos(step: VectorStep, ended: np.ndarray) -> dict[str, Any]:
 
 
 def _masked(scalars: Mapping[str, Any], where: np.ndarray) -> dict[str, np.ndarray]:
-    """Scalars with their masks, as Gymnasium keeps them; nothing where nothing is."""
+    """Scalars with their masks, in Gymnasium's layout; empty if the mask is empty."""
     if not where.any():
         return {}
     infos = {}

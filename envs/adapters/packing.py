@@ -1,7 +1,8 @@
-"""Pytrees as few flat arrays, for programs so short that their arguments cost more.
+"""Pytrees packed into few flat arrays, for programs with costly arguments.
 
-A call of a compiled program pays for every array that goes in and comes out. A control
-step of one arm takes some 10 microseconds; its 46 arguments and 11 results took 300.
+A call of a compiled program has a cost for every array that goes in and comes out. A
+control step of one arm takes some 10 microseconds; its 46 arguments and 11 results took
+300.
 """
 
 from __future__ import annotations
@@ -16,42 +17,42 @@ import numpy as np
 from jaxtyping import PyTree
 
 Packed = tuple[tuple[Any, ...], tuple[Any, ...]]
-"""One flat array for each type, and the leaves that travel as they are."""
+"""One flat array per dtype, and the leaves that stay unpacked."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where a leaf lies."""
+    """Position of a leaf in the flat arrays."""
 
     array: int
-    """Number of the flat array."""
+    """Index of the flat array."""
     start: int
-    """Its first number there."""
+    """Index of its first number."""
     stop: int
-    """Behind its last number."""
+    """Index after its last number."""
     shape: tuple[int, ...]
-    """Its shape."""
+    """Shape of the leaf."""
     key: str | None
     """Implementation of the random keys that it holds; `None` for numbers."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """How a pytree of one structure is packed; hashable, equal for equal structures."""
+    """Packing of a pytree of one structure; hashable, equal for equal structures."""
 
     structure: Any
     """Structure of the tree."""
     dtypes: tuple[np.dtype, ...]
-    """Types of the flat arrays."""
+    """Dtypes of the flat arrays."""
     places: tuple[Place | None, ...]
-    """Where each leaf lies; `None` for one that travels as it is: a Python number, say,
-    whose type is weak and would not be so in an array."""
+    """Position of each leaf. `None` for a leaf that stays unpacked: for example a
+    Python number, whose weak type an array would not keep."""
 
     def pack(self, tree: PyTree) -> Packed:
-        """The arrays.
+        """The packed arrays.
 
         Raises:
-            ValueError: The tree is not like the one that the layout was made of.
+            ValueError: The tree does not match the one from which the layout was made.
         """
         leaves, structure = jax.tree.flatten(tree)
         if structure != self.structure:
@@ -77,7 +78,7 @@ class Layout:
         return tuple(map(jnp.concatenate, parts)), tuple(others)
 
     def unpack(self, packed: Packed) -> PyTree:
-        """The tree; of NumPy's arrays where the flat ones are."""
+        """The tree; its leaves are NumPy arrays if the flat arrays are."""
         arrays, others = packed
         left = iter(others)
         leaves = []
@@ -94,7 +95,7 @@ class Layout:
 
 
 def layout(tree: PyTree) -> Layout:
-    """How to pack trees like this one: of arrays, or traced."""
+    """Layout for packing trees like this one, of arrays or traced."""
     leaves, structure = jax.tree.flatten(tree)
     found: list[tuple[np.dtype, tuple[int, ...], str | None] | None] = []
     for leaf in leaves:

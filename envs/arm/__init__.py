@@ -1,1 +1,1 @@
-"""The soft arm, and what all tasks of it share."""
+"""The soft arm, and the common parts of its tasks."""

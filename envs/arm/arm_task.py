@@ -13,14 +13,14 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_count
 
 CONTROL_PERIOD = 1.4e-3
-"""Time between actions, in every task [s]."""
+"""Time between actions in every task [s]."""
 
 OBSERVED_NODES = 11
-"""Points of the arm that are observed, base and tip included."""
+"""Number of observed points of the arm, including base and tip."""
 
 
 class Arm(Protocol):
-    """Interface of an arm to its task: the `paper` and the `clean` one have it."""
+    """Interface between an arm and its task, for both variants."""
 
     @property
     def rod(self) -> Rod:
@@ -41,13 +41,13 @@ class Arm(Protocol):
         dt: Array,
         n_steps: int,
     ) -> tuple[RodState, Any, Bool[Array, ""]]:
-        """Simulation steps under one action.
+        """Advances the arm by simulation steps under one action.
 
         Args:
             state: The arm.
             muscles: Memory of its muscles.
             controls: Commanded values [1] about d1, d2 and d3.
-            dt: Step [s].
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
@@ -66,11 +66,11 @@ class Bonus:
 
 
 def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
-    """Minus the squared distance, 0.5 more nearby, 1.5 more again when touching.
+    """Minus the squared distance, plus 0.5 nearby, plus 1.5 more when touching.
 
     Args:
-        distance_squared: Of the tip from the target [m^2].
-        bonus: Where the bonuses are paid.
+        distance_squared: Squared distance of the tip from the target [m^2].
+        bonus: Distances within which the bonuses are paid.
     """
     return (
         -distance_squared
@@ -83,22 +83,22 @@ def shown_distance(arm: RodState, target: Float[Array, "3"]) -> Array:
     """Distance of the tip from the target as a step reports it [m].
 
     Args:
-        arm: The last sound arm: after a crash the one before. Of what has crashed
-            nothing is known, and zero would be the best distance there is.
-        target: Where the target is [m].
+        arm: Last sound arm; after a crash, the arm before it. Nothing is known about a
+            crashed arm, and zero would be the best possible distance.
+        target: Position of the target [m].
     """
     squared = jnp.sum((arm.tip - target) ** 2)
     return jnp.sqrt(jnp.maximum(squared, 1e-12))
 
 
 def observed_points(arm: RodState) -> Float[Array, "33"]:
-    """X of eleven equidistant nodes, then y, then z [m]."""
+    """X coordinates of eleven equidistant nodes, then y, then z [m]."""
     n_elements = arm.positions.shape[-1] - 1
     return jnp.ravel(arm.positions[:, :: n_elements // (OBSERVED_NODES - 1)])
 
 
 def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
-    """Speed [m/s] and unit vector of a velocity; zeros at rest."""
+    """Speed [m/s] and direction of a velocity; zeros at rest."""
     squared = jnp.sum(velocity**2)
     moving = squared > 0
     speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
@@ -107,7 +107,7 @@ def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
 
 
 def viscous_damping(rod: Rod, viscosity: Array) -> ExponentialDamping:
-    """The published drag as rates; per rest length, and about all axes alike."""
+    """The published drag as decay rates, per rest length, equal about all axes."""
     return ExponentialDamping(
         translational_rate=viscosity / jnp.mean(rod.linear_density),
         rotational_rate=viscosity / jnp.mean(rod.rotary_inertia[0]),
@@ -115,14 +115,14 @@ def viscous_damping(rod: Rod, viscosity: Array) -> ExponentialDamping:
 
 
 def check_variant(variant: str, variants: Sequence[str]) -> None:
-    """Raises a ValueError unless the variant is one of those there are."""
+    """Raises a ValueError unless the variant is one of the known ones."""
     if variant not in variants:
         known = ", ".join(variants)
         raise ValueError(f"variant must be one of {known}; got {variant!r}")
 
 
 def check_sizes(n_elements: int, substeps: int, episode_length: int) -> None:
-    """Raises a ValueError unless an arm can be cut, stepped and observed like this."""
+    """Raises a ValueError unless an arm can have these numbers."""
     check_count("n_elements", n_elements, OBSERVED_NODES - 1)
     if n_elements % (OBSERVED_NODES - 1):
         raise ValueError(f"n_elements must be a multiple of 10, got {n_elements}")

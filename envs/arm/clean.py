@@ -1,10 +1,10 @@
 """The arm of the `clean` variants: the library's own physics.
 
-The consistent elastic law, a wall-accurate clamp, damping integrated exactly, and
-couples per metre instead of per element, of the same sum as the published ones. When a
-numerical health flag rises the arm is frozen at its last sound state. Its energy is
-not examined: that takes more than half a control step again, and on sound arms raises
-no flag (`tests/envs/test_energy.py`).
+It has the consistent elastic law, a wall-accurate clamp, damping integrated exactly,
+and couples per metre instead of per element, with the same sum as the published ones.
+When a numerical health flag rises the arm is frozen at its last sound state. Its energy
+is not checked: the check costs more than another half control step, and it raises no
+flag on sound arms (`tests/envs/test_energy.py`).
 """
 
 from __future__ import annotations
@@ -44,35 +44,35 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class CleanArm:
-    """Parameters of the arm and of all that acts on it."""
+    """Parameters of the arm and of everything that acts on it."""
 
     rod: Rod
     """The arm."""
     rest: RodState
     """The arm at the start of an episode."""
     held: Clamp
-    """The wall it grows from."""
+    """Clamp at the wall."""
     viscosity: Float[Array, ""]
-    """Viscous force per length and speed [kg/(m s)]; likewise for rotation."""
+    """Viscous force per length and speed [kg/(m s)]; the same value for rotation."""
     spline: ElementAverages
     """Spline through the control points, averaged over the arm's elements."""
     couple_density: Float[Array, ""]
     """Couple per length for a control value of one [N m/m]."""
     largest_change: Float[Array, ""] | None
-    """Largest change of a control value from one control step to the next; `None` where
+    """Largest change of a control value from one control step to the next; `None` if
     they jump."""
     obstacles: tuple[Contact, ...] = ()
     """Contact with the obstacles."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Limits of health beyond which the arm is frozen."""
+    """Health limits beyond which the arm is frozen."""
     method: Method = dataclasses.field(default_factory=consistent)
-    """Method of stepping: in the plane of motion, where there is one."""
+    """Stepping method, restricted to the plane of motion if there is one."""
     nearest: int | None = static(default=None)
-    """Number of obstacles that each point of the arm looks at in a control step; `None`
-    for all."""
+    """Number of nearest obstacles that each contact point considers in a control step;
+    `None` for all."""
 
     def relaxed(self) -> Array | None:
-        """Control values at the start of an episode, where they are remembered."""
+        """Control values at the start of an episode; None if they are not stored."""
         if self.largest_change is None:
             return None
         return jnp.zeros((3, self.spline.n_controls), self.rod.radii.dtype)
@@ -85,18 +85,18 @@ class CleanArm:
         dt: Array,
         n_steps: int,
     ) -> tuple[RodState, Array | None, Bool[Array, ""]]:
-        """Simulation steps under one action.
+        """Advances the arm by simulation steps under one action.
 
         Args:
             state: The arm.
             muscles: Control values of the control step before.
             controls: Commanded values [1] about d1, d2 and d3.
-            dt: Step [s].
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, the control values, and whether a health flag rose; then the arm
-            is what it was.
+            The arm, the control values, and whether a health flag rose; the arm is then
+            unchanged.
         """
         if self.largest_change is not None and muscles is not None:
             muscles = controls = limit_rate(muscles, controls, self.largest_change)
@@ -114,8 +114,8 @@ class CleanArm:
 
         Args:
             controls: Control values [1]; `None` for the arm without its muscles.
-            near: Where the arm is about to move from, if obstacles may be left out
-                that are not among the `nearest` ones there.
+            near: State from which the arm is about to move, if obstacles that are not
+                among its `nearest` ones may be left out.
         """
         obstacles = self.obstacles
         if near is not None and self.nearest is not None:
@@ -149,18 +149,21 @@ def clean_arm(
     """The arm at rest.
 
     Args:
-        n_elements: Elements.
-        start: Where it is clamped [m].
-        axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
+        n_elements: Number of elements.
+        start: Position of the clamped end [m].
+        axis: Axis along the arm: "y" (Cases 1, 2) or "z" (Cases 3, 4).
         spline: Spline through the control points, in rest arc length.
-        published_elements: Elements of the published arm, each with a couple of 75 N m:
-            their sum is spread over the length.
+        published_elements: Number of elements of the published arm, each with a couple
+            of
+            75 N m: their sum is spread over the length.
         largest_rate: Largest rate of a control value [1/s].
         obstacles: Contact with the obstacles.
-        nearest: Number of obstacles that each point looks at in a control step.
-        smallest_stretch: Below this an arm is flagged [1].
-        largest_stretch: Beyond this an arm is flagged [1].
-        plane: The plane of motion, where there is one.
+        nearest: Number of nearest obstacles that each contact point considers in a
+            control
+            step.
+        smallest_stretch: Stretch below which an arm is flagged [1].
+        largest_stretch: Stretch above which an arm is flagged [1].
+        plane: Plane of motion, if any.
     """
     rod, rest = clean_rod(n_elements, start, axis)
 

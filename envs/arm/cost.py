@@ -1,4 +1,4 @@
-"""Smooth costs of the arm's tasks, for planners: least where the reward is greatest."""
+"""Smooth costs of the arm's tasks for planners: least where the reward is greatest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COST_WIDTH = 0.1
 
 
 class CostOfResiduals:
-    """Part of a task: the cost is the sum of the residuals' squares."""
+    """Mixin for a task whose cost is the sum of the squared residuals."""
 
     @abstractmethod
     def residuals(
@@ -23,7 +23,7 @@ class CostOfResiduals:
         params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, " residuals"]:
-        """Numbers that plans make small; arguments as of `cost`."""
+        """Residuals that planners make small; arguments as in `cost`."""
 
     def cost(
         self,
@@ -35,10 +35,10 @@ class CostOfResiduals:
         """Smooth cost of a state, least where the reward is greatest [1].
 
         Args:
-            state: After the control step.
-            action: That led there.
+            state: State after the control step.
+            action: Action of that step.
             params: Numbers of the task.
-            width: Distance from the target beyond which it grows linearly [m].
+            width: Distance from the target beyond which the cost grows linearly [m].
         """
         return jnp.sum(self.residuals(state, action, params, width) ** 2)
 
@@ -46,18 +46,17 @@ class CostOfResiduals:
 def tip_residuals(
     way: Float[Array, "3"], touching: Array, width: float | Array
 ) -> Float[Array, "3"]:
-    r"""Smooth stand-in for the reward's distance, whose squares are the cost [1].
+    r"""Smooth substitute for the reward's distance; the sum of squares is the cost [1].
 
-    With $s = |way|/width$ the squares add up to
-    $2\,(width/touching)^2\,(\sqrt{1 + s^2} - 1)$: about $(|way|/touching)^2$ nearby,
-    linear far away, with a slope everywhere but at the target. The reward's bonuses are
-    steps, which have none.
+    With $s = |way|/width$ the squares sum to $2\,(width/touching)^2\,(\sqrt{1 + s^2} -
+    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a slope
+    everywhere but at the target. The reward's bonuses are steps, which have no slope.
 
     Args:
-        way: From the target to the tip [m].
+        way: Vector from the target to the tip [m].
         touching: Distance that costs about one [m].
         width: Distance beyond which the cost grows linearly [m].
     """
     root = jnp.sqrt(1 + jnp.sum(way**2) / width**2)
-    # (root - 1) / s^2 without the difference of near numbers.
+    # (root - 1) / s^2 without the cancellation between nearly equal numbers.
     return way / touching * jnp.sqrt(2 / (1 + root))

@@ -1,4 +1,4 @@
-"""The obstacles of the benchmark: cylinders that stay where they are."""
+"""The obstacles of the benchmark: fixed cylinders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, check_array
 
 OBSERVED_POINTS = 5
-"""Points of every cylinder that are observed, both ends included."""
+"""Number of observed points of every cylinder, including both ends."""
 
 
 @pytree
@@ -18,11 +18,11 @@ class Cylinders:
     """Fixed round cylinders."""
 
     starts: Float[Array, "3 m"]
-    """Middle of one end [m]."""
+    """Centre of one end of each cylinder [m]."""
     directions: Float[Array, "3 m"]
     """Unit vectors from there to the other end."""
     normals: Float[Array, "3 m"]
-    """Unit vectors; only the published broad phase looks at them."""
+    """Unit vectors; only the published broad phase uses them."""
     lengths: Float[Array, " m"]
     """Lengths [m]."""
     radii: Float[Array, " m"]
@@ -30,12 +30,12 @@ class Cylinders:
 
     @property
     def centres(self) -> Float[Array, "3 m"]:
-        """Their middles [m]."""
+        """Centres of the cylinders [m]."""
         return self.starts + 0.5 * self.lengths[None, :] * self.directions
 
     @property
     def ends(self) -> Float[Array, "3 m"]:
-        """Middle of the other end [m]."""
+        """Centre of the other end of each cylinder [m]."""
         return self.starts + self.lengths[None, :] * self.directions
 
 
@@ -47,14 +47,14 @@ def cylinders(
     length: float,
     radius: float,
 ) -> Cylinders:
-    """Cylinders of one length and radius.
+    """Cylinders of equal length and radius.
 
     Args:
-        starts: Middle of one end of each, `(m, 3)` [m].
-        directions: From there to the other end, of any length, `(m, 3)`.
+        starts: Centre of one end of each cylinder, `(m, 3)` [m].
+        directions: Vectors from there to the other end, of any length, `(m, 3)`.
         normals: Unit vectors `(m, 3)`.
-        length: Of all [m].
-        radius: Of all [m].
+        length: Length of every cylinder [m].
+        radius: Radius of every cylinder [m].
     """
     count = len(np.asarray(starts))
     kind = jnp.result_type(float)
@@ -79,7 +79,7 @@ def points_along(
 ) -> Float[Array, " 15m"]:
     """Five equidistant points from each start along each cylinder's direction.
 
-    Cylinder by cylinder, point by point, x, y, z [m].
+    The order is cylinder by cylinder, point by point, x, y, z [m].
     """
     parts = jnp.linspace(0, 1, OBSERVED_POINTS, dtype=starts.dtype)
     along = cylinders.lengths[None, :] * cylinders.directions

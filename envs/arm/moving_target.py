@@ -1,8 +1,8 @@
 """A target sphere that wanders through a box: straight flight, bounces, new headings.
 
-It is the published benchmark's target, its habits included: a wall test that only
-flips the velocity, so a target that starts within its radius of a wall flips at every
-test and stays where it is along that axis (30 % of episodes have such an axis).
+This is the published benchmark's target, including its quirks. Its wall test only flips
+the velocity. So a target that starts within its radius of a wall flips at every test
+and does not move along that axis (30 % of episodes have such an axis).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class TargetParams:
     upper: Float[Array, "3"]
     """Upper corner of the box [m]."""
     radius: Float[Array, ""]
-    """Radius of the sphere, used against the walls [m]."""
+    """Radius of the sphere for the wall tests [m]."""
     speed: Float[Array, ""]
     """Speed [m/s]."""
 
@@ -39,10 +39,10 @@ class Target:
 
 
 def heading(key: Key[Array, ""], speed: Array) -> Float[Array, "3"]:
-    """A random velocity of given speed.
+    """A random velocity of the given speed.
 
-    Both angles are uniform over a full turn, as published; headings therefore crowd
-    around the z axis instead of being uniform over the sphere.
+    Both angles are uniform over a full turn, as published. So headings cluster around
+    the z axis instead of being uniform over the sphere.
     """
     a, b = jax.random.uniform(key, (2,), maxval=2 * jnp.pi)
     return speed * jnp.stack(
@@ -71,7 +71,7 @@ def fly(
     target: Target, params: TargetParams, dt: Array | float, n_tests: int
 ) -> Target:
     """Flies for `n_tests` intervals of `dt` [s], testing the walls after each."""
-    # Unrolled: the whole flight is one small kernel, cheaper than a loop of them.
+    # Unrolled: the whole flight is one small kernel, which is cheaper than a loop.
     for _ in range(n_tests):
         moved = Target(target.position + dt * target.velocity, target.velocity)
         target = bounce(moved, params)

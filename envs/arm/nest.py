@@ -1,4 +1,4 @@
-"""The nests of Case 4: twelve cylinders leaning every way before the target."""
+"""The nests of Case 4: twelve cylinders at random angles in front of the target."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ LENGTH = 1.0
 RADIUS = 0.03
 COUNT = 12
 TARGET_HEIGHT = 0.35
-"""z of the target, about which the released generator places the cylinders [m]."""
+"""Height z of the target; the released generator places the cylinders around it [m]."""
 
-# Start, direction, normal of each cylinder, from the published figure of the case.
+# Start, direction, normal of each cylinder, from the published figure of Case 4.
 _PUBLISHED = """
 -0.491883 0.872705 0.417081 -0.419161 -0.745410 -0.518331 0.468713 -0.666606 0.579607
 -0.492705 0.876931 0.249509 -0.462854 -0.753862 -0.466324 0.531067 -0.657033 0.535048
@@ -31,17 +31,17 @@ _PUBLISHED = """
 
 
 def published_nest() -> Cylinders:
-    """The nest of the published figure; the scores are consistent with it."""
+    """The nest of the published figure; the published scores are consistent with it."""
     numbers = np.array(_PUBLISHED.split(), float).reshape(COUNT, 3, 3)
     starts, directions, normals = numbers.swapaxes(0, 1)
     return cylinders(starts, directions, normals, length=LENGTH, radius=RADIUS)
 
 
 def random_nest(seed: int) -> Cylinders:
-    """A nest as the released generator draws it: middles in the plane of the base.
+    """A nest as the released generator draws it: centres in the plane of the base.
 
     Args:
-        seed: Of the nest; the same number gives the same nest everywhere.
+        seed: Seed of the nest; the same number gives the same nest everywhere.
 
     Raises:
         ValueError: If the seed is negative.

@@ -1,4 +1,4 @@
-"""Scenery of a task of the benchmark: arm, target, obstacles."""
+"""Scenery of a benchmark task: arm, target, obstacles."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def arm_and_target(
     radius: Float[Array, ""],
     obstacles: Cylinders | None = None,
 ) -> Snapshot:
-    """A moment of the arm, its target, and what is in its way.
+    """Snapshot of the arm, its target, and its obstacles.
 
     Args:
         rod: The arm's parameters.
         arm: The arm.
         target: Centre of the target [m].
-        radius: Of the target [m].
-        obstacles: What is in the way.
+        radius: Radius of the target [m].
+        obstacles: Obstacles, if any.
     """
     cylinders: tuple[tuple[Array, Array, Array], ...] = ()
     if obstacles is not None:

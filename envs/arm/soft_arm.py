@@ -1,4 +1,4 @@
-"""The soft arm of the benchmark: its measures, and the rod they make."""
+"""The soft arm of the benchmark: its dimensions and its rod."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ DENSITY = 1000.0
 YOUNGS_MODULUS = 1e7
 """[Pa]"""
 VISCOSITY = 30.0
-"""Viscous force per length and speed [kg/(m s)]; likewise for rotation [kg m/s]."""
+"""Viscous force per length and speed [kg/(m s)]; the same value for rotation [kg
+m/s]."""
 TORQUE_PER_ELEMENT = 75.0
 """Couple on an element for a control value of one [N m]."""
 REFERENCE_ELEMENTS = 20
@@ -30,9 +31,10 @@ def published_rod(
     """The arm with the published moduli, straight and at rest.
 
     Args:
-        n_elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
-        start: Where it is clamped [m].
-        axis: "y" (Cases 1, 2; d1 is +z) or "z" (Cases 3, 4; d1 is +y).
+        n_elements: Number of elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
+        start: Position of the clamped end [m].
+        axis: Axis along the arm: "y" (Cases 1, 2; d1 is +z) or "z" (Cases 3, 4; d1 is
+            +y).
     """
     return straight_rod(
         n_elements,

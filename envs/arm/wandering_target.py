@@ -1,8 +1,8 @@
-"""A target that wanders through a box, and turns at any moment with the same chance.
+"""A target that wanders through a box, and may turn at any time with equal chance.
 
 Its centre may leave the box by one move, and comes back in the next: the walls are
-tested before a move, not after it. A new heading counts from the next move on, so the
-velocity of the moment is that of the last one.
+tested before a move, not after it. A new heading takes effect with the next move, so
+the current velocity is that of the last move.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ def wander(
     chance: Array,
     dt: Array,
 ) -> Target:
-    """One move: back from a wall it is behind, or perhaps in a new direction.
+    """One move: away from a wall it has crossed, or possibly in a new direction.
 
     Args:
         key: Typed random key; `None` for a move without a new heading.
-        target: Before the move.
-        params: Of the target.
-        chance: Of a new heading, unless the target is behind a wall [1].
+        target: Target before the move.
+        params: Parameters of the target.
+        chance: Probability of a new heading, unless the target is behind a wall [1].
         dt: Duration of the move [s].
     """
     velocity = bounce(target, params).velocity

@@ -1,9 +1,9 @@
 """The arm of the `paper` variants: the published simulator, driven by its muscles.
 
-PyElastica's law and order of operations, with what its first release had besides:
-viscous drag, contact forces that depend on all loads found so far, and muscles that may
-change from one simulation step to the next. An arm that cannot leave a plane moves in
-it exactly.
+It follows PyElastica's law and order of operations, plus three features of its first
+release: viscous drag, contact forces that depend on all loads found so far, and muscles
+that may change from one simulation step to the next. An arm that cannot leave a plane
+moves exactly in that plane.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ CONTACT_DAMPING = 4.0
 
 @pytree
 class PublishedArm:
-    """Parameters of the published arm and of all that acts on it."""
+    """Parameters of the published arm and of everything that acts on it."""
 
     rod: Rod
     """The arm."""
     rest: RodState
     """The arm at the start of an episode."""
     held: FixedEnd
-    """Its base."""
+    """Clamp at its base."""
     drag: ViscousDrag
     """Viscous drag of the medium."""
     muscles: MuscleParams
     """Parameters of the muscles."""
     contact: PublishedContact | None
-    """Contact with the obstacles; `None` where there are none."""
+    """Contact with the obstacles; `None` if there are none."""
     method: PyElastica | Planar
-    """Method of PyElastica's law, in the plane of motion where there is one."""
+    """PyElastica's method, restricted to the plane of motion if there is one."""
 
     def relaxed(self) -> Muscles:
         """The muscles at the start of an episode."""
@@ -73,21 +73,21 @@ class PublishedArm:
         dt: Array,
         n_steps: int,
     ) -> tuple[RodState, Muscles, Bool[Array, ""]]:
-        """Simulation steps under one action.
+        """Advances the arm by simulation steps under one action.
 
         Args:
             state: The arm.
-            muscles: Its muscles in the step before.
+            muscles: Muscles in the step before.
             controls: Commanded values [1] about d1, d2 and d3.
-            dt: Step [s].
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, the muscles, and whether a node is no longer anywhere.
+            The arm, the muscles, and whether a node's position is no longer finite.
         """
         stepper = self.method.stepper(self.scene(), state, dt)
         if self.muscles.largest_change is None:
-            # What they do in the first step they do in all.
+            # Their couples in the first step hold in all steps.
             lengths, new = stepper.begin(state).lengths, jnp.ones((), bool)
             muscles = contract(muscles, controls, lengths, new, self.muscles)
             state = advance(self.scene(muscles.couples), state, dt, n_steps)
@@ -98,11 +98,11 @@ class PublishedArm:
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
     def scene(self, couples: Float[Array, "3 n"] | None = None) -> Scene:
-        """Scene of the arm: all that acts on it.
+        """Scene of the arm with everything that acts on it.
 
         Args:
-            couples: Of the muscles on the elements, material frame [N m]; `None` for
-                the arm without its muscles.
+            couples: Couples of the muscles on the elements, material frame [N m];
+                `None` for the arm without its muscles.
         """
         effects: tuple[Effect, ...] = (self.held, self.drag)
         if self.contact is not None:
@@ -114,15 +114,15 @@ class PublishedArm:
 
 @pytree
 class _DrivenArm:
-    """The arm with muscles that change in every step: from kick to kick."""
+    """The arm with muscles that change in every step; one cycle runs kick to kick."""
 
     arm: PublishedArm
     stepper: Any
-    """Of the arm without its muscles."""
+    """Stepper of the arm without its muscles."""
     controls: Float[Array, "3 n_controls"]
 
     def begin(self, given: tuple[RodState, Muscles]) -> tuple[Any, Muscles, Array]:
-        """The first drift; the last entry says that the action is new."""
+        """The first drift; the last entry states that the action is new."""
         state, muscles = given
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
 
@@ -160,15 +160,14 @@ def published_arm(
     """The arm at rest, with the published numbers.
 
     Args:
-        n_elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
-        start: Where it is clamped [m].
-        axis: "y" (Cases 1, 2) or "z" (Cases 3, 4).
+        n_elements: Number of elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
+        start: Position of the clamped end [m].
+        axis: Axis along the arm: "y" (Cases 1, 2) or "z" (Cases 3, 4).
         spline: Spline through the control points, in rest arc length.
         largest_change: Largest change of a control value in a simulation step; `None`
-            where they jump.
+            if they jump.
         obstacles: Cylinders that it may touch.
-        plane: The plane of motion, where there is one: obstacles are perpendicular to
-            it.
+        plane: Plane of motion, if any; obstacles are perpendicular to it.
     """
     rod, rest = published_rod(n_elements, start, axis)
 

@@ -1,4 +1,4 @@
-r"""The contact law of the published environments, its broad phase included.
+r"""The contact law of the published environments, with its broad phase.
 
 For an element of the arm and a cylinder, with $\hat n$ the unit vector from the
 element's closest point to the cylinder's and $\gamma$ the overlap, both nodes of the
@@ -7,12 +7,12 @@ element are pushed by $-F \hat n$ in full (the base by half of it), where
 $$F = \max(0,\ (f - f_c)\cdot\hat n)
       + \tfrac12 [\gamma > 0]\,(k \gamma + \nu\, \bar v \cdot \hat n).$$
 
-$f$ is the mean of all forces on the two nodes found so far and $f_c$ what this
-cylinder has taken up so far in this step: the first term cancels whatever presses the
-element against the cylinder. Elements are treated one after the other, cylinders one
-after the other, so every force depends on those before it.
+$f$ is the mean of all forces on the two nodes found so far. $f_c$ is the force that
+this cylinder has taken up so far in this step. The first term cancels the force that
+presses the element against the cylinder. Elements and cylinders are treated one after
+the other, so every force depends on those before it.
 
-Before that a cylinder is left out altogether unless its box and the arm's overlap. The
+Before that, a cylinder is skipped altogether unless its box and the arm's overlap. The
 box is wrong for a cylinder whose `normal` is parallel to its direction: it then has no
 width. (PyElastica 1.0 still has this box, but not the first term of the force.)
 """
@@ -36,20 +36,20 @@ from jaxrod.methods.planar_verlet import PLANES, PlaneName
 from jaxrod.structure import pytree, static
 
 Components = tuple[Array, ...]
-"""Three components of a field of vectors, or the two in a plane."""
+"""Three components of a vector field, or the two in a plane."""
 
 FARTHEST_GAP = 1e-5
 """Gap up to which the force-cancelling term acts [m]."""
 
 PARALLEL = 1e-6
-"""Squared sine of the angle below which element and cylinder count as parallel."""
+"""Squared sine of an angle below which element and cylinder count as parallel."""
 
 
 @pytree
 class PublishedContact(Effect):
     """The published contact of an arm with cylinders; PyElastica mode only.
 
-    Listed after everything else that exerts forces.
+    It must be listed after all other effects that exert forces.
     """
 
     cylinders: Cylinders
@@ -58,15 +58,15 @@ class PublishedContact(Effect):
     damping: Float[Array, ""]
     """Damping nu [kg/s]."""
     plane: PlaneName | None = static(default=None)
-    """The plane to which all cylinders are perpendicular and in which the arm and all
-    that acts on it stay: forces out of it are not looked at."""
+    """Plane perpendicular to all cylinders, if the arm and everything that acts on it
+    stay in it: forces out of this plane are ignored."""
 
     def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
-        """Forces of contact, which depend on all forces found so far."""
+        """Contact forces, which depend on all forces found so far."""
         if before.forces is None:
             raise ValueError("PublishedContact needs the forces found so far")
         forces = self._seen(before.forces)
-        # Without the barrier XLA works them out again wherever the sweep reads them.
+        # Without the barrier XLA recomputes them wherever the sweep reads them.
         normals, pushes = lax.optimization_barrier(self.encounters(rod, motion))
         after = _sweep(forces, normals, pushes)
         change = [new - old for new, old in zip(after, forces, strict=True)]
@@ -79,9 +79,9 @@ class PublishedContact(Effect):
     def encounters(
         self, rod: Rod, motion: Motion
     ) -> tuple[Components, Float[Array, "m n"]]:
-        """Directions from element to cylinder, and the elastic and viscous push [N].
+        """Unit vectors from element to cylinder, and the elastic and viscous push [N].
 
-        Both are zero where there is no contact.
+        Both are zero without contact.
         """
         lengths = motion.lengths
         radii = rod.radii * jnp.sqrt(rod.rest_lengths / lengths)
@@ -105,7 +105,7 @@ class PublishedContact(Effect):
         return normal, jnp.where(active & (overlap > 0), push, 0)
 
     def _seen(self, vector: Vec3) -> Components:
-        """The components that contact has to do with."""
+        """Components of a vector that matter for contact."""
         if self.plane is None:
             return vector
         a, b, _ = PLANES[self.plane]
@@ -114,7 +114,7 @@ class PublishedContact(Effect):
     def _closest_in_plane(
         self, motion: Motion, cylinders: Cylinders
     ) -> tuple[Components, Float[Array, "m n"]]:
-        """`_closest_points` where every axis is a point and every element sees it."""
+        """`_closest_points` in a plane, where axes are points that all elements see."""
         offset = tuple(
             c[None, :-1] - start[:, None]
             for c, start in zip(motion.position, cylinders.starts, strict=True)
@@ -140,7 +140,7 @@ def boxes_overlap(
     centres = vectors.split(cylinders.centres)
     overlap = jnp.ones(cylinders.radii.shape, bool)
     for x, centre, a, b, c in zip(motion.position, centres, d1, d2, d3, strict=True):
-        # The sum first, its absolute value after: so it was published.
+        # The published order: sum first, absolute value after.
         half = jnp.abs((a + b) * cylinders.radii + 0.5 * c * cylinders.lengths)
         low, high = jnp.min(x) - margin, jnp.max(x) + margin
         overlap &= (centre + half >= low) & (centre - half <= high)
@@ -150,7 +150,7 @@ def boxes_overlap(
 def _closest_points(
     motion: Motion, cylinders: Cylinders
 ) -> tuple[Vec3, Float[Array, "m n"]]:
-    """Vectors from elements to cylinder axes where both are closest [m].
+    """Vectors from elements to cylinder axes between their closest points [m].
 
     Returns:
         The vectors, and the squared distance of each element's first node from each
@@ -168,7 +168,7 @@ def _closest_points(
     height = vectors.dot(axis, offset)
     across = squared - lean * lean
     skew = across >= PARALLEL * squared
-    # Of the two lines; then of element and cylinder, by turns.
+    # Closest points of the two lines, then of element and cylinder in turn.
     along = (squared * height - lean * back) / jnp.where(skew, across, 1)
     along = jnp.clip(jnp.where(skew, along, 0), 0, ends)
     part = jnp.clip((along * lean - back) / squared, 0, 1)
@@ -180,12 +180,12 @@ def _closest_points(
 
 
 def _rows(field: Vec3) -> Vec3:
-    """One value for each element."""
+    """A field with one value per element, as rows."""
     return field[0][None, :], field[1][None, :], field[2][None, :]
 
 
 def _columns(field: Vec3) -> Vec3:
-    """One value for each cylinder."""
+    """A field with one value per cylinder, as columns."""
     return field[0][:, None], field[1][:, None], field[2][:, None]
 
 
@@ -195,16 +195,17 @@ def _sweep(
     """Adds contact forces element by element, cylinder by cylinder.
 
     Cylinder j can treat element i as soon as it has treated element i - 1 and the
-    cylinder before it element i + 1. So all work at the same time, each two elements
-    behind the one before, and hand on the nodes they are done with.
+    cylinder before it has treated element i + 1. So all cylinders work at the same
+    time, each two elements behind the previous one, and pass on the nodes they have
+    finished.
 
-    One array for each component: stacked, they would cost XLA four times as much.
+    Each component is a separate array: stacked, they would cost XLA four times as much.
     """
     count, n = pushes.shape
     rounds = n + 2 * count
     streams = tuple(jnp.pad(c, (0, rounds - n - 1)) for c in forces)
     skewed = tuple(_skewed(c, rounds) for c in normals)
-    # The base node takes half of what its element gets.
+    # The base node takes half of the force on its element.
     first = np.arange(rounds)[:, None] == 2 * np.arange(count)[None, :] + 1
     shares = jnp.asarray(np.where(first, 0.5, 1.0), pushes.dtype)
     Carry = tuple[Components, Components, Components]
@@ -232,7 +233,7 @@ def _sweep(
 
 
 def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]:
-    """A field by round: in round r cylinder j is at element r - 2 j - 1."""
+    """A field arranged by round: in round r cylinder j is at element r - 2 j - 1."""
     count, n = field.shape
     wide = jnp.pad(field, ((0, 0), (1, rounds + 1 - n)))
     flat = jnp.reshape(wide, (count * (rounds + 2),))[: count * rounds]
@@ -240,7 +241,7 @@ def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]
 
 
 def _each(function: Callable[..., Array], *fields: Components) -> Components:
-    """A function of one component of each field, applied to all components."""
+    """Applies a function to each component of the fields in turn."""
     return tuple(map(function, *fields))
 
 

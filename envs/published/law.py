@@ -1,8 +1,8 @@
-r"""The drag of the published benchmark's first Elastica.
+r"""The drag of the first Elastica, which the published benchmark used.
 
 Explicit viscous forces and couples per current length, $f = -\nu\, \bar v\, \ell$ and
-$c = -\nu\, \omega\, \ell$. PyElastica 1.0 has none; it belongs to the benchmark and is
-kept out of the simulator.
+$c = -\nu\, \omega\, \ell$. PyElastica 1.0 has no such drag. It belongs to the benchmark
+and is kept out of the simulator.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class ViscousDrag(Effect):
     """Force per length and speed [kg/(m s)], and couple per length and spin."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Drag of each element, its force shared half and half by its nodes."""
+        """Drag of each element; its two nodes share the force equally."""
         drag = -self.viscosity * motion.lengths
         x, y, z = motion.velocity
         means = (0.5 * (x[1:] + x[:-1]), 0.5 * (y[1:] + y[:-1]), 0.5 * (z[1:] + z[:-1]))
@@ -33,7 +33,7 @@ class ViscousDrag(Effect):
         )
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Explicit drag, of the rod at its rest length."""
+        """Bound of explicit drag, for the rod at its rest length."""
         drag = self.viscosity * rod.rest_lengths
         nodes = 0.5 * (vectors.pad(drag, 0, 1) + vectors.pad(drag, 1, 0))
         return StabilityBound(node_drag=nodes, element_drag=drag)

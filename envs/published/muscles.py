@@ -1,11 +1,11 @@
 """The muscles of the published benchmark: rate-limited control values, held couples.
 
 Every direction (bending about d1, about d2, twist) is a muscle of its own. In a
-simulation step in which its control values are not yet the commanded ones, they move
-towards them, by no more than a given change if there is one, and the couples are read
-off the spline through them at the elements' far ends, in the arc length of that moment.
-Once the commanded values are reached the couples stay as they are, whatever the arm
-does.
+simulation step in which its control values differ from the commanded ones, they move
+towards them, at most by a given change if there is one. The couples are then evaluated
+on the spline through the control values, at the elements' far ends, in the current arc
+length. Once the commanded values are reached the couples stay constant, whatever the
+arm does.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ class MuscleParams:
     torque: Float[Array, ""]
     """Couple on an element for a control value of one [N m]."""
     largest_change: Float[Array, ""] | None
-    """Largest change of a control value in a simulation step; `None` where they
-    jump."""
+    """Largest change of a control value in a simulation step; `None` if they jump."""
 
 
 @pytree
@@ -57,16 +56,16 @@ def contract(
     renewed: Bool[Array, ""],
     params: MuscleParams,
 ) -> Muscles:
-    """Muscles in the simulation step that follows.
+    """Returns the muscles in the next simulation step.
 
     Args:
-        muscles: Their state in the step before.
+        muscles: State in the step before.
         commanded: Commanded control values [1].
         lengths: Current lengths of the elements [m].
-        renewed: Whether the commanded values are new in this step. Where they
-            happen to be the old ones the couples do not change, but they follow the
-            new ones' derivatives from now on.
-        params: Their numbers.
+        renewed: Whether the commanded values are new in this step. If they happen to
+            equal the old ones the couples do not change, but from now on they follow
+            the derivatives of the new values.
+        params: Parameters of the muscles.
     """
     missing = commanded - muscles.applied
     bound = params.largest_change

@@ -1,1 +1,1 @@
-"""Bodies of the tasks beside the arms: what they are made of and what acts on them."""
+"""Bodies of the tasks other than the arms: their material and what acts on them."""

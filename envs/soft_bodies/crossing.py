@@ -8,14 +8,14 @@ from jaxtyping import Array, Bool, Float
 
 
 def crosses_itself(nodes: Float[Array, "2 n+1"]) -> Bool[Array, ""]:
-    """Whether two segments that are not neighbours have a point in common inside both.
+    """Whether two non-neighbouring segments cross in their interiors.
 
     Args:
-        nodes: The line [m].
+        nodes: Nodes of the line [m].
     """
     starts, ends = nodes[:, :-1], nodes[:, 1:]
     n = starts.shape[1]
-    # Row i, column j: on which side of segment i segment j starts and ends.
+    # Row i, column j: side of segment i on which segment j starts and ends.
     edge = ends - starts
     start_side = _side(edge, starts, starts)
     end_side = _side(edge, starts, ends)
@@ -27,7 +27,7 @@ def crosses_itself(nodes: Float[Array, "2 n+1"]) -> Bool[Array, ""]:
 def _side(
     edge: Float[Array, "2 n"], start: Float[Array, "2 n"], point: Float[Array, "2 m"]
 ) -> Float[Array, "n m"]:
-    """Above 0 to the left of a segment, below 0 to its right."""
+    """Signed area: above 0 for a point left of a segment, below 0 right of it."""
     x = point[0][None, :] - start[0][:, None]
     y = point[1][None, :] - start[1][:, None]
     return edge[0][:, None] * y - edge[1][:, None] * x

@@ -1,15 +1,15 @@
-r"""A soft arm that takes the curvature it is told to, segment by segment.
+r"""A soft arm that takes the commanded curvature, segment by segment.
 
-The arm is the benchmark's (1 m, 5 cm, 10 MPa, 1000 kg/m^3), it stands upright on the
-ground and feels its weight. Five equal segments of it have an angle each about both
-transverse axes, by which the segment would be bent if it were free: their rest
-curvature (`jaxrod.ActiveShape`). Within a control step it goes in a straight line from
-what it was to what is commanded.
+The arm is the benchmark's (1 m, 5 cm, 10 MPa, 1000 kg/m^3). It stands upright on the
+ground and is subject to gravity. Each of its five equal segments has an angle about
+both transverse axes: the angle by which the segment would bend if it were free. These
+angles set the rest curvature (`jaxrod.ActiveShape`). Within a control step it changes
+linearly in time from its old to its commanded value.
 
-Damping is exponential, at 4/s: the lowest mode, of 8.8 rad/s without the weight, has a
-damping ratio of 0.23, about that of backward Euler steps of 50 ms at this frequency
-(0.21). Transverse rotary inertia is enlarged (`jaxrod.scale_inertia`), up to twice,
-which leaves the tip where it is within 1 mm.
+Damping is exponential, at 4/s. The lowest mode, at 8.8 rad/s without the weight, has a
+damping ratio of 0.23. This is about the ratio of backward Euler steps of 50 ms at this
+frequency (0.21). Transverse rotary inertia is scaled up (`jaxrod.scale_inertia`), at
+most twice, which changes the position of the tip by less than 1 mm.
 """
 
 from __future__ import annotations
@@ -44,37 +44,37 @@ from jaxrod.envs.arm.soft_arm import LENGTH, clean_rod
 from jaxrod.structure import pytree
 
 N_SEGMENTS = 5
-"""Segments of the arm with an angle of their own about each transverse axis."""
+"""Number of segments, each with its own angle about each transverse axis."""
 GRAVITY = 9.8
 """[m/s^2]"""
 DAMPING = 4.0
-"""Of translation and rotation [1/s]."""
+"""Damping rate of translation and rotation [1/s]."""
 MOST_ANGLE = 2.0
-"""By which a segment is bent at most about an axis [rad]."""
+"""Largest angle of a segment about an axis [rad]."""
 
 
 @pytree
 class CurvedArm:
-    """Parameters of the arm and of all that acts on it."""
+    """Parameters of the arm and of everything that acts on it."""
 
     rod: Rod
-    """The arm; transverse rotary inertia enlarged."""
+    """The arm, with scaled transverse rotary inertia."""
     rest: RodState
-    """Upright, straight and at rest."""
+    """State upright, straight and at rest."""
     held: Clamp
-    """The ground it grows from."""
+    """Clamp at the ground."""
     weight: Gravity
     """Gravity along the arm, downwards."""
     damping: ExponentialDamping
     """Damping of translation and rotation."""
     shares: Float[Array, "n+1 segments"]
-    """Curvature of the joint at each node for an angle of one of each segment [1/m]."""
+    """Curvature of the joint at each node for a unit angle of each segment [1/m]."""
     most_angle: Float[Array, ""]
     """Largest angle of a segment about an axis, either way [rad]."""
     largest_change: Float[Array, ""]
     """Change of an angle in a control step for a control value of one [rad]."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Limits of health beyond which the arm is frozen."""
+    """Health limits beyond which the arm is frozen."""
 
     def advance(
         self,
@@ -84,17 +84,17 @@ class CurvedArm:
         dt: Array,
         n_steps: int,
     ) -> tuple[RodState, Bool[Array, ""]]:
-        """Simulation steps of one control step.
+        """Advances the arm by the simulation steps of one control step.
 
         Args:
             state: The arm.
             before: Angles of the segments about d1 and d2 at the beginning [rad].
-            after: Angles at the end; between them they go in a straight line [rad].
-            dt: Step [s].
+            after: Angles at the end; linear in time in between [rad].
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, and whether a health flag rose; then it is what it was.
+            The arm, and whether a health flag rose; the arm is then unchanged.
         """
         curvature = Ramp(
             first=self.curvatures(before),
@@ -109,17 +109,18 @@ class CurvedArm:
     def turned(
         self, angles: Float[Array, "2 segments"], action: Float[Array, " action"]
     ) -> Float[Array, "2 segments"]:
-        """Angles after an action that changes them [rad].
+        """Angles after an action changes them [rad].
 
         Args:
-            angles: Angles before it [rad].
-            action: Changes about d1, then about d2, of the largest; clipped to [-1, 1].
+            angles: Angles before the action [rad].
+            action: Changes about d1, then about d2, as shares of the largest change;
+                clipped to [-1, 1].
         """
         change = self.largest_change * jnp.reshape(jnp.clip(action, -1, 1), (2, -1))
         return jnp.clip(angles + change, -self.most_angle, self.most_angle)
 
     def curvatures(self, angles: Float[Array, "2 segments"]) -> Float[Array, "3 n+1"]:
-        """Rest curvature of the joint at each node: no twist [1/m]."""
+        """Rest curvature of the joint at each node, without twist [1/m]."""
         about = jnp.sum(self.shares[None] * angles[:, None, :], axis=-1)
         return jnp.concatenate([about, jnp.zeros_like(about[:1])])
 
@@ -137,8 +138,8 @@ def curved_arm(n_elements: int, largest_change: float) -> CurvedArm:
     """The arm at rest, in JAX's default precision.
 
     Args:
-        n_elements: Elements.
-        largest_change: Of an angle in a control step [rad].
+        n_elements: Number of elements.
+        largest_change: Largest change of an angle in a control step [rad].
     """
     rod, rest = clean_rod(n_elements, (0.0, 0.0, 0.0), "z")
 
@@ -161,7 +162,7 @@ def curved_arm(n_elements: int, largest_change: float) -> CurvedArm:
 
 
 def _shares(n_elements: int) -> np.ndarray:
-    """Mean over the joint of each node of a curvature that bends one segment by one."""
+    """Mean curvature over each node's joint, for a unit angle of each segment [1/m]."""
     nodes = np.linspace(0.0, 1.0, n_elements + 1)
     middles = 0.5 * (nodes[1:] + nodes[:-1])
     starts, ends = np.append(0.0, middles), np.append(middles, 1.0)

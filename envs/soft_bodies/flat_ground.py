@@ -1,9 +1,10 @@
-r"""Flat ground under a rod that lies on it: friction with directions, nothing else.
+r"""Flat ground under a rod that lies on it: anisotropic friction, nothing else.
 
-A rod that moves in the plane of the ground presses on it with its weight per length,
-wherever it goes. So the friction of `jaxrod.contact` with `friction=(forward, backward,
-sideways)` has a known normal force, and the motion is planar: a third of the work of a
-rod in space that rests on a stiff ground, and no vertical vibration to resolve.
+A rod that moves in the plane of the ground always presses on it with its weight per
+length. So the friction of `jaxrod.contact` with `friction=(forward, backward,
+sideways)` has a known normal force, and the motion is planar. This takes a third of the
+work of a rod in space that rests on a stiff ground, and there is no vertical vibration
+to resolve.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from jaxrod.structure import pytree
 
 @pytree
 class FlatGround(Effect):
-    """Friction of a rod that lies on flat ground with all of its weight."""
+    """Friction of a rod that lies on flat ground with its full weight."""
 
     weight: Float[Array, ""]
     """Normal force per length of rod [N/m]."""
     friction: Float[Array, "3"]
     """Coefficients forward (along d3), backward and sideways [1]."""
     friction_drag: Float[Array, ""]
-    """Largest friction per length and speed of slip [kg/(m s)]."""
+    """Largest friction per length and slip speed [kg/(m s)]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Friction on the nodes, by the mean direction of the elements beside them."""
+        """Friction on the nodes, with the mean direction of the adjacent elements."""
         axis = _at_nodes(directors(motion.orientation)[2])
         density = directional_friction_force(
             self.weight, motion.velocity, axis, self.friction, self.friction_drag
@@ -39,7 +40,7 @@ class FlatGround(Effect):
         return Loads(forces=vectors.scale(_lengths(rod), density))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The drag at the onset of slip."""
+        """Bound from the drag at the onset of slip."""
         return StabilityBound(node_drag=self.friction_drag * _lengths(rod))
 
 
@@ -50,7 +51,7 @@ def _lengths(rod: Rod) -> Array:
 
 
 def _at_nodes(axis: Vec3) -> Vec3:
-    """Unit vectors at the nodes, halfway between those of neighbouring elements."""
+    """Unit vectors at the nodes, halfway between those of the adjacent elements."""
     x, y, z = (vectors.pad(c, 0, 1) + vectors.pad(c, 1, 0) for c in axis)
     size = vectors.safe_norm((x, y, z))
     return vectors.scale(1 / size, (x, y, z))

@@ -1,9 +1,9 @@
 r"""A gripper of three soft fingers, a ball and the table it lies on.
 
-The fingers hang from a wrist that moves as it is told. They are one member of equal
-rods, of soft silicone; a chamber on the outer side of each bends it inwards under
-pressure, outwards when it sucks. The ball is a rigid body. Fingers touch the ball and
-the table, the ball touches the table, all with friction.
+The fingers hang from a wrist that follows commands. They are one member of equal rods,
+of soft silicone. A chamber on the outer side of each bends it inwards under pressure
+and outwards under suction. The ball is a rigid body. Fingers touch the ball and the
+table, and the ball touches the table, all with friction.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from jaxrod.systems.system import System
 
 N_FINGERS = 3
 LENGTH = 0.1
-"""Of a finger [m]."""
+"""Length of a finger [m]."""
 RADIUS = 0.008
-"""Of a finger [m]."""
+"""Radius of a finger [m]."""
 DENSITY = 1100.0
-"""Of a finger [kg/m^3]."""
+"""Density of a finger [kg/m^3]."""
 YOUNGS_MODULUS = 5e5
 """[Pa]"""
 BASE = 0.05
 """Distance of the fingers' roots from the middle of the wrist [m]."""
 AREA, OFFSET = 4e-5, 5e-3
-"""Section of a chamber [m^2], and how far from the finger's middle it is [m]."""
+"""Cross-section of a chamber [m^2], and its distance from the finger's axis [m]."""
 MOST_PRESSURE = 1.25e5
-"""In the chambers [Pa]: a free finger bends to 15/m, 1.5 rad over its length."""
+"""Largest pressure in the chambers [Pa]: a free finger bends to 15/m, 1.5 rad over its
+length."""
 RATE = 15.0
-"""Damping of the fingers [1/s]."""
+"""Damping rate of the fingers [1/s]."""
 BALL = 0.03
 """Radius of the ball [m]."""
 BALL_DENSITY = 100.0
@@ -48,30 +49,30 @@ GRAVITY = 9.81
 FRICTION = 0.8
 """[1]"""
 STIFFNESS, DAMPING, FRICTION_DRAG = 4e4, 4.0, 4.0
-"""Of the touch of fingers and ball, per length of a finger [N/m^2], [kg/(m s)],
-[kg/(m s)]. Where random actions press the ball into the table, by about 1 N, tips sink
-into it by less than 0.8 of their radius; at 5e3 N/m^2 their axis went in."""
+"""Contact of fingers and ball, per length of a finger [N/m^2], [kg/(m s)], [kg/(m s)].
+Where random actions press the ball into the table, by about 1 N, tips sink into the
+ball by less than 0.8 of their radius. At 5e3 N/m^2 their axis entered it."""
 TABLE_STIFFNESS = 500.0
-"""Of the touch of ball and table [N/m]."""
+"""Stiffness of the contact of ball and table [N/m]."""
 SUNK = 4 / 3 * math.pi * BALL**3 * BALL_DENSITY * GRAVITY / TABLE_STIFFNESS
-"""How deep the ball is in the table when that carries all of its weight [m]."""
+"""Indentation of the table when it carries the full weight of the ball [m]."""
 HIGHEST = 0.2
-"""Of the wrist above the table, at the start [m]."""
+"""Height of the wrist above the table at the start [m]."""
 
 
 @pytree
 class GripperBody:
-    """Parameters of the gripper, of the ball and of all that acts on them."""
+    """Parameters of the gripper, of the ball and of everything that acts on them."""
 
     system: System
-    """Members "fingers", whose first two effects are the wrist and the chambers, and
-    "ball"."""
+    """Members "fingers" and "ball"; the first two effects of the fingers are the wrist
+    and the chambers."""
     rest: dict[str, RodState | jaxrod.BodyState]
     """Fingers straight down, the ball below them on the table, all at rest."""
     most_pressure: Float[Array, ""]
-    """In a chamber for a control value of one [Pa]."""
+    """Pressure in a chamber for a control value of one [Pa]."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Limits of health beyond which all is frozen."""
+    """Health limits beyond which everything is frozen."""
 
     @property
     def fingers(self) -> Scene:
@@ -88,19 +89,19 @@ class GripperBody:
         dt: Array,
         n_steps: int,
     ) -> tuple[SystemState, Bool[Array, ""]]:
-        """Simulation steps of one control step.
+        """Advances fingers and ball by the simulation steps of one control step.
 
         Args:
             state: Fingers and ball.
-            before: Where the wrist is, from where it was at the start [m], and control
-                values of the chambers [1], at the beginning.
-            after: The same at the end; between them they go in a straight line.
-            dt: Step [s].
+            before: Displacement of the wrist from its start [m], and control values of
+                the
+                chambers [1], at the beginning.
+            after: The same at the end; linear in time in between.
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            Fingers and ball, and whether a health flag rose; then they are what they
-            were.
+            Fingers and ball, and whether a health flag rose; they are then unchanged.
         """
         duration = jnp.broadcast_to(n_steps * dt, (N_FINGERS,))
         moving = [
@@ -119,7 +120,7 @@ class GripperBody:
         return roots, self.most_pressure * controls
 
     def _acting(self, wrist: Ramp, pressure: Ramp) -> System:
-        """The system with the wrist and the chambers as they are told."""
+        """The system with the commanded wrist and chamber pressures."""
         driven, chamber, *others = self.fingers.effects
         assert isinstance(driven, Driven)
         assert isinstance(driven.place, Path)
@@ -140,7 +141,7 @@ def gripper_body(n_elements: int) -> GripperBody:
     """Gripper and ball at rest, in JAX's default precision.
 
     Args:
-        n_elements: Elements of every finger.
+        n_elements: Number of elements of every finger.
     """
     angles = 2 * jnp.pi * jnp.arange(N_FINGERS) / N_FINGERS
     table = jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))

@@ -1,13 +1,13 @@
 r"""An octopus on the sea floor: a rigid head, eight soft arms, water and ground.
 
 The arms are one member of equal rods, attached to the lower side of the head, of soft
-silicone (an elastic modulus of 30 kPa). They and the head are a tenth heavier than the
-water and lie on the floor, with friction; the water drags on the arms. Muscles give
-every arm a curvature of its own (`jaxrod.ActiveShape`), sideways and upwards, evenly
-along the arm: an arm in free space would take it.
+silicone (an elastic modulus of 30 kPa). Arms and head are a tenth denser than the water
+and lie on the floor, with friction. The water drags on the arms. Muscles impose a
+separate curvature on every arm (`jaxrod.ActiveShape`), sideways and upwards, uniform
+along the arm. An arm in free space would take this curvature.
 
-Transverse rotary inertia of the arms is enlarged (`jaxrod.scale_inertia`), which slow
-motion in water does not feel.
+Transverse rotary inertia of the arms is scaled up (`jaxrod.scale_inertia`); slow motion
+in water is insensitive to it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from jaxrod.systems.system import System
 
 N_ARMS = 8
 LENGTH = 0.2
-"""Of an arm [m]."""
+"""Length of an arm [m]."""
 RADII = (0.012, 0.006)
-"""Of an arm at the head and at its tip [m]."""
+"""Radii of an arm at the head and at its tip [m]."""
 HEAD = 0.03
 """Radius of the head [m]."""
 DENSITY, WATER = 1100.0, 1000.0
@@ -40,25 +40,26 @@ GRAVITY = 9.81
 FRICTION = 0.6
 """[1]"""
 MOST_CURVATURE = 15.0
-"""Of an arm by its muscles, about either axis: 3 rad over its length [1/m]."""
+"""Largest curvature of an arm from its muscles, about either axis: 3 rad over its
+length [1/m]."""
 
 
 @pytree
 class OctopusBody:
-    """Parameters of the octopus and of all that acts on it."""
+    """Parameters of the octopus and of everything that acts on it."""
 
     system: System
     """Members "arms" and "head"; the arms' last effect is their muscles."""
     rest: dict[str, RodState | jaxrod.BodyState]
     """All arms straight, parallel to the floor, and at rest."""
     angles: Float[Array, "8"]
-    """Directions of the arms, from x towards y, at rest [rad]."""
+    """Directions of the arms at rest, measured from x towards y [rad]."""
     most_curvature: Float[Array, ""]
     """Curvature for a control value of one [1/m]."""
     largest_change: Float[Array, ""]
     """Largest change of a control value from one control step to the next [1]."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Limits of health beyond which the octopus is frozen."""
+    """Health limits beyond which the octopus is frozen."""
 
     @property
     def arms(self) -> Scene:
@@ -75,18 +76,18 @@ class OctopusBody:
         dt: Array,
         n_steps: int,
     ) -> tuple[SystemState, Bool[Array, ""]]:
-        """Simulation steps of one control step.
+        """Advances the octopus by the simulation steps of one control step.
 
         Args:
             state: The octopus.
             before: Control values of every arm at the beginning, sideways (to the left
-                seen from the head) and upwards [1].
+                as seen from the head) and upwards [1].
             after: Control values at the end [1].
-            dt: Step [s].
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The octopus, and whether a health flag rose; then it is what it was.
+            The octopus, and whether a health flag rose; it is then unchanged.
         """
         duration = n_steps * dt
         curvature = Ramp(
@@ -102,7 +103,7 @@ class OctopusBody:
         return jaxrod.freeze(flagged, state, moved), flagged
 
     def _with_curvature(self, curvature: Array | Ramp) -> System:
-        """The system with muscles."""
+        """The system with muscles of this curvature."""
         muscles = ActiveShape(curvature=curvature, strain=None)
         effects = (*self.arms.effects[:-1], muscles)
         arms = dataclasses.replace(self.arms, effects=effects)
@@ -110,7 +111,7 @@ class OctopusBody:
         return dataclasses.replace(self.system, members=members)
 
     def _curvatures(self, controls: Float[Array, "8 2"]) -> Float[Array, "8 3"]:
-        """About the vertical, about the axis across it, and no twist [1/m]."""
+        """Curvatures about the vertical and the horizontal axis; no twist [1/m]."""
         return self.most_curvature * jnp.pad(controls, ((0, 0), (0, 1)))
 
 
@@ -118,8 +119,8 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
     """The octopus at rest, in JAX's default precision.
 
     Args:
-        n_elements: Elements of every arm.
-        largest_change: Of a control value in a control step [1].
+        n_elements: Number of elements of every arm.
+        largest_change: Largest change of a control value in a control step [1].
     """
     angles = 2 * jnp.pi * (jnp.arange(N_ARMS) + 0.5) / N_ARMS
     weight = jaxrod.gravity((0.0, 0.0, -GRAVITY * (1 - WATER / DENSITY)))

@@ -1,13 +1,13 @@
 r"""The snake of Gazzola et al. (2018) as a rod on flat ground, and its muscles.
 
-Measures, moduli, friction and damping are those of PyElastica's continuum snake, at the
-Froude number 0.1. The muscles are moments at the joints about the vertical, shaped by a
-spline through a few control points. Within a control step they go in a straight line
-from what they were to what is commanded: moments that jump shake the body, and friction
-under a shaken body is less.
+Dimensions, moduli, friction and damping are those of PyElastica's continuum snake, at a
+Froude number of 0.1. The muscles are moments at the joints about the vertical, shaped
+by a spline through a few control points. Within a control step they change linearly in
+time from their old to their commanded values. Moments that jump would shake the body,
+and a shaken body has less friction.
 
-Transverse rotary inertia is enlarged (`jaxrod.scale_inertia`), which the slow motion on
-the ground does not feel, and the couples of rotational damping are kept as they are.
+Transverse rotary inertia is scaled up (`jaxrod.scale_inertia`); the slow motion on the
+ground is insensitive to it. The couples of rotational damping are kept unchanged.
 """
 
 from __future__ import annotations
@@ -51,46 +51,47 @@ DENSITY = 1000.0
 YOUNGS_MODULUS = 1e6
 """[Pa]"""
 PERIOD = 2.0
-"""Of the published gait [s]."""
+"""Period of the published gait [s]."""
 GRAVITY = 9.80665
 """[m/s^2]"""
 FROUDE = 0.1
-"""Froude number: forces of inertia over friction, at the published period [1]."""
+"""Froude number: ratio of inertial forces to friction at the published period [1]."""
 DAMPING = 2e-3
-"""PyElastica's damping of translation [1/s]; of rotation m/J as much."""
+"""PyElastica's damping of translation [1/s]; m/J times as much for rotation."""
 RELAXATION_TIME = 0.05
-"""Viscous over elastic stiffness of bending [s]: the lowest free vibration, of 0.56 s,
-has a damping ratio of 0.28. PyElastica's snake has none, and a policy would find that
-it can be shaken."""
+"""Ratio of viscous to elastic bending stiffness [s]. The lowest free vibration, with a
+period of 0.56 s, has a damping ratio of 0.28. PyElastica's snake has no such damping,
+and a policy would discover that it can be shaken."""
 DRAG_RATE = 1000.0
-"""Largest friction per mass and speed of slip [1/s]: it creeps at 1.7 mm/s or less."""
+"""Largest friction per mass and slip speed [1/s]: the snake creeps at 1.7 mm/s or
+less."""
 
 
 @pytree
 class SnakeBody:
-    """Parameters of the snake and of all that acts on it."""
+    """Parameters of the snake and of everything that acts on it."""
 
     rod: Rod
-    """The snake, its head last; transverse rotary inertia enlarged."""
+    """The snake, its head last, with scaled transverse rotary inertia."""
     rest: RodState
-    """Straight along x, at rest, its middle at the origin."""
+    """State straight along x, at rest, its middle at the origin."""
     ground: FlatGround
-    """What it lies on."""
+    """The ground under the snake."""
     damping: ExponentialDamping
     """Damping of translation and rotation."""
     relaxation_time: Float[Array, ""]
-    """Viscous over elastic stiffness of bending [s]."""
+    """Ratio of viscous to elastic bending stiffness [s]."""
     basis: Float[Array, "n-1 controls"]
-    """Moment at each joint for a moment of one at each control point [1]."""
+    """Moment at each joint for a unit moment at each control point [1]."""
     strongest: Float[Array, ""]
     """Moment at a control point for a control value of one [N m]."""
     largest_change: Float[Array, ""]
     """Largest change of a control value from one control step to the next [1]."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
-    """Limits of health beyond which the snake is frozen."""
+    """Health limits beyond which the snake is frozen."""
 
     def scene(self) -> Scene:
-        """The snake without its muscles and its viscosity, which limits no step."""
+        """Scene without muscles and viscosity; the latter does not limit the step."""
         return Scene(self.rod, (self.ground, self.damping), planar("xy"))
 
     def advance(
@@ -101,17 +102,17 @@ class SnakeBody:
         dt: Array,
         n_steps: int,
     ) -> tuple[RodState, Bool[Array, ""]]:
-        """Simulation steps of one control step.
+        """Advances the snake by the simulation steps of one control step.
 
         Args:
             state: The snake.
             before: Control values at the beginning [1].
             after: Control values at the end [1].
-            dt: Step [s].
+            dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The snake, and whether a health flag rose; then it is what it was.
+            The snake, and whether a health flag rose; it is then unchanged.
         """
         scene = self.scene()
         couples = Ramp(
@@ -120,7 +121,8 @@ class SnakeBody:
             start=jnp.zeros_like(dt),
             duration=n_steps * dt,
         )
-        # Any number of an effect may be a schedule, which its field does not say.
+        # Any number of an effect may be a schedule, which the field's type does not
+        # state.
         muscles = ElementCouples(couples)  # type: ignore[arg-type]
         tissue = bending_viscosity(self.rod, self.relaxation_time, dt)
         effects = (*scene.effects, tissue, muscles)
@@ -130,7 +132,7 @@ class SnakeBody:
         return freeze(flagged, state, moved), flagged
 
     def couples(self, controls: Float[Array, " controls"]) -> Float[Array, "3 n"]:
-        """Couples on the elements, opposite on both sides of every joint [N m]."""
+        """Couples on the elements, opposite on the two sides of every joint [N m]."""
         moments = self.strongest * jnp.sum(self.basis * controls[None, :], axis=1)
         about = vectors.pad(moments, 1, 0) - vectors.pad(moments, 0, 1)
         return jnp.stack([about, jnp.zeros_like(about), jnp.zeros_like(about)])
@@ -140,11 +142,11 @@ class SnakeBody:
         return _mean(self.rod.node_masses, state.positions[:2])
 
     def centre_velocity(self, state: RodState) -> Float[Array, "2"]:
-        """Its velocity [m/s]."""
+        """Velocity of the centre of mass [m/s]."""
         return _mean(self.rod.node_masses, state.velocities[:2])
 
     def bends(self, state: RodState) -> Float[Array, " n-1"]:
-        """Angle between neighbouring elements, to the left if above 0 [rad]."""
+        """Angles between neighbouring elements, positive to the left [rad]."""
         x, y, _ = vectors.split(state.directors[2])
         cross = x[:-1] * y[1:] - y[:-1] * x[1:]
         return jnp.arctan2(cross, x[:-1] * x[1:] + y[:-1] * y[1:])
@@ -165,10 +167,10 @@ def snake_body(
     """The snake at rest, in JAX's default precision.
 
     Args:
-        n_elements: Elements, a multiple of `n_controls + 1`.
-        n_controls: Equidistant control points of the muscles.
+        n_elements: Number of elements, a multiple of `n_controls + 1`.
+        n_controls: Number of equidistant control points of the muscles.
         strongest: Moment at a control point for a control value of one [N m].
-        largest_change: Of a control value in a control step [1].
+        largest_change: Largest change of a control value in a control step [1].
     """
     rod, rest = straight_rod(
         n_elements,

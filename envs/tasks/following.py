@@ -1,28 +1,28 @@
 r"""A soft arm's tip follows a target, ten times a second, by curvatures of the arm.
 
-Five segments of the arm have an angle each about both transverse axes, by which they
-would be bent if they were free. An action changes these ten angles by 0.05 rad at most,
-up to 2 rad either way, in a straight line during the control step of 0.1 s. The target
-flies at 0.5 m/s through a box and takes a new heading with a chance of 0.025 in every
-control step. Reward per control step, at distance $d$ of the tip from the target:
-$-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. An episode lasts 500 control
-steps (50 s).
+Each of the five segments of the arm has an angle about both transverse axes: the angle
+by which the segment would bend if it were free. An action changes these ten angles by
+0.05 rad at most, within 2 rad either way, linearly in time during the control step of
+0.1 s. The target flies at 0.5 m/s through a box and takes a new heading with
+probability 0.025 in every control step. Reward per control step, at distance $d$ of the
+tip from the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. An
+episode lasts 500 control steps (50 s).
 
-It is the task "follow" of Choi and Tong (arXiv 2511.06667), whose reward and box are
-those of `tracking`; arm, angles and their limits, target and duration are theirs, the
+This is the task "follow" of Choi and Tong (arXiv 2511.06667). Reward and box are those
+of `tracking`. Arm, angles and their limits, target and duration are theirs. The
 dynamics and the damping are this library's (docs/tasks.md). Observed, in this order:
 
 | numbers | what |
 |---:|---|
 | 15 | ends of the segments: x of each, then y, then z [m] |
-| 15 | their velocities [m/s] |
+| 15 | velocities of these ends [m/s] |
 | 10 | angles of the segments about d1, then about d2 [rad] |
 | 3 | the target's position [m] |
-| 3 | its velocity [m/s] |
-| 3 | the way from the tip to the target [m] |
+| 3 | the target's velocity [m/s] |
+| 3 | vector from the tip to the target [m] |
 
 When a numerical health flag rises the arm is frozen at its last sound state and the
-episode is truncated. There is no contact of the arm with itself.
+episode is truncated. The arm has no self-contact.
 """
 
 from __future__ import annotations
@@ -59,26 +59,26 @@ VARIANTS: tuple[Variant, ...] = ("clean",)
 CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
 LARGEST_CHANGE = 0.05
-"""Of an angle in a control step [rad]."""
+"""Largest change of an angle in a control step [rad]."""
 STEPS_PER_ELEMENT = 15
 """Simulation steps of a control step, per element: 0.74 of the stability bound of the
-straight arm, 0.84 of that with all segments bent as far as they go."""
+straight arm, 0.84 of the bound with all segments bent as far as possible."""
 
 
 @pytree
 class FollowingParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     arm: CurvedArm
-    """The arm and all that acts on it."""
+    """The arm and everything that acts on it."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     target: TargetParams
-    """How the target moves."""
+    """Parameters of the target's motion."""
     chance: Float[Array, ""]
-    """Of a new heading in a control step [1]."""
+    """Probability of a new heading in a control step [1]."""
     bonus: Bonus
-    """Where the bonuses are paid."""
+    """Distances within which the bonuses are paid."""
 
 
 @pytree
@@ -88,7 +88,7 @@ class FollowingState:
     arm: RodState
     """The arm."""
     angles: Float[Array, "2 segments"]
-    """By which the segments are bent, if they are free [rad]."""
+    """Angles by which the segments bend if they are free [rad]."""
     target: Target
     """The target."""
     steps: Int[Array, ""]
@@ -97,7 +97,7 @@ class FollowingState:
 
 @dataclasses.dataclass(frozen=True)
 class Following(CostOfResiduals):
-    """The following task; see the module. Make one with `following`."""
+    """The following task; see the module docstring. Make one with `following`."""
 
     n_elements: int
     substeps: int
@@ -121,7 +121,7 @@ class Following(CostOfResiduals):
         return CONTROL_PERIOD
 
     def default_params(self) -> FollowingParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         arm = curved_arm(self.n_elements, LARGEST_CHANGE)
 
         def numbers(value: float | list[float]) -> Array:
@@ -143,7 +143,7 @@ class Following(CostOfResiduals):
     def reset(
         self, key: Key[Array, ""], params: FollowingParams
     ) -> tuple[Float[Array, " observation"], FollowingState]:
-        """The arm upright and at rest, the target anywhere in its box."""
+        """Starts with the arm upright and at rest, the target anywhere in its box."""
         state = FollowingState(
             arm=params.arm.rest,
             angles=jnp.zeros((2, N_SEGMENTS), params.dt.dtype),
@@ -166,7 +166,7 @@ class Following(CostOfResiduals):
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: the segments go to their new angles."""
+        """Advances one control step: the segments go to their new angles."""
         state, flagged = self._moved(key, state, action, params)
         distance_squared = jnp.sum((state.arm.tip - state.target.position) ** 2)
         info = {
@@ -189,13 +189,14 @@ class Following(CostOfResiduals):
         params: FollowingParams,
         control_steps: int = 1,
     ) -> FollowingState:
-        """The state later, under one action: the target flies on as it does now.
+        """Predicts the state under one action; the target keeps its current velocity.
 
         Args:
-            state: Of the moment.
+            state: Current state.
             action: In [-1, 1].
             params: Numbers of the task.
-            control_steps: For how many the action is held: angles change in each.
+            control_steps: Number of control steps for which the action is held; angles
+                change in each of them.
         """
 
         def one(state: FollowingState, _: None) -> tuple[FollowingState, None]:
@@ -210,7 +211,7 @@ class Following(CostOfResiduals):
         params: FollowingParams,
         width: float = COST_WIDTH,
     ) -> Float[Array, "3"]:
-        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        """Residuals for planners: the tip's offset from the target, rescaled."""
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
@@ -223,13 +224,13 @@ class Following(CostOfResiduals):
         action: Float[Array, " action"],
         params: FollowingParams,
     ) -> tuple[FollowingState, Bool[Array, ""]]:
-        """A control step later, and whether a flag rose; no new heading without key."""
+        """Returns the next state and whether a flag rose; no key, no new heading."""
         action = action_of_size(action, self.action_size)
         angles = params.arm.turned(state.angles, action)
         arm, flagged = params.arm.advance(
             state.arm, state.angles, angles, params.dt, self.substeps
         )
-        # Frozen as the arm is: an action that is no number makes no angle.
+        # Frozen with the arm: an action that is not a number must not reach the angles.
         angles = jnp.where(flagged, state.angles, angles)
         target = wander(
             key,
@@ -247,7 +248,7 @@ class Following(CostOfResiduals):
         return dataclasses.replace(drawn, up="z")
 
     def observe(self, state: FollowingState) -> Float[Array, " observation"]:
-        """What the module's table lists."""
+        """Observation vector; the module's table lists its entries."""
         ends = jnp.asarray(self._ends()[None], state.angles.dtype)
         return jnp.concatenate(
             [
@@ -261,7 +262,7 @@ class Following(CostOfResiduals):
         )
 
     def _ends(self) -> np.ndarray:
-        """Shares of the nodes in the ends of the segments, (segments, n + 1)."""
+        """Interpolation weights of the nodes at the segment ends, (segments, n + 1)."""
         nodes = np.linspace(0.0, 1.0, self.n_elements + 1)
         ends = np.arange(1, N_SEGMENTS + 1) / N_SEGMENTS
         return np.maximum(1 - self.n_elements * np.abs(ends[:, None] - nodes), 0)

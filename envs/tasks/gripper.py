@@ -1,42 +1,42 @@
 r"""Three soft fingers on a wrist grasp a ball on a table and lift it.
 
-Four control values, renewed every 0.1 s: the pressure in the chambers of all fingers,
-which are on one line, from -25 kPa (-1), which opens them, to 125 kPa (1); and where
-the wrist is to be along x, y and z: up to 0.02 m from the middle to every side, and
-from 0.11 m (-1) to 0.2 m (1) above the table. Pressure changes by 75 kPa in 0.1 s at
-most and the wrist moves at 0.2 m/s along each axis at most, in straight lines over a
-control step.
+Four control values are renewed every 0.1 s. The first is the pressure in the chambers
+of all fingers, which share one line: from -25 kPa (-1), which opens the fingers, to 125
+kPa (1). The other three are the target position of the wrist along x, y and z: up to
+0.02 m from the middle to every side, and from 0.11 m (-1) to 0.2 m (1) above the table.
+Pressure changes by at most 75 kPa in 0.1 s. The wrist moves at 0.2 m/s at most along
+each axis. Both are linear in time over a control step.
 
 The ball (radius 0.03 m, 11 g) begins at rest on the table, up to `spread` from the
 middle along x and along y, below the open fingers. With `lowered` the wrist begins
-somewhere on its straight way down to around the ball. The ball is to be brought 0.07 m
-above where it lay. The reward of a control step is the score after it over the number
-of control steps of an episode, so the return is the mean score:
+somewhere on its straight path down to around the ball. The goal is to lift the ball
+0.07 m above its starting height. The reward of a control step is the score after it
+divided by the number of control steps of an episode, so the return is the mean score:
 
 | points | for |
 |---:|---|
 | 15 | nearness of the ball to the line between the fingers |
 | 20 | with the ball between the fingers, nearness of their tips to its lowest point |
 | 20 | with the ball between the fingers, the share of its weight off the table |
-| 45 | the height of the ball over where it lay, up to 0.07 m |
+| 45 | height of the ball above its start, up to 0.07 m |
 
 The line between the fingers is the middle of the gripper, from 0.045 m to 0.085 m below
-the wrist: the ball is on it when the wrist is at its lowest, and when it is gripped.
+the wrist. The ball is on it when the wrist is at its lowest, and when it is gripped.
 
-An episode lasts 30 control steps (3 s). Observed, in this order, everything divided by
-the unit in brackets:
+An episode lasts 30 control steps (3 s). Observed, in this order, with everything
+divided by the unit in brackets:
 
 | numbers | what |
 |---:|---|
-| 3 | the ball's centre from the middle of the line between the fingers [0.03 m] |
-| 3 | its velocity [0.1 m/s] |
-| 1 | its height over where it lay [0.07 m] |
-| 4 | control values in force [1] |
-| 9 | finger by finger, the tip from the ball's centre [0.03 m] |
-| 9 | finger by finger, the middle from the ball's centre [0.03 m] |
+| 3 | offset of the ball's centre from the middle of the line between fingers [0.03 m] |
+| 3 | the ball's velocity [0.1 m/s] |
+| 1 | the ball's height above its start [0.07 m] |
+| 4 | current control values [1] |
+| 9 | finger by finger, position of the tip from the ball's centre [0.03 m] |
+| 9 | finger by finger, position of the middle from the ball's centre [0.03 m] |
 
-When a numerical health flag rises all is frozen at its last sound state, the reward of
-the step is 0 and the episode is truncated. Fingers do not touch each other.
+When a numerical health flag rises everything is frozen at its last sound state, the
+reward of the step is 0 and the episode is truncated. Fingers do not touch each other.
 """
 
 from __future__ import annotations
@@ -71,44 +71,44 @@ VARIANTS: tuple[Variant, ...] = ("clean",)
 CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
 SUCTION = 0.2
-"""Pressure for a control value of -1 below that around the fingers, as a share of
-that for 1 above it [1]."""
+"""Suction at a control value of -1, as a share of the pressure at a control value of 1,
+both relative to the surroundings [1]."""
 SLACK = 2 * SUCTION / (1 + SUCTION) - 1
-"""Control value for the pressure that is around the fingers [1]."""
+"""Control value for zero pressure relative to the surroundings [1]."""
 RATE = 10.0
-"""Of the control value of the pressure [1/s]."""
+"""Largest rate of the control value of the pressure [1/s]."""
 SPEED = 0.2
-"""Of the wrist along each axis, at most [m/s]."""
+"""Largest speed of the wrist along each axis [m/s]."""
 STEPS_PER_ELEMENT = 48
 """Simulation steps of a control step, per element of a finger: 0.87 of the stability
 bound at full pressure."""
 LOWEST, ASIDE = 0.11, 0.02
-"""Height of the wrist above the table at least, its way to every side at most [m]."""
+"""Lowest height of the wrist above the table, its largest displacement aside [m]."""
 GRASP, HALF = 0.065, 0.02
-"""How far the middle of the line between the fingers is below the wrist, and half the
+"""Distance of the middle of the line between the fingers below the wrist, and half the
 line's length [m]."""
 NEAR, FAR = 0.005, 0.1
-"""From there to the ball, when it is there and when that no longer counts [m]."""
+"""Distances of the ball from the line for full points and for no points [m]."""
 OPEN = 0.075
-"""From the furthest tip to the ball's lowest point, when nothing is closed [m]."""
+"""Distance from the furthest tip to the ball's lowest point that counts as open [m]."""
 LIFT = 0.07
-"""How far the ball is to be lifted [m]."""
+"""Height by which the ball is to be lifted [m]."""
 BALL_SPEED = 0.1
 """Unit of the ball's velocity [m/s]."""
 
 
 @pytree
 class GripperParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     body: GripperBody
-    """The gripper, the ball and all that acts on them."""
+    """The gripper, the ball and everything that acts on them."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     spread: Float[Array, ""]
     """Largest distance of the ball from the middle at the start, along x and y [m]."""
     lowered: Float[Array, ""]
-    """Share of the wrist's way down that it may be lowered by at the start [1]."""
+    """Largest share of the wrist's way down by which it may start lowered [1]."""
 
 
 @pytree
@@ -118,14 +118,14 @@ class GripperState:
     body: SystemState
     """Fingers and ball."""
     controls: Float[Array, "4"]
-    """Control values in force: pressure, then place of the wrist [1]."""
+    """Current control values: pressure, then position of the wrist [1]."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Gripper:
-    """The gripper; see the module. Make one with `gripper`."""
+    """The gripper; see the module docstring. Make one with `gripper`."""
 
     n_elements: int
     substeps: int
@@ -142,7 +142,7 @@ class Gripper:
 
     @property
     def action_size(self) -> int:
-        """Pressure, and place of the wrist along three axes: 4 numbers."""
+        """Pressure, and position of the wrist along three axes: 4 numbers."""
         return 4
 
     @property
@@ -151,7 +151,7 @@ class Gripper:
         return CONTROL_PERIOD
 
     def default_params(self) -> GripperParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         body = gripper_body(self.n_elements)
         kind = body.most_pressure.dtype
         return GripperParams(
@@ -164,12 +164,12 @@ class Gripper:
     def reset(
         self, key: Key[Array, ""], params: GripperParams
     ) -> tuple[Float[Array, " observation"], GripperState]:
-        """Fingers open above the ball, the ball somewhere near the middle."""
+        """Starts with open fingers above the ball, which lies near the middle."""
         kind = params.dt.dtype
         aside_key, height_key = jax.random.split(key)
         aside = params.spread * jax.random.uniform(aside_key, (2,), kind, -1.0)
         lowered = params.lowered * jax.random.uniform(height_key, (), kind)
-        # Straight to where it would be around the ball, which it thus cannot touch.
+        # On a straight line to its place around the ball, so it cannot touch the ball.
         top = jnp.asarray([SLACK, 0.0, 0.0, 1.0], kind)
         around = jnp.concatenate([top[:1], aside / ASIDE, -top[3:]])
         controls = top + lowered * (around - top)
@@ -200,7 +200,7 @@ class Gripper:
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: control values go to the action, as far as they may."""
+        """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         period = self.substeps * params.dt
         fastest = jnp.asarray([RATE, *(SPEED / way for way in _REACH)], period.dtype)
@@ -240,7 +240,7 @@ class Gripper:
         )
 
     def observe(self, state: GripperState) -> Float[Array, " observation"]:
-        """What the module's table lists."""
+        """Observation vector; the module's table lists its entries."""
         ball = state.body["ball"]
         place, nodes = ball.positions[:, 0], state.body["fingers"].positions
         middle = nodes[:, :, self.n_elements // 2]
@@ -261,7 +261,7 @@ class Gripper:
         """Down around the ball, close, wait, lift: the baseline to compare with.
 
         Args:
-            state: Of the moment; its clock, the wrist and the ball are looked at.
+            state: Current state; only its clock, the wrist and the ball are used.
             params: Traced parameters.
         """
         place = state.body["ball"].positions[:, 0]
@@ -273,13 +273,13 @@ class Gripper:
 
 
 _REACH = ASIDE, ASIDE, (HIGHEST - LOWEST) / 2
-"""Way of the wrist for a change of its control values by one [m]."""
+"""Displacement of the wrist for a change of its control values by one [m]."""
 
 
 def _told(
     controls: Float[Array, "4"],
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Place of the wrist from its highest in the middle [m], share of the pressure."""
+    """Displacement of the wrist from its highest place [m], and pressure shares [1]."""
     top = jnp.asarray([0.0, 0.0, 1.0], controls.dtype)
     wrist = (controls[1:] - top) * jnp.asarray(_REACH, controls.dtype)
     pressure = (1 + SUCTION) / 2 * (controls[0] + 1) - SUCTION
@@ -287,27 +287,27 @@ def _told(
 
 
 def _between(state: GripperState) -> Float[Array, "3"]:
-    """The middle of the line between the fingers, below the wrist [m]."""
+    """Middle of the line between the fingers, below the wrist [m]."""
     wrist, _ = _told(state.controls)
     return wrist + jnp.asarray([0.0, 0.0, HIGHEST - GRASP], wrist.dtype)
 
 
 def _height(state: GripperState) -> Float[Array, ""]:
-    """Of the ball over where it lay [m]."""
+    """Height of the ball above its start [m]."""
     return state.body["ball"].positions[2, 0] - BALL
 
 
 def _borne(state: GripperState) -> Float[Array, ""]:
-    """Share of the ball's weight that the table does not carry, by how deep it is in.
+    """Share of the ball's weight that the table does not carry, from its indentation.
 
-    It rises with the grip of fingers below its middle, from when they touch it until it
-    is off the table, and is zero where they press it down.
+    It rises with the grip of fingers below the ball's middle, from the moment they
+    touch it until it is off the table. It is zero where they press the ball down.
     """
     return jnp.clip(1 + _height(state) / SUNK, 0, 1)
 
 
 def _score(state: GripperState) -> Float[Array, ""]:
-    """Points, as the module's table gives them."""
+    """Points by the module's table."""
     place = state.body["ball"].positions[:, 0]
     x, y, z = vectors.split(place - _between(state))
     apart = vectors.safe_norm((x, y, z - jnp.clip(z, -HALF, HALF)))
@@ -316,7 +316,7 @@ def _score(state: GripperState) -> Float[Array, ""]:
     furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
     near = 1 - jnp.clip((apart - NEAR) / (FAR - NEAR), 0, 1)
-    # Fingers that close above the ball gain nothing: they could not get around it.
+    # Fingers that close above the ball gain nothing: they could not reach around it.
     around = 1 - jnp.clip((apart - NEAR) / BALL, 0, 1)
     closed = jnp.clip(1 - furthest / OPEN, 0, 1)
     grip = around * (closed + _borne(state))
@@ -341,8 +341,8 @@ def gripper(
         episode_length: Control steps per episode.
         spread: Largest distance of the ball from the middle at the start, along x and
             along y, up to 0.02 m [m].
-        lowered: Share of its way down to the ball by which the wrist may be lowered at
-            the start, evenly drawn from 0 to this, at most 1.
+        lowered: Largest share of its way down to the ball by which the wrist may be
+            lowered at the start, drawn uniformly from 0 to this, at most 1.
 
     Raises:
         ValueError: If an argument does not fit.

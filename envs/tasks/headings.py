@@ -1,4 +1,4 @@
-"""Headings: directions in the plane of the ground along which animals should go."""
+"""Headings: directions in the ground plane along which the animals should move."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxrod.validation import check_array
 
 
 def check_turn(turn: float) -> float:
-    """The largest angle of a heading from x, either way [rad].
+    """Checks the largest angle of a heading from x, either way [rad].
 
     Raises:
         ValueError: If it is below 0 or beyond pi.
@@ -24,16 +24,16 @@ def check_turn(turn: float) -> float:
 
 
 def drawn_heading(key: Key[Array, ""], turn: Float[Array, ""]) -> Float[Array, "2"]:
-    """A unit vector, all angles from x up to `turn` alike likely."""
+    """Draws a unit vector whose angle from x is uniform in [-turn, turn]."""
     angle = turn * jax.random.uniform(key, (), turn.dtype, -1.0)
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def along_heading(vector: Array, heading: Float[Array, "2"]) -> Array:
-    """A vector's parts along the heading and to its left, and others as they are.
+    """Components of a vector along the heading and to its left; the rest unchanged.
 
     Args:
-        vector: X, y and what follows; each may be several numbers.
+        vector: Components x, y, then any others; each may be an array.
         heading: Unit vector.
     """
     along, left = heading

@@ -1,11 +1,10 @@
 r"""Common parts of Cases 3 and 4 of the benchmark: a fixed target past obstacles.
 
-The arm grows along +z from (0, 0.5, 0) m and is driven through two control points per
-direction, or a few, whose values change at 100 per second at most. Actions are renewed
-every 1.4 ms, 3571 times (5 s). Reward per control step, at distance $d$ of the tip
-from the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. Eleven points
-of the arm, the tip's velocity, the target, and five points of every obstacle are
-observed.
+The arm grows along +z from (0, 0.5, 0) m. It is driven through two or a few control
+points per direction, whose values change by at most 100 per second. Actions are renewed
+every 1.4 ms, 3571 times (5 s). Reward per control step, at distance $d$ of the tip from
+the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. Eleven points of
+the arm, the tip's velocity, the target, and five points of every obstacle are observed.
 """
 
 from __future__ import annotations
@@ -52,30 +51,30 @@ SIZES: dict[Variant, tuple[int, int]] = {
     "paper": (PUBLISHED_ELEMENTS, 14),
     "clean": (40, 13),
 }
-"""Elements and simulation steps per control step, unless asked for otherwise.
+"""Default elements and simulation steps per control step.
 
-"clean" has more elements than accuracy asks for (docs/clean_settings.md), so that
+"clean" has more elements than accuracy requires (docs/clean_settings.md), so that
 nothing passes between two nodes of an arm that the strongest actions stretch.
 """
 CONTROL_STEPS = 3571
 BASE = (0.0, 0.5, 0.0)
 AXIS = "z"
 LARGEST_RATE = 100.0
-"""The fastest a control value may change [1/s]."""
+"""Largest rate of a control value [1/s]."""
 PLACED = (0.4, 0.9)
 """The paper's two control points, in lengths of the arm."""
 STIFFNESS = 2e8
 """Stiffness of contact in "clean" [N/m^2]. The strongest actions stretch the arm
-twofold, to a tension of 100 kN. Drawn over a cylinder it presses with 1 MN/m, as a
-first touch at 100 m/s does: half a centimetre to 2 cm of overlap, less than the arm's
-radius of 5 cm. Half as stiff, one arm of ten thousand was drawn into a cylinder past
-its centreline (`benchmarks/extremes`)."""
+twofold, to a tension of 100 kN. Drawn over a cylinder, the arm presses on it with 1
+MN/m, as in a first touch at 100 m/s. The overlap is then half a centimetre to 2 cm,
+less than the arm's radius of 5 cm. With half the stiffness, one arm of ten thousand was
+drawn into a cylinder past its centreline (`benchmarks/extremes`)."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Largest element stretch in "clean" before the arm is flagged [1]. Saturated actions
-stretch elements to 2.5 and impacts on a cylinder compress them below 0.3; throughout
-0.15 to 3 the step is far below the stable one of a free arm, and within the bound that
-counts every obstacle in view."""
+stretch elements to 2.5, and impacts on a cylinder compress them below 0.3. Throughout
+0.15 to 3 the time step is far below the stable one of a free arm, and within the bound
+that counts every obstacle in view."""
 DAMPING = 4e3
 """Damping of contact in "clean": a twentieth of critical [kg/(m s)]."""
 
@@ -87,17 +86,17 @@ class FixedTarget:
     position: Float[Array, "3"]
     """Centre [m]."""
     radius: Float[Array, ""]
-    """Radius of the sphere that is drawn [m]."""
+    """Radius of the sphere to draw [m]."""
 
 
 @pytree
 class ObstacleParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     arm: Arm
-    """The arm and all that acts on it, obstacles included."""
+    """The arm and everything that acts on it, obstacles included."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     target: FixedTarget
     """Target."""
     shown: Float[Array, " 15m"]
@@ -105,7 +104,7 @@ class ObstacleParams:
     bonus: Bonus
     """Distances within which the bonuses are paid."""
     crash_reward: Float[Array, ""]
-    """Reward of a step after which something observed is not finite ("paper")."""
+    """Reward of a step after which an observed number is not finite ("paper")."""
 
 
 @pytree
@@ -124,7 +123,7 @@ class ObstacleState:
 
 @dataclasses.dataclass(frozen=True)
 class ObstacleTask(CostOfResiduals):
-    """Base of the two tasks; see the module."""
+    """Base of the two tasks; see the module docstring."""
 
     variant: Variant
     n_elements: int
@@ -138,12 +137,12 @@ class ObstacleTask(CostOfResiduals):
     target_position: ClassVar[tuple[float, float, float]]
     """Position of the target [m]."""
     plane: ClassVar[PlaneName | None]
-    """The plane of motion, where there is one."""
+    """Plane of motion, if any."""
     contact_points: ClassVar[int]
     """Contact points per element ("clean")."""
     nearest_obstacles: ClassVar[int | None]
-    """Number of obstacles that each of those looks at in a control step ("clean");
-    `None` for all."""
+    """Number of nearest obstacles that each contact point considers in a control step
+    ("clean"); `None` for all."""
 
     @property
     @abstractmethod
@@ -153,11 +152,11 @@ class ObstacleTask(CostOfResiduals):
     @property
     @abstractmethod
     def n_controls(self) -> int:
-        """Control points per direction."""
+        """Number of control points per direction."""
 
     @abstractmethod
     def control_points(self) -> int | Numbers:
-        """Their number, or their arc lengths [m]."""
+        """Number of control points, or their arc lengths [m]."""
 
     @abstractmethod
     def obstacles(self) -> Cylinders:
@@ -178,7 +177,7 @@ class ObstacleTask(CostOfResiduals):
 
     @property
     def action_size(self) -> int:
-        """Control values about d1, then about d2 where they exist."""
+        """Control values about d1, then about d2 where the task uses it."""
         return self.n_directions * self.n_controls
 
     @property
@@ -187,7 +186,7 @@ class ObstacleTask(CostOfResiduals):
         return CONTROL_PERIOD
 
     def default_params(self) -> ObstacleParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         obstacles = self.obstacles()
         spline = control_spline(self.control_points(), LENGTH)
         dt = CONTROL_PERIOD / self.substeps
@@ -238,7 +237,7 @@ class ObstacleTask(CostOfResiduals):
     def reset(
         self, key: Key[Array, ""], params: ObstacleParams
     ) -> tuple[Float[Array, " observation"], ObstacleState]:
-        """The arm straight and at rest; nothing is random."""
+        """Starts with the arm straight and at rest; nothing is random."""
         state = ObstacleState(
             params.arm.rest,
             params.arm.relaxed(),
@@ -261,7 +260,7 @@ class ObstacleTask(CostOfResiduals):
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: the muscles follow the action for 1.4 ms."""
+        """Advances one control step: the muscles follow the action for 1.4 ms."""
         before = state
         state, crashed = self._moved(state, action, params)
         arm = state.arm
@@ -291,20 +290,20 @@ class ObstacleTask(CostOfResiduals):
         params: ObstacleParams,
         control_steps: int = 1,
     ) -> ObstacleState:
-        """The state later, under one action: what steps make, nothing being random.
+        """Predicts the state under one action, exactly as `step`: nothing is random.
 
         Args:
-            state: Of the moment.
+            state: Current state.
             action: In [-1, 1].
             params: Numbers of the task.
-            control_steps: For how many the action is held.
+            control_steps: Number of control steps for which the action is held.
         """
 
         def again(state: ObstacleState, _: None) -> tuple[ObstacleState, None]:
             return self._moved(state, action, params)[0], None
 
-        # One by one: control values follow the action step by step, and obstacles in
-        # view are chosen anew.
+        # One step at a time: control values follow the action in every step, and every
+        # step selects the obstacles in view again.
         return jax.lax.scan(again, state, length=control_steps)[0]
 
     def residuals(
@@ -314,7 +313,7 @@ class ObstacleTask(CostOfResiduals):
         params: ObstacleParams,
         width: float = COST_WIDTH,
     ) -> Float[Array, "3"]:
-        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        """Residuals for planners: the tip's offset from the target, rescaled."""
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
@@ -326,7 +325,7 @@ class ObstacleTask(CostOfResiduals):
         action: Float[Array, " action"],
         params: ObstacleParams,
     ) -> tuple[ObstacleState, Bool[Array, ""]]:
-        """The state a control step later, and whether the arm crashed."""
+        """Returns the state one control step later, and whether the arm crashed."""
         action = action_of_size(action, self.action_size)
         values = jnp.reshape(action, (self.n_directions, self.n_controls))
         controls = jnp.pad(values, ((0, 3 - self.n_directions), (0, 0)))
@@ -359,7 +358,7 @@ class ObstacleTask(CostOfResiduals):
 def checked_sizes(
     variant: str, n_elements: int | None, substeps: int | None, episode_length: int
 ) -> tuple[int, int]:
-    """Elements and substeps, those of the variant by default.
+    """Checked numbers of elements and substeps, by default those of the variant.
 
     Raises:
         ValueError: If an argument does not fit.

@@ -1,13 +1,13 @@
-r"""An octopus crawls along the sea floor in a given direction, by its eight arms.
+r"""An octopus crawls along the sea floor in a given direction by its eight arms.
 
-Every arm has two control values: the curvature that its muscles give it sideways and
-upwards, up to 15/m, renewed every 0.1 s; between two control steps they change by 0.4
-at most, and in a straight line. The reward of a control step is the way of the head
-along the heading in it, in percent of an arm's length: the return of an episode is how
-far it got. An episode lasts 100 control steps (10 s).
+Every arm has two control values: the curvatures, sideways and upwards, that its muscles
+impose, up to 15/m. They are renewed every 0.1 s. Between two control steps they change
+by 0.4 at most, linearly in time. The reward of a control step is the displacement of
+the head along the heading, in percent of an arm's length, so the return of an episode
+is the distance covered. An episode lasts 100 control steps (10 s).
 
-The octopus begins at rest with straight arms, the first at 22.5 degrees from x; the
-heading is along x, or with `turn` up to so much to either side. Observed, in this
+The octopus begins at rest with straight arms, the first at 22.5 degrees from x. The
+heading is along x, or with `turn` up to that angle to either side. Observed, in this
 order, with x along the heading, z upwards and everything divided by the unit in
 brackets:
 
@@ -15,13 +15,13 @@ brackets:
 |---:|---|
 | 3 | velocity of the head [0.1 m/s] |
 | 3 | angular velocity of the head [1 rad/s] |
-| 4 | the head's own x, then its own z, both along the heading and to its left [1] |
-| 1 | height of the head's centre over that at the start [0.03 m] |
-| 24 | arm by arm, the tip's place from the head's centre [0.2 m] |
-| 16 | arm by arm, control values in force [1] |
+| 4 | the head's x axis, then its z axis, each along the heading and to its left [1] |
+| 1 | height of the head's centre above its height at the start [0.03 m] |
+| 24 | arm by arm, position of the tip from the head's centre [0.2 m] |
+| 16 | arm by arm, current control values [1] |
 
 When a numerical health flag rises the octopus is frozen at its last sound state, the
-reward of the step is 0 and the episode is truncated. Arms do not touch each other nor
+reward of the step is 0 and the episode is truncated. Arms touch neither each other nor
 the head.
 """
 
@@ -55,7 +55,7 @@ VARIANTS: tuple[Variant, ...] = ("clean",)
 CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
 LARGEST_RATE = 4.0
-"""Of a control value [1/s]."""
+"""Largest rate of a control value [1/s]."""
 STEPS_PER_ELEMENT = 7
 """Simulation steps of a control step, per element of an arm: about 0.8 of the stability
 bound."""
@@ -63,21 +63,21 @@ SPEED = 0.1
 """Unit of observed velocities [m/s]."""
 STROKE = (4.0, 1.0, 0.5)
 """Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of
-24 that were tried, of 1 to 4 s."""
+24 that were tried, with periods of 1 to 4 s."""
 
 
 @pytree
 class OctopusParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     body: OctopusBody
-    """The octopus and all that acts on it."""
+    """The octopus and everything that acts on it."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     turn: Float[Array, ""]
     """Largest angle of the heading from x, either way [rad]."""
     stroke: Float[Array, "3"]
-    """Of the scripted baseline: period [s], sizes sideways and upwards [1]."""
+    """Scripted baseline: period [s], sizes sideways and upwards [1]."""
 
 
 @pytree
@@ -87,16 +87,16 @@ class OctopusState:
     body: SystemState
     """The octopus."""
     controls: Float[Array, "8 2"]
-    """Control values in force [1]."""
+    """Current control values [1]."""
     heading: Float[Array, "2"]
-    """Unit vector along which it should go."""
+    """Unit vector along which the octopus should move."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Octopus:
-    """The octopus; see the module. Make one with `octopus`."""
+    """The octopus; see the module docstring. Make one with `octopus`."""
 
     n_elements: int
     substeps: int
@@ -107,7 +107,7 @@ class Octopus:
 
     @property
     def observation_size(self) -> int:
-        """How the head moves and turns, tips, control values: 51 numbers."""
+        """Motion and orientation of the head, tips, control values: 51 numbers."""
         return 3 + 3 + 4 + 1 + 3 * N_ARMS + 2 * N_ARMS
 
     @property
@@ -121,7 +121,7 @@ class Octopus:
         return CONTROL_PERIOD
 
     def default_params(self) -> OctopusParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         body = octopus_body(self.n_elements, LARGEST_RATE * CONTROL_PERIOD)
         kind = body.angles.dtype
         return OctopusParams(
@@ -134,7 +134,7 @@ class Octopus:
     def reset(
         self, key: Key[Array, ""], params: OctopusParams
     ) -> tuple[Float[Array, " observation"], OctopusState]:
-        """The octopus at rest, and where it should go."""
+        """Starts with the octopus at rest, and draws the heading."""
         state = OctopusState(
             body=params.body.rest,
             controls=jnp.zeros((N_ARMS, 2), params.dt.dtype),
@@ -157,7 +157,7 @@ class Octopus:
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: muscles go to the action, as far as they may."""
+        """Advances one control step: muscles approach the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         wanted = jnp.reshape(jnp.clip(action, -1, 1), (N_ARMS, 2))
         controls = limit_rate(state.controls, wanted, params.body.largest_change)
@@ -195,7 +195,7 @@ class Octopus:
         )
 
     def observe(self, state: OctopusState) -> Float[Array, " observation"]:
-        """What the module's table lists."""
+        """Observation vector; the module's table lists its entries."""
         head, arms, heading = state.body["head"], state.body["arms"], state.heading
         place, axes = head.positions[:, 0], head.directors[..., 0]
         tips = (arms.positions[:, :, -1] - place[None, :]).T
@@ -216,11 +216,12 @@ class Octopus:
     ) -> Float[Array, " action"]:
         """Rowing: arms beside the head sweep backwards on the floor, forwards above it.
 
-        The baseline to compare with: all arms with one period, each sideways in
-        proportion to how far it points to the side, straight ahead only.
+        The baseline to compare with. All arms share one period. Each arm sweeps
+        sideways in proportion to how far it points to the side. The stroke only goes
+        straight ahead.
 
         Args:
-            state: Of the moment; only its clock and its heading are looked at.
+            state: Current state; only its clock and its heading are used.
             params: Traced parameters.
         """
         period, sideways, upwards = params.stroke

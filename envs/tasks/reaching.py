@@ -2,28 +2,28 @@ r"""Case 2 of the benchmark: a soft arm's tip reaches a point with an orientatio
 
 Eighteen control values shape the couples along the arm, six about each material axis
 (two of bending, one of twist), and are renewed every 1.4 ms. The goal stands still
-during an episode of 1428 control steps (2 s): a point of a box around the arm, and a
-frame whose d3 is vertical, turned about the vertical by up to 90 degrees from the
-arm's at rest. With $d$ the distance of the tip from it and
-$\delta = \sin^2(\varphi/2)$ the misalignment, $\varphi$ being the angle between the
-last element's frame and the goal's, the reward per control step is
-$-d^2 - \delta^2/2$, plus up to 1.5 within 10 cm, plus up to 4.5 more within 5 cm:
+during an episode of 1428 control steps (2 s). It is a point in a box around the arm,
+and a frame whose d3 is vertical, turned about the vertical by up to 90 degrees from the
+arm's frame at rest. Let $d$ be the distance of the tip from it and $\delta =
+\sin^2(\varphi/2)$ the misalignment, where $\varphi$ is the angle between the last
+element's frame and the goal's. The reward per control step is $-d^2 - \delta^2/2$, plus
+up to 1.5 within 10 cm, plus up to 4.5 more within 5 cm:
 
-| within | for the distance | for the orientation | if besides |
+| within | for the distance | for the orientation | if well aligned |
 |---|---|---|---|
 | 10 cm | 0.5 | 0.5 (1 - δ) | 0.5, δ at most 0.10 |
 | 5 cm | 1.5 | 1.5 (1 - δ) | 1.5, δ at most 0.05 |
 
 Variants:
 
-- `"paper"`: the published environment to the detail, so that scores compare. An arm
+- `"paper"`: the published environment in every detail, so that scores compare. An arm
   that breaks costs 10 000 and ends the episode.
 - `"clean"`: the same arm with the library's own physics, see `jaxrod.envs.arm.clean`;
-  elements and steps keep the tip within 1 % of the length (docs/clean_settings.md).
+    elements and steps keep the tip within 1 % of the length (docs/clean_settings.md).
   When a numerical health flag rises the arm is frozen and the episode truncated.
 
-Orientations are observed as quaternions (w, x, y, z), w not negative, of the rotation
-from the world to the material frame.
+Orientations are observed as quaternions (w, x, y, z) with non-negative w, of the
+rotation from the world to the material frame.
 """
 
 from __future__ import annotations
@@ -75,36 +75,36 @@ class GoalParams:
     upper: Float[Array, "3"]
     """Upper corner of the box [m]."""
     largest_yaw: Float[Array, ""]
-    """Largest turn about the vertical, either way [rad]."""
+    """Largest rotation about the vertical, either way [rad]."""
     radius: Float[Array, ""]
-    """Radius of the sphere that is drawn [m]."""
+    """Radius of the sphere to draw [m]."""
 
 
 @pytree
 class Goal:
-    """Position and orientation that the tip should have."""
+    """Position and orientation that the tip should reach."""
 
     position: Float[Array, "3"]
     """Position of the tip [m]."""
     orientation: Float[Array, "4"]
-    """Orientation as observed: unit quaternion (w, x, y, z), world to material, w >=
-    0."""
+    """Orientation as observed: unit quaternion (w, x, y, z), world to material, with w
+    >= 0."""
 
 
 @pytree
 class ReachingParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     arm: Arm
-    """The arm and all that acts on it."""
+    """The arm and everything that acts on it."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     target: GoalParams
     """Distribution of goals."""
     bonus: Bonus
-    """Distances within which the bonuses for the distance are paid."""
+    """Distances within which the distance bonuses are paid."""
     aligned: Float[Array, "2"]
-    """Largest misalignment for the last bonus, nearby and touching [1]."""
+    """Largest misalignments for the last bonus, nearby and touching [1]."""
     crash_reward: Float[Array, ""]
     """Reward of a step after which the arm is not finite ("paper")."""
 
@@ -125,7 +125,7 @@ class ReachingState:
 
 @dataclasses.dataclass(frozen=True)
 class Reaching(CostOfResiduals):
-    """The reaching task; see the module. Make one with `reaching`."""
+    """The reaching task; see the module docstring. Make one with `reaching`."""
 
     variant: Variant
     n_elements: int
@@ -134,7 +134,7 @@ class Reaching(CostOfResiduals):
     name: str = "reaching"
 
     plane: ClassVar[PlaneName | None] = None
-    """The plane of motion: there is none."""
+    """Plane of motion: none."""
 
     @property
     def observation_size(self) -> int:
@@ -152,11 +152,11 @@ class Reaching(CostOfResiduals):
         return CONTROL_PERIOD
 
     def control_points(self) -> int:
-        """Their number."""
+        """Number of control points."""
         return N_CONTROLS
 
     def default_params(self) -> ReachingParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         spline = control_spline(self.control_points(), LENGTH)
         arm: Arm
         if self.variant == "paper":
@@ -190,7 +190,7 @@ class Reaching(CostOfResiduals):
     def reset(
         self, key: Key[Array, ""], params: ReachingParams
     ) -> tuple[Float[Array, " observation"], ReachingState]:
-        """The arm straight and at rest, the goal anywhere in its box."""
+        """Starts with the arm straight and at rest, the goal anywhere in its box."""
         muscles = params.arm.relaxed()
         state = ReachingState(
             params.arm.rest,
@@ -214,7 +214,7 @@ class Reaching(CostOfResiduals):
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: the couples set by the action act for 1.4 ms."""
+        """Advances one control step: the couples of the action act for 1.4 ms."""
         before = state.arm
         state, crashed = self._moved(state, action, params, 1)
         arm = state.arm
@@ -245,13 +245,13 @@ class Reaching(CostOfResiduals):
         params: ReachingParams,
         control_steps: int = 1,
     ) -> ReachingState:
-        """The state later, under one action: what steps make, nothing being random.
+        """Predicts the state under one action, exactly as `step`: nothing is random.
 
         Args:
-            state: Of the moment.
+            state: Current state.
             action: In [-1, 1].
             params: Numbers of the task.
-            control_steps: For how many the action is held.
+            control_steps: Number of control steps for which the action is held.
         """
         return self._moved(state, action, params, control_steps)[0]
 
@@ -262,11 +262,11 @@ class Reaching(CostOfResiduals):
         params: ReachingParams,
         width: float = COST_WIDTH,
     ) -> Float[Array, "6"]:
-        r"""What plans make small: the tip's way from the goal, and its turn.
+        r"""Residuals for planners: the tip's offset and rotation from the goal.
 
-        The three numbers of the turn are $\sin(\varphi/2)$ times its axis, whose
-        squares add up to the misalignment, over the root of the largest one that is
-        paid for.
+        The three numbers of the rotation are $\sin(\varphi/2)$ times its axis, divided
+        by the square root of the largest misalignment that still earns a bonus. Before
+        this division their squares sum to the misalignment.
         """
         del action
         way = tip_residuals(
@@ -282,7 +282,7 @@ class Reaching(CostOfResiduals):
         params: ReachingParams,
         control_steps: int,
     ) -> tuple[ReachingState, Bool[Array, ""]]:
-        """The state later, and whether the arm crashed."""
+        """Returns the later state, and whether the arm crashed."""
         action = action_of_size(action, self.action_size)
         controls = jnp.reshape(action, (3, N_CONTROLS))
         arm, muscles, crashed = params.arm.advance(
@@ -292,7 +292,7 @@ class Reaching(CostOfResiduals):
         return ReachingState(arm, muscles, state.target, steps), crashed
 
     def snapshot(self, state: ReachingState, params: ReachingParams) -> Snapshot:
-        """The arm and a sphere in the place of the goal."""
+        """The arm, and a sphere at the goal."""
         target, radius = state.target.position, params.target.radius
         return arm_and_target(params.arm.rod, state.arm, target, radius)
 
@@ -304,7 +304,7 @@ class Reaching(CostOfResiduals):
                 speed_and_direction(state.arm.velocities[:, -1]),
                 tip_frame(state.arm),
                 state.target.position,
-                # The goal's velocity, as in Case 1: none.
+                # The goal's velocity is zero; it is observed as in Case 1.
                 jnp.zeros_like(state.target.orientation),
                 state.target.orientation,
             ]
@@ -312,7 +312,7 @@ class Reaching(CostOfResiduals):
 
 
 def random_goal(key: Key[Array, ""], params: GoalParams) -> Goal:
-    """A goal anywhere in the box, its frame turned by any angle about the vertical."""
+    """Draws a goal anywhere in the box, its frame at any angle about the vertical."""
     place, turn = jax.random.split(key)
     position = jax.random.uniform(place, (3,), minval=params.lower, maxval=params.upper)
     unit = jax.random.uniform(turn, (), params.lower.dtype, -1.0)
@@ -320,7 +320,7 @@ def random_goal(key: Key[Array, ""], params: GoalParams) -> Goal:
 
 
 def frame_at_yaw(yaw: Float[Array, ""]) -> Float[Array, "4"]:
-    r"""The arm's frame at rest turned about the vertical, as observed.
+    r"""The arm's frame at rest, turned about the vertical, as observed.
 
     $d_1 = (-\sin\theta, 0, \cos\theta)$, $d_2 = (\cos\theta, 0, \sin\theta)$, d3 up.
     """
@@ -337,10 +337,10 @@ def tip_frame(arm: RodState) -> Float[Array, "4"]:
 
 
 def turn_from(frame: Float[Array, "4"], goal: Float[Array, "4"]) -> Float[Array, "3"]:
-    """Vector part of the rotation between two frames, unit quaternions both [1].
+    """Vector part of the rotation between two frames given as unit quaternions [1].
 
-    Its squares add up to the misalignment; it is the same for either sign of a frame
-    but for its own.
+    Its squares sum to the misalignment. Changing the sign of either quaternion only
+    changes the sign of the result.
     """
     w, x, y, z = frame
     a, b, c, d = goal
@@ -361,7 +361,7 @@ def misaligned(arm: RodState, goal: Goal) -> Array:
 def reaching_reward(
     distance_squared: Array, misalignment: Array, params: ReachingParams
 ) -> Array:
-    """Reward of a control step; see the module."""
+    """Reward of a control step; see the module docstring."""
     near = distance_squared <= params.bonus.near**2
     touching = distance_squared <= params.bonus.touching**2
     aligned = misalignment <= params.aligned

@@ -1,31 +1,32 @@
-r"""A snake crawls as fast as it can in a given direction, by muscles along its body.
+r"""A snake crawls as fast as it can in a given direction by muscles along its body.
 
-The snake lies on ground on which it slides more easily forward than backward, and
-hardest sideways: friction coefficients in the ratio 1 : 1.5 : 2, as its scales make it.
-Six control values, at equidistant points along the body, are moments of its muscles
-about the vertical, up to 4 mN m, and are renewed every 50 ms; between two control steps
-they change by 0.2 at most, and in a straight line. The reward of a control step is the
-way of the centre of mass along the heading in it, in percent of the body's length: the
-return of an episode is how far it got. An episode lasts 200 control steps (10 s), five
-periods of the gait that Gazzola et al. (R. Soc. Open Sci. 5 (2018) 171628) found by
-optimising travelling waves of moments, which is `scripted_action` here.
+The snake lies on ground with anisotropic friction: it slides most easily forward, less
+easily backward, and least easily sideways. The friction coefficients have the ratio 1 :
+1.5 : 2, which its scales cause. Six control values, at equidistant points along the
+body, set the moments of its muscles about the vertical, up to 4 mN m. They are renewed
+every 50 ms. Between two control steps they change by 0.2 at most, linearly in time. The
+reward of a control step is the displacement of the centre of mass along the heading, in
+percent of the body's length, so the return of an episode is the distance covered. An
+episode lasts 200 control steps (10 s). This is five periods of the gait that Gazzola et
+al. (R. Soc. Open Sci. 5 (2018) 171628) found by optimising travelling waves of moments;
+it is `scripted_action` here.
 
-The snake begins straight and at rest, along x; the heading is along x too, or with
-`turn` up to so much to either side. Observed, in this order, with x along the heading
-and everything divided by the unit in brackets:
+The snake begins straight and at rest, along x. The heading is along x too, or with
+`turn` up to that angle to either side. Observed, in this order, with x along the
+heading and everything divided by the unit in brackets:
 
 | numbers | what |
 |---:|---|
 | 2 | velocity of the centre of mass along the heading and to its left [0.175 m/s] |
 | 2 | cosine and sine of the angle from the heading to the line from tail to head [1] |
-| 1 | turning rate of the body, the mean of its elements' [1 rad/s] |
+| 1 | turning rate of the body, the mean over its elements [1 rad/s] |
 | 6 | curvature at the control points, to the left [10/m] |
-| 6 | its rate [31.4/(m s)] |
-| 6 | control values in force [1] |
+| 6 | rate of this curvature [31.4/(m s)] |
+| 6 | current control values [1] |
 
 When a numerical health flag rises the snake is frozen at its last sound state, the
-reward of the step is 0 and the episode is truncated. There is no contact of the snake
-with itself: where its body crosses itself the episode is terminated.
+reward of the step is 0 and the episode is truncated. The snake has no self-contact: the
+episode is terminated when its body crosses itself.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ N_CONTROLS = 6
 STRONGEST = 4e-3
 """Moment of the muscles at a control point for a control value of one [N m]."""
 LARGEST_RATE = 4.0
-"""Of a control value [1/s]."""
+"""Largest rate of a control value [1/s]."""
 STEPS_PER_ELEMENT = 7
 """Simulation steps of a control step, per element: about 0.8 of the stability bound."""
 SPEED = LENGTH / PERIOD
@@ -66,21 +67,21 @@ SPEED = LENGTH / PERIOD
 BEND = 10.0
 """Unit of the observed curvature [1/m]."""
 BEND_RATE = 2 * math.pi / PERIOD * BEND
-"""Unit of its observed rate [1/(m s)]."""
+"""Unit of the observed rate of curvature [1/(m s)]."""
 GAIT = (3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3)
 """Coefficients of the B-spline of the published gait's moments, from the head [N m]."""
 
 
 @pytree
 class SnakeParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     body: SnakeBody
-    """The snake and all that acts on it."""
+    """The snake and everything that acts on it."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     turn: Float[Array, ""]
-    """Largest angle of the heading from the body at the start, either way [rad]."""
+    """Largest angle between heading and body at the start, either way [rad]."""
 
 
 @pytree
@@ -90,16 +91,16 @@ class SnakeState:
     body: RodState
     """The snake."""
     controls: Float[Array, "6"]
-    """Control values in force [1]."""
+    """Current control values [1]."""
     heading: Float[Array, "2"]
-    """Unit vector along which it should go."""
+    """Unit vector along which the snake should move."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Snake:
-    """The snake; see the module. Make one with `snake`."""
+    """The snake; see the module docstring. Make one with `snake`."""
 
     n_elements: int
     substeps: int
@@ -110,7 +111,7 @@ class Snake:
 
     @property
     def observation_size(self) -> int:
-        """How it moves, how it is bent, and its control values: 23 numbers."""
+        """Motion, curvature and control values: 23 numbers."""
         return 2 + 2 + 1 + 3 * N_CONTROLS
 
     @property
@@ -124,7 +125,7 @@ class Snake:
         return CONTROL_PERIOD
 
     def default_params(self) -> SnakeParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         change = LARGEST_RATE * CONTROL_PERIOD
         body = snake_body(self.n_elements, N_CONTROLS, STRONGEST, change)
         kind = body.rod.radii.dtype
@@ -137,7 +138,7 @@ class Snake:
     def reset(
         self, key: Key[Array, ""], params: SnakeParams
     ) -> tuple[Float[Array, " observation"], SnakeState]:
-        """The snake straight and at rest, and where it should go."""
+        """Starts with the snake straight and at rest, and draws the heading."""
         state = SnakeState(
             body=params.body.rest,
             controls=jnp.zeros(N_CONTROLS, params.dt.dtype),
@@ -160,7 +161,7 @@ class Snake:
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: muscles go to the action, as far as they may."""
+        """Advances one control step: muscles approach the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         snake = params.body
         controls = limit_rate(
@@ -200,10 +201,10 @@ class Snake:
     def observe(
         self, state: SnakeState, params: SnakeParams
     ) -> Float[Array, " observation"]:
-        """What the module's table lists."""
+        """Observation vector; the module's table lists its entries."""
         snake, body = params.body, state.body
         along = body.positions[:2, -1] - body.positions[:2, 0]
-        # Head and tail may touch: the line between them is then of no direction.
+        # Head and tail may touch: the line between them then has no direction.
         length = jnp.sqrt(jnp.maximum(jnp.sum(along**2), (1e-3 * LENGTH) ** 2))
         length_of_joint = snake.rod.rest_lengths[0]
         every = self.n_elements // (N_CONTROLS + 1)
@@ -224,17 +225,17 @@ class Snake:
     ) -> Float[Array, " action"]:
         """The published gait, straight ahead: the baseline to compare with.
 
-        A wave of moments of the snake's length and a period of two seconds runs from
-        head to tail, its size along the body the published B-spline; it grows in the
-        first period.
+        A wave of moments runs from head to tail, with the snake's length as wavelength
+        and a period of two seconds. Its amplitude along the body is the published
+        B-spline. It grows during the first period.
 
         Args:
-            state: Of the moment; only its clock is looked at.
+            state: Current state; only its clock is used.
             params: Traced parameters.
         """
         from_head = 1 - np.arange(1, N_CONTROLS + 1) / (N_CONTROLS + 1)
         sizes = b_spline_basis(len(GAIT), from_head) @ np.asarray(GAIT)
-        # Muscles get where they are told to by the end of the control step.
+        # Muscles reach their commanded values by the end of the control step.
         periods = (state.steps + 1) * (CONTROL_PERIOD / PERIOD)
         wave = jnp.sin(2 * jnp.pi * (periods - jnp.asarray(from_head)))
         share = jnp.clip(periods, 0, 1) / params.body.strongest
@@ -256,8 +257,8 @@ def snake(
         n_elements: Elements, a multiple of 7.
         substeps: Simulation steps per control step of 50 ms; by default 7 per element.
         episode_length: Control steps per episode.
-        turn: Largest angle of the heading from the body at the start, either way, up
-            to pi [rad].
+        turn: Largest angle between heading and body at the start, either way, up to pi
+            [rad].
 
     Raises:
         ValueError: If an argument does not fit.

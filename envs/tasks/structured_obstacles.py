@@ -6,13 +6,13 @@ and before the target; the arm, 0.1 m thick, bends in the plane y = 0.5 m only. 
 
 Variants:
 
-- `"paper"`: the published environment to the detail, so that scores compare. Contact
+- `"paper"`: the published environment in every detail, so that scores compare. Contact
   follows the published law, broad phase included (`jaxrod.envs.published.contact`): an
   obstacle is ignored until the arm's bounding box, padded by 7 cm, reaches its axis. A
   number that is not finite costs 100 and ends the episode.
 - `"clean"`: the same task with the library's own physics, in the plane only, see
-  `jaxrod.envs.arm.clean`; contact is where arm and cylinders overlap. When a numerical
-  health flag rises the arm is frozen and the episode truncated.
+  `jaxrod.envs.arm.clean`; the arm is in contact where it overlaps a cylinder. When a
+  numerical health flag rises the arm is frozen and the episode truncated.
 """
 
 from __future__ import annotations
@@ -43,17 +43,18 @@ AXES = (
     (-0.4, 0.57),
     (-0.4, 0.77),
 )
-"""x and z of the cylinders' axes [m]."""
+"""Coordinates x and z of the cylinders' axes [m]."""
 RADIUS = 0.1
 CYLINDER_LENGTH = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class StructuredObstacles(ObstacleTask):
-    """The task; see the module. Make one with `structured_obstacles`."""
+    """The task; see the module docstring. Make one with `structured_obstacles`."""
 
     controls: int | None = None
-    """Equidistant control points; `None` for the two that the paper placed by hand."""
+    """Number of equidistant control points; `None` for the paper's two chosen
+    points."""
 
     n_directions = 1
     n_obstacles = len(AXES)
@@ -61,8 +62,9 @@ class StructuredObstacles(ObstacleTask):
     plane = "zx"
     contact_points = 1
     nearest_obstacles = 3
-    """No place is nearer than 10 cm to a fourth: within reach of the arm's radius only
-    if it moves 5 cm in a control step."""
+    """Number of nearest obstacles kept per point of the arm. No point is nearer than 10
+    cm to a fourth cylinder, so one comes within reach of the arm's radius only if the
+    point moves 5 cm in a control step."""
 
     @property
     def name(self) -> str:
@@ -71,15 +73,15 @@ class StructuredObstacles(ObstacleTask):
 
     @property
     def n_controls(self) -> int:
-        """Control points."""
+        """Number of control points."""
         return len(PLACED) if self.controls is None else self.controls
 
     def control_points(self) -> int | Numbers:
-        """Their number, or their arc lengths [m]."""
+        """Number of control points, or their arc lengths [m]."""
         return PLACED if self.controls is None else self.controls
 
     def obstacles(self) -> Cylinders:
-        """The maze. The published normals are parallel to the axes by mistake."""
+        """The maze. The published normals are mistakenly parallel to the axes."""
         x, z = np.array(AXES).T
         along = np.tile([0.0, 1.0, 0.0], (len(AXES), 1))
         starts = np.stack([x, np.zeros_like(x), z], 1)
@@ -90,7 +92,7 @@ class StructuredObstacles(ObstacleTask):
         return Sphere(obstacles.centres.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
-        """The cylinders' own."""
+        """Starts of the cylinders."""
         return obstacles.starts
 
 
@@ -106,8 +108,8 @@ def structured_obstacles(
 
     Args:
         variant: "paper" or "clean".
-        controls: Number of equidistant control points; the paper's supplement has 2,
-            4, 6 and 8. By default the two of its main text, at 0.4 and 0.9 m.
+        controls: Number of equidistant control points; the paper's supplement has 2, 4,
+            6 and 8. The default is the two points of its main text, at 0.4 and 0.9 m.
         n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
             and 40 in "clean".
         substeps: Simulation steps per control step of 1.4 ms; by default 14 in

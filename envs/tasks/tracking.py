@@ -8,7 +8,7 @@ step, at distance $d$ of the tip from the target: $-d^2$, plus 0.5 within 10 cm,
 
 Variants:
 
-- `"paper"`: the published environment to the detail, so that scores compare.
+- `"paper"`: the published environment in every detail, so that scores compare.
 - `"clean"`: the same arm with the library's own physics: consistent elastic law, a
   wall-accurate clamp, damping integrated exactly, actuation per metre instead of per
   element, and as few elements and steps as keep the tip within 1 % of the length under
@@ -57,7 +57,7 @@ SIZES: dict[Variant, tuple[int, int]] = {
     "paper": (REFERENCE_ELEMENTS, 7),
     "clean": (30, 5),
 }
-"""Elements and simulation steps per control step, unless asked for otherwise."""
+"""Default elements and simulation steps per control step."""
 N_CONTROLS = 6
 HEADING_STEPS = 500
 BASE = (0.0, 0.0, 0.0)
@@ -66,16 +66,16 @@ AXIS = "y"
 
 @pytree
 class TrackingParams:
-    """Numbers of the task; every one a traced leaf."""
+    """Numbers of the task; every one is a traced leaf."""
 
     arm: Arm
-    """The arm and all that acts on it."""
+    """The arm and everything that acts on it."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     target: TargetParams
-    """How the target moves."""
+    """Parameters of the target's motion."""
     bonus: Bonus
-    """Where the bonuses are paid."""
+    """Distances within which the bonuses are paid."""
     crash_reward: Float[Array, ""]
     """Reward of a step after which the arm is not finite ("paper")."""
 
@@ -96,7 +96,7 @@ class TrackingState:
 
 @dataclasses.dataclass(frozen=True)
 class Tracking(CostOfResiduals):
-    """The tracking task; see the module. Make one with `tracking`."""
+    """The tracking task; see the module docstring. Make one with `tracking`."""
 
     variant: Variant
     n_elements: int
@@ -105,7 +105,7 @@ class Tracking(CostOfResiduals):
     name: str = "tracking"
 
     plane: ClassVar[PlaneName | None] = None
-    """The plane of motion: there is none."""
+    """Plane of motion: none."""
 
     @property
     def observation_size(self) -> int:
@@ -123,11 +123,11 @@ class Tracking(CostOfResiduals):
         return CONTROL_PERIOD
 
     def control_points(self) -> int:
-        """Their number."""
+        """Number of control points."""
         return N_CONTROLS
 
     def default_params(self) -> TrackingParams:
-        """The task's numbers; in JAX's default precision."""
+        """Numbers of the task, in JAX's default precision."""
         spline = control_spline(self.control_points(), LENGTH)
         arm: Arm
         if self.variant == "paper":
@@ -160,7 +160,7 @@ class Tracking(CostOfResiduals):
     def reset(
         self, key: Key[Array, ""], params: TrackingParams
     ) -> tuple[Float[Array, " observation"], TrackingState]:
-        """The arm straight and at rest, the target anywhere in its box."""
+        """Starts with the arm straight and at rest, the target anywhere in its box."""
         target = moving_target.start(key, params.target)
         state = TrackingState(
             arm=params.arm.rest,
@@ -184,7 +184,7 @@ class Tracking(CostOfResiduals):
         Bool[Array, ""],
         dict[str, Array],
     ]:
-        """One control period: the couples set by the action act for 1.4 ms."""
+        """Advances one control step: the couples of the action act for 1.4 ms."""
         before = state.arm
         state, crashed = self._moved(state, action, params, 1)
         arm, target = state.arm, state.target
@@ -218,15 +218,16 @@ class Tracking(CostOfResiduals):
         params: TrackingParams,
         control_steps: int = 1,
     ) -> TrackingState:
-        """The state later, under one action: the target flies on as it does now.
+        """Predicts the state under one action; the target keeps its current velocity.
 
-        Between two new headings this is what steps make; none is foreseen.
+        Between two changes of heading this equals `step`; new headings are not
+        foreseen.
 
         Args:
-            state: Of the moment.
+            state: Current state.
             action: In [-1, 1].
             params: Numbers of the task.
-            control_steps: For how many the action is held.
+            control_steps: Number of control steps for which the action is held.
         """
         return self._moved(state, action, params, control_steps)[0]
 
@@ -237,7 +238,7 @@ class Tracking(CostOfResiduals):
         params: TrackingParams,
         width: float = COST_WIDTH,
     ) -> Float[Array, "3"]:
-        """What plans make small: the tip's way from the target; see `tip_residuals`."""
+        """Residuals for planners: the tip's offset from the target, rescaled."""
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
@@ -250,7 +251,7 @@ class Tracking(CostOfResiduals):
         params: TrackingParams,
         control_steps: int,
     ) -> tuple[TrackingState, Bool[Array, ""]]:
-        """Without a new heading; and whether the arm crashed."""
+        """Returns the state without a new heading, and whether the arm crashed."""
         action = action_of_size(action, self.action_size)
         bends = jnp.reshape(action, (2, N_CONTROLS))
         controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
@@ -258,7 +259,7 @@ class Tracking(CostOfResiduals):
         arm, muscles, crashed = params.arm.advance(
             state.arm, state.muscles, controls, params.dt, substeps
         )
-        # The published walls are tested after every half step.
+        # The published environment tests the walls after every half step.
         target = moving_target.fly(
             state.target, params.target, 0.5 * params.dt, 2 * substeps
         )

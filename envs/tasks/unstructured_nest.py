@@ -1,19 +1,19 @@
-"""Case 4 of the benchmark: an arm through a nest of twelve cylinders leaning any way.
+"""Case 4 of the benchmark: an arm through a nest of twelve cylinders at random angles.
 
 The cylinders are 3 cm in radius; the arm moves in space. See
 `jaxrod.envs.tasks.obstacle_task` for what this task has in common with Case 3. The
-nest is the published one, or drawn from a seed as the released generator draws it; it
-is the same in all episodes.
+nest is the published one, or is drawn from a seed as the released generator draws it.
+It is the same in all episodes.
 
 Variants:
 
-- `"paper"`: the published environment to the detail, so that scores compare. Contact
-  follows the published law (`jaxrod.envs.published.contact`). What is observed of the
-  obstacles starts at the arm's base instead of at each obstacle, as published: where
-  they are is not observed. A number that is not finite costs 100 and ends the episode.
-- `"clean"`: the same task with the library's own physics, see `jaxrod.envs.arm.clean`,
-  and the obstacles observed where they are. When a numerical health flag rises the arm
-  is frozen and the episode truncated.
+- `"paper"`: the published environment in every detail, so that scores compare. Contact
+  follows the published law (`jaxrod.envs.published.contact`). The observed points of an
+  obstacle start at the arm's base instead of at the obstacle, as published: so its
+  position is not observed. A number that is not finite costs 100 and ends the episode.
+- `"clean"`: the same task with the library's own physics, see `jaxrod.envs.arm.clean`.
+  Obstacles are observed at their true positions. When a numerical health flag rises the
+  arm is frozen and the episode truncated.
 """
 
 from __future__ import annotations
@@ -39,21 +39,22 @@ from jaxrod.validation import Numbers, check_count
 
 @dataclasses.dataclass(frozen=True)
 class UnstructuredNest(ObstacleTask):
-    """The task; see the module. Make one with `unstructured_nest`."""
+    """The task; see the module docstring. Make one with `unstructured_nest`."""
 
     nest: int | None = None
-    """Seed of the nest; `None` for the published one."""
+    """Seed of the nest; `None` for the published nest."""
 
     n_directions = 2
     n_obstacles = COUNT
     target_position = (-0.8, 0.5, TARGET_HEIGHT)
     plane = None
     contact_points = 2
-    """Stretched twofold the arm's nodes are 5 cm apart, and a thin cylinder that gets
-    between two of them would push them further apart."""
+    """Contact points per element. When the arm is stretched twofold its nodes are 5 cm
+    apart. A thin cylinder between two of them would push them further apart."""
     nearest_obstacles = 4
-    """Few places have a fifth within the arm's radius. An arm that gets there, or moves
-    several centimetres in a control step, may meet one by a control step too late."""
+    """Number of nearest obstacles kept per point of the arm. Few points have a fifth
+    cylinder within the arm's radius. An arm that gets there, or moves several
+    centimetres in a control step, may meet it one control step too late."""
 
     @property
     def name(self) -> str:
@@ -62,11 +63,11 @@ class UnstructuredNest(ObstacleTask):
 
     @property
     def n_controls(self) -> int:
-        """Control points per direction."""
+        """Number of control points per direction."""
         return len(PLACED)
 
     def control_points(self) -> Numbers:
-        """Their arc lengths [m]."""
+        """Arc lengths of the control points [m]."""
         return PLACED
 
     def obstacles(self) -> Cylinders:
@@ -74,11 +75,11 @@ class UnstructuredNest(ObstacleTask):
         return published_nest() if self.nest is None else random_nest(self.nest)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """The nest as capsules: the published contact has round ends, too."""
+        """The nest as capsules: the published contact also has round ends."""
         return Capsule(obstacles.starts.T, obstacles.ends.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
-        """The cylinders' own; in "paper" the arm's base for all of them."""
+        """Starts of the cylinders; in "paper" the arm's base for each of them."""
         if self.variant == "clean":
             return obstacles.starts
         base = jnp.asarray(BASE, obstacles.starts.dtype)
