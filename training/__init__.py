@@ -1,4 +1,4 @@
-"""Learners: policies trained in compiled programs, between which the host looks on."""
+"""Learners: policies trained in compiled programs, with host code between programs."""
 
 if __name__ != "jaxrod.training":
     raise ImportError(

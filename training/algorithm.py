@@ -1,4 +1,4 @@
-"""The record of functions that the shared loop trains with, and where it is found."""
+"""An algorithm as a record of functions for the shared loop, and the registry."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ DEVICE_AXIS = "env"
 
 @pytree
 class Metrics:
-    """Report of one update.
+    """Metrics of one update.
 
     Attributes:
         scalars: Named numbers, the same on every device.
         episodes: The complete episodes that ended, shape (steps, num_envs), in
-            the order of time.
+            chronological order.
     """
 
     scalars: dict[str, Array]
@@ -38,7 +38,7 @@ class Metrics:
 def steps_per_update(config: Any) -> int:
     """Control steps of one update: num_envs * rollout_steps * action_repeat.
 
-    For configurations that have these three, as every `LearnerConfig` does.
+    For configurations with these three fields, as every `LearnerConfig` has.
     """
     return config.num_envs * config.rollout_steps * config.action_repeat
 
@@ -46,8 +46,8 @@ def steps_per_update(config: Any) -> int:
 def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
     """The mean of every leaf over the devices of a mapped axis, if there is one.
 
-    The leaves of one type are exchanged as one array: on a network the number of
-    exchanges costs more than what is in them.
+    Leaves of one dtype are exchanged as one array: on a network the number of exchanges
+    costs more than their content.
     """
     if axis_name is None:
         return tree
@@ -65,56 +65,58 @@ def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
 
 
 def check_nothing(config: Any, num_devices: int) -> None:
-    """Finds no fault with any configuration."""
+    """Accepts any configuration."""
 
 
 @dataclass(frozen=True)
 class Algorithm:
     """A learner as a record of pure functions.
 
-    This is all that training, resuming and evaluating know of it. Its train state is
-    one pytree of arrays that holds all there is: numbers of the configuration,
-    weights, optimiser, environments, keys. What is not a number (the environment, say)
-    is structure, see `jaxrod.static`. Two states made by `init` from configurations
-    that differ only in numbers share one program. `train` checks all of this in words
-    before it compiles anything.
+    This is all that training, resuming and evaluating know about it. Its train state is
+    one pytree of arrays with everything that a run needs: numbers of the configuration,
+    weights, optimiser, environments, keys. Anything that is not a number (the
+    environment, say) is static structure, see `jaxrod.static`. Two states made by
+    `init` from configurations that differ only in numbers share one program. `train`
+    checks all of this, with clear messages, before it compiles anything.
 
-    To be found again by `--resume` and `jaxrod evaluate` it has to be a variable of a
+    For `--resume` and `jaxrod evaluate` to find it again, it has to be a variable of a
     module that can be imported: it is recorded as `module:NAME`.
     """
 
     name: str
-    """Name for people, and in the registry."""
+    """Name for display, and in the registry."""
     config_type: type
-    """Class of the configuration: a `jaxrod.pytree` that made without arguments holds
-    the defaults. Fields that are not static are numbers. `config.json` has to hold
-    all, as numbers, text, truth values, tuples of such, or functions of a module."""
+    """Class of the configuration: a `jaxrod.pytree` whose instance without arguments
+    holds the defaults. Fields that are not static are numbers. `config.json` must be
+    able to hold every field, as numbers, text, booleans, tuples of these, or functions
+    of a module."""
     steps_per_update: Callable[[Any], int]
     """`config -> int`: control steps of one update, of all environments together."""
     init: Callable[..., Any]
     """`(key, env, config, env_params, total_steps) -> state`: the train state before
-    the first update. All randomness comes from the key; `total_steps` is the length
-    of the whole run, for schedules. Pure: it is compiled, and vectorised over keys."""
+    the first update. All randomness comes from the key; `total_steps` is the length of
+    the whole run, for schedules. Pure: it is compiled, and vectorised over keys."""
     update: Callable[..., tuple[Any, Metrics]]
     """`state -> (state, Metrics)`: one update; the state keeps its structure, shapes
     and types. With `partition`: `(state, axis_name=None) -> (state, Metrics)`. Under a
-    mapped axis of that name the state holds this device's share, and what is repeated
-    must stay equal on all of them, see `mean_over_devices`."""
+    mapped axis of that name the state holds this device's share. Replicated leaves must
+    stay equal on all devices, see `mean_over_devices`."""
     policy: Callable[[Any], Policy]
-    """`state -> policy`: the deterministic policy, a pytree of arrays that is called
+    """`state -> policy`: the deterministic policy, a pytree of arrays. It is called as
     `policy(observation) -> action` with any leading axes."""
     validate: Callable[[Any, int], None] = check_nothing
-    """`(config, num_devices) -> None`: raises ValueError with the name and the value
-    of what is wrong. By default every configuration will do."""
+    """`(config, num_devices) -> None`: raises ValueError with the name and the value of
+    the wrong setting. The default accepts every configuration."""
     partition: Callable[[Any], Any] | None = None
-    """`state -> tree prefix of PartitionSpec`: which leaves are spread over the devices
-    (axis `DEVICE_AXIS`), which repeated. None, the default: runs on one device."""
+    """`state -> tree prefix of PartitionSpec`: which leaves are split over the devices
+    (axis `DEVICE_AXIS`) and which are replicated. None, the default: runs on one
+    device."""
 
     def checked(self, config: Any) -> Any:
-        """A configuration of this algorithm, its defaults for None.
+        """Checks a configuration of this algorithm; None gives its defaults.
 
         Raises:
-            ValueError: It is of another algorithm.
+            ValueError: It belongs to another algorithm.
         """
         config = self.config_type() if config is None else config
         if not isinstance(config, self.config_type):
@@ -145,16 +147,17 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
     """Returns the algorithm called `name`.
 
     Args:
-        name: One of `algorithm_names()`, or the import path of your own,
+        name: One of `algorithm_names()`, or the import path of your own algorithm,
             `module:NAME`.
-        trust: For a name that a file holds, the modules that may be imported because
-            of it, see `jaxrod.envs.importing.check_trusted`; None for what the user
-            names.
+        trust: If a file holds the name, the modules that may be imported because of
+            it, see `jaxrod.envs.importing.check_trusted`; None if the user gives the
+            name.
 
     Raises:
-        ValueError: There is none of this name, or what is there is no algorithm.
+        ValueError: There is no algorithm of this name, or the object found is not an
+            `Algorithm`.
         UntrustedError: A file names it, and it is not trusted.
-        ImportError: An import path leads nowhere.
+        ImportError: The import path leads to nothing.
     """
     if name not in _ALGORITHMS and ":" not in name:
         known = ", ".join(algorithm_names())
@@ -172,9 +175,9 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
 
 
 def recorded_name(algorithm: Algorithm) -> str:
-    """Name that `find_algorithm` finds an algorithm by, where there is one.
+    """Name by which `find_algorithm` finds an algorithm, if there is one.
 
-    An algorithm that no module holds has its own name for it, which finds nothing.
+    For an algorithm that no module holds, this is its own name, which finds nothing.
     """
     if algorithm.name in _ALGORITHMS:
         return algorithm.name

@@ -1,4 +1,4 @@
-"""Evaluation of a policy: complete episodes, acted without noise."""
+"""Evaluation of a policy: complete episodes, without exploration noise."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from jaxrod.validation import check_seed
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One entry per episode."""
+    """Results of an evaluation, with one entry per episode."""
 
     returns: Float[np.ndarray, " episodes"]
     """Sums of the rewards."""
     lengths: Int[np.ndarray, " episodes"]
-    """Control steps."""
+    """Numbers of control steps."""
     flagged: Bool[np.ndarray, " episodes"]
     """Whether a numerical health flag ended the episode."""
 
@@ -64,16 +64,17 @@ def evaluate(
 
     Args:
         env: The environment.
-        policy: Observations (episodes, observation_size) -> actions; a `Policy`,
-            whose actions are held for its `action_repeat` control steps, or any
-            other function of that kind, called at every control step; or a
-            `jaxrod.envs.MemoryPolicy`, which remembers, and sees the states.
+        policy: Function from observations (episodes, observation_size) to actions: a
+            `Policy`, whose actions are held for its `action_repeat` control steps; or
+            any
+            other such function, called at every control step. Or a
+            `jaxrod.envs.MemoryPolicy`, which has a memory and sees the states.
         episodes: Number of episodes.
-        seed: Seed of their randomness.
-        env_params: Parameters of the environment, None for its own.
+        seed: Seed of the random numbers.
+        env_params: Parameters of the environment, None for its defaults.
 
     Raises:
-        ValueError: `episodes` is below 1, or `seed` is not one.
+        ValueError: `episodes` is below 1, or `seed` is not a valid seed.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
@@ -82,7 +83,7 @@ def evaluate(
     env = repeating(env, held_for(policy))
     plain = not isinstance(policy, MemoryPolicy)
     if plain and (not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0])):
-        # A plain function: part of the program. A `Policy` is an argument of it.
+        # A plain function is part of the program. A `Policy` is an argument of it.
         policy = jax.tree_util.Partial(policy)
     record = _episodes(jax.random.key(seed), policy, params, env, episodes)
     return Evaluation(
@@ -102,7 +103,7 @@ def _episodes(
 ) -> EpisodeRecord:
     batch, acting = VectorEnvironment(env), remembering(policy)
     state = batch.reset(key, episodes, params)
-    # Not begun anew where an episode ends: those that follow do not count.
+    # Not restarted where an episode ends: the episodes that follow do not count.
     memory = acting.init(state.observation, state.states)
     record = EpisodeRecord(
         finished=jnp.zeros(episodes, bool),

@@ -1,4 +1,4 @@
-"""Objects by import path, `module:NAME`: how a run finds a user's code again."""
+"""Objects by import path, `module:NAME`: so a run can find a user's code again."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from jaxrod.envs.importing import check_home, check_trusted
 
 
 def find_object(path: str, trust: Collection[str] | None = None) -> Any:
-    """Imports the object that an import path names.
+    """Imports the object at an import path.
 
-    Modules are also looked for in the current folder.
+    Modules are also searched in the current folder.
 
     Args:
         path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM"; NAME is one
             plain name, without dots.
-        trust: For what a file names, the modules that may be imported because of it,
-            see `jaxrod.envs.importing.check_trusted`; None for what the user names.
+        trust: If a file holds the path, the modules that may be imported because of it,
+            see `jaxrod.envs.importing.check_trusted`; None if the user gives the path.
 
     Raises:
-        ValueError: It is no import path.
+        ValueError: `path` is no import path.
         UntrustedError: A file names it, and it is not trusted.
         ImportError: There is no such module or object, or importing it failed.
     """
@@ -44,9 +44,9 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
 
 
 def import_path(value: Any) -> str | None:
-    """Import path of a function or class, None if it cannot be found by one.
+    """Import path of a function or class, None if it has none.
 
-    A module run as a script is named after its file.
+    A module that is run as a script is named after its file.
     """
     module = getattr(value, "__module__", None)
     name = getattr(value, "__qualname__", None)
@@ -74,7 +74,7 @@ def _path(module: str, name: str, value: Any) -> str | None:
 
 
 def _importable(module: str) -> str | None:
-    """Name under which a module is imported in another process."""
+    """Name under which another process can import a module."""
     if module != "__main__":
         return module
     main = sys.modules["__main__"]

@@ -1,4 +1,4 @@
-"""Leaves of a pytree by their paths, as arrays that NumPy writes without pickle."""
+"""Leaves of a pytree by their paths, as arrays that NumPy can write without pickle."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import numpy as np
 
 
 def named_leaves(tree: Any, root: str) -> dict[str, Any]:
-    """Leaves by name, the root and the path; empty ones hold nothing to store."""
+    """Leaves by root and path; empty leaves are left out, as they store nothing."""
     leaves = jax.tree.leaves_with_path(tree)
     return {_name(root, path): leaf for path, leaf in leaves if leaf.size}
 
 
 def with_leaves(template: Any, root: str, leaves: dict[str, Any]) -> Any:
-    """A tree like another one, with the leaves of these names put in."""
+    """A copy of a tree with the leaves of the given names replaced."""
     return jax.tree_util.tree_map_with_path(
         lambda path, leaf: leaves.get(_name(root, path), leaf), template
     )
 
 
 def described(leaf: Any) -> str:
-    """Kind and shape of a leaf."""
+    """Dtype and shape of a leaf."""
     return f"{leaf.dtype}{list(_numbers(leaf).shape)}"
 
 
 def to_array(leaf: Any) -> np.ndarray:
-    """A leaf as an array that NumPy can write: bfloat16 and its kin as integers."""
+    """A leaf as an array that NumPy can write; bfloat16 and similar become integers."""
     array = np.asarray(_numbers(leaf))
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "V" else array
 
 
 def from_array(array: np.ndarray, leaf: Any) -> Any:
-    """An array as a leaf of the kind of another one.
+    """Converts an array into a leaf of the same kind as another leaf.
 
     Raises:
-        ValueError: It is of another kind or shape.
+        ValueError: Its dtype or shape differs.
     """
     numbers = _numbers(leaf)
     dtype = np.dtype(numbers.dtype)
@@ -50,7 +50,7 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
 
 
 def differences_of_leaves(wanted: dict[str, str], found: dict[str, str]) -> str:
-    """Differences of two sets of described leaves in words, empty if there are none."""
+    """Differences between two sets of described leaves in words, empty if none."""
     apart = [f"lacks {name}" for name in sorted(wanted.keys() - found.keys())]
     apart += [f"has {name} besides" for name in sorted(found.keys() - wanted.keys())]
     apart += [
@@ -70,7 +70,7 @@ def is_key(leaf: Any) -> bool:
 
 
 def _hint(apart: list[str]) -> str:
-    """The usual cause of numbers that all differ."""
+    """Usual cause if all numbers differ in precision."""
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (is JAX_ENABLE_X64 as it was?)" if double else ""
 
@@ -80,5 +80,5 @@ def _name(root: str, path: Any) -> str:
 
 
 def _numbers(leaf: Any) -> Any:
-    """A leaf, or the words of one that is a key."""
+    """A leaf, or the raw data of a random key."""
     return jax.random.key_data(leaf) if is_key(leaf) else leaf

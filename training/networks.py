@@ -1,7 +1,7 @@
-"""The networks of the learners: the one file that knows flax.
+"""The networks of the learners: the only file that depends on flax.
 
-Where a configuration has a `network`, a factory `(role, output_size) -> flax module`,
-policy and critics are what it makes; without, they are multilayer perceptrons.
+If a configuration has a `network`, a factory `(role, output_size) -> flax module`, it
+makes policy and critics. Otherwise they are multilayer perceptrons.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 
 
 class MultilayerPerceptron(nn.Module):
-    """Dense layers, an activation after each but the last.
+    """Dense layers, with an activation after each but the last.
 
     Attributes:
         hidden_sizes: Widths of the hidden layers.
         output_size: Width of the last layer.
         output_scale: Gain of the orthogonal initial weights of the last layer.
         activation: A name in `ACTIVATIONS`.
-        dtype: Type of the weights and of the arithmetic.
+        dtype: Dtype of the weights and of the arithmetic.
     """
 
     hidden_sizes: tuple[int, ...]
@@ -67,16 +67,16 @@ class MultilayerPerceptron(nn.Module):
 
 
 class GaussianPolicy(nn.Module):
-    """Normal distribution over actions whose spread does not depend on the state."""
+    """Normal distribution over actions, with a state-independent standard deviation."""
 
     mean: nn.Module
     """Network of the mean action."""
     action_size: int
     """Number of actions."""
     initial_log_std: float | Float[Array, ""] = 0.0
-    """Logarithm of the standard deviation at the start."""
+    """Initial logarithm of the standard deviation."""
     dtype: DTypeLike = jnp.float32
-    """Type of the logarithm."""
+    """Dtype of the logarithm."""
 
     @nn.compact
     def __call__(
@@ -102,16 +102,18 @@ def make_network(
     """The network of a role, without weights.
 
     Args:
-        config: Of a learner. Its `network` makes the module; None stands for a
-            multilayer perceptron of its `hidden_sizes`, whose output starts near 0 in
-            a policy (gain 0.01), so that learning begins undecided.
+        config: Configuration of a learner. Its `network` makes the module; None stands
+            for
+            a multilayer perceptron with its `hidden_sizes`. In a policy the output of
+            the
+            perceptron starts near 0 (gain 0.01), so that learning begins undecided.
         role: "policy" or "critic".
-        output_size: Numbers that the network returns.
-        activation: Of the perceptron.
-        dtype: Of the perceptron.
+        output_size: Number of outputs of the network.
+        activation: Activation function of the perceptron.
+        dtype: Dtype of the perceptron.
 
     Raises:
-        ValueError: What `network` made is no flax module.
+        ValueError: The result of `network` is no flax module.
     """
     if config.network is None:
         return MultilayerPerceptron(
@@ -128,7 +130,7 @@ def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Modu
     """The network that a user's factory makes for a role, without weights.
 
     Raises:
-        ValueError: It is no flax module.
+        ValueError: The factory's result is no flax module.
     """
     module: Any = network(role, output_size)
     if not isinstance(module, nn.Module):
@@ -136,12 +138,13 @@ def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Modu
             "network must make flax modules (flax.linen.Module), for "
             f"{role!r} it made a {type(module).__name__}"
         )
-    # Weights lie under names of ours, or they would not be found.
+    # Weights are stored under the names given here; a module's own name would hide
+    # them.
     return module if module.name is None else module.copy(name=None)
 
 
 def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> Any:
-    """First weights of a network, of the type of the inputs.
+    """Initial weights of a network, with the dtype of the inputs.
 
     Args:
         network: A flax module.
@@ -169,15 +172,15 @@ def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> A
 def check_outputs(
     network: nn.Module, weights: Any, inputs: Array, output_size: int
 ) -> None:
-    """Raises ValueError unless a network maps the last axis to so many numbers.
+    """Raises ValueError unless a network maps the last axis to `output_size` numbers.
 
     Args:
         network: A flax module.
         weights: Its parameters.
         inputs: One input, of shape (size,); its values do not matter.
-        output_size: Numbers that it must return for one input.
+        output_size: Required number of outputs for one input.
     """
-    # A batch of a size that nothing else has.
+    # The second batch size differs from every other dimension.
     for leading in ((), (inputs.size + output_size + 1,)):
         found = jax.eval_shape(
             lambda x: network.apply({"params": weights}, x),
@@ -205,21 +208,21 @@ class NetworkPolicy:
     """A user's network on normalised observations."""
 
     moments: RunningMoments
-    """Mean and variance that observations are normalised by."""
+    """Mean and variance for normalising observations."""
     limit: Float[Array, ""]
-    """Normalised observations are clipped to +- this."""
+    """Bound to which normalised observations are clipped, either way."""
     weights: Any
     """Parameters of the network."""
     network: NetworkFactory = static()
     """Factory of the network."""
     output_size: int = static()
-    """Numbers that the network returns."""
+    """Number of outputs of the network."""
     action_size: int = static()
     """Number of actions: the first outputs."""
     output: str = static(default="clip")
     """Bound of the action: "clip" or "tanh"."""
     action_repeat: int = static(default=1)
-    """Control steps for which an action is to be held, as in training."""
+    """Control steps for which an action is held, as in training."""
 
     def __call__(
         self, observation: Float[Array, "*batch observation"]

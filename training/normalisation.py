@@ -11,11 +11,11 @@ from jaxrod.structure import pytree
 
 @pytree
 class RunningMoments:
-    """Mean and variance of everything seen so far, per component.
+    """Mean and variance of all samples so far, per component.
 
-    The variance is stored, not the sum of squares: it stays of the size of the
-    data however long the run, as float32 needs. Before anything is seen the mean
-    is 0 and the variance 1, so that normalising changes nothing.
+    The variance is stored, not the sum of squares: it keeps the magnitude of the data
+    however long the run, as float32 requires. Before the first sample the mean is 0 and
+    the variance 1, so that normalising changes nothing.
     """
 
     count: Float[Array, ""]
@@ -23,7 +23,7 @@ class RunningMoments:
     mean: Float[Array, " size"]
     """Mean of the samples."""
     variance: Float[Array, " size"]
-    """Mean squared distance of the samples from their mean."""
+    """Mean squared deviation of the samples from their mean."""
 
 
 def no_moments(size: int, dtype: DTypeLike) -> RunningMoments:
@@ -38,12 +38,12 @@ def batch_moments(
 ) -> RunningMoments:
     """Moments of one batch.
 
-    The first sample is subtracted before anything is summed, so a large mean
-    costs no digits of the variance.
+    The first sample is subtracted before anything is summed. So a large mean does not
+    cost digits of the variance.
 
     Args:
         samples: One sample per row.
-        axis_name: Mapped axis over which the batch is spread, if it is.
+        axis_name: Mapped axis over which the batch is spread, if any.
     """
     origin = samples[:1]
     shifted = samples - origin
@@ -62,7 +62,7 @@ def batch_moments(
 
 
 def merge_moments(a: RunningMoments, b: RunningMoments) -> RunningMoments:
-    """Moments of two sets of samples taken together.
+    """Moments of the union of two sets of samples.
 
     With w = n_b / (n_a + n_b) and d = mean_b - mean_a: mean = mean_a + w d and
     variance = (1 - w) var_a + w var_b + w (1 - w) d^2.
@@ -89,7 +89,7 @@ def normalise(
 ) -> Float[Array, "*batch size"]:
     """Shifts and scales samples to mean 0 and variance 1, clipped to +-`limit`.
 
-    A component that never varied is divided by 1e-4, not by 0.
+    A component that never varied is divided by 1e-4 instead of 0.
     """
     leading = tuple(range(samples.ndim - 1))
     mean = jnp.expand_dims(moments.mean, leading)

@@ -1,4 +1,4 @@
-"""Trained policies: pure functions from observations to actions that are pytrees."""
+"""Trained policies: pytrees that are pure functions from observations to actions."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ ACTIVATIONS = {
 }
 """Activation functions by name, without a framework."""
 OUTPUTS = {"clip": lambda x: jnp.clip(x, -1, 1), "tanh": jnp.tanh}
-"""Bounds of actions by name."""
+"""Functions that bound actions, by name."""
 
 
 class Policy(Protocol):
     """Deterministic policy: observation -> action in [-1, 1].
 
-    A pytree of plain arrays, callable, made by an `Algorithm`. Where it has an
-    attribute `action_repeat`, evaluations and replays hold its actions for so many
-    control steps.
+    A callable pytree of plain arrays, made by an `Algorithm`. If it has an attribute
+    `action_repeat`, evaluations and replays hold its actions for that number of control
+    steps.
     """
 
     def __call__(
@@ -39,17 +39,17 @@ class MLPPolicy:
     """Multilayer perceptron on normalised observations; needs no framework."""
 
     moments: RunningMoments
-    """Mean and variance that observations are normalised by."""
+    """Mean and variance for normalising observations."""
     limit: Float[Array, ""]
-    """Normalised observations are clipped to +- this."""
+    """Bound to which normalised observations are clipped, either way."""
     layers: tuple[tuple[Array, Array], ...]
-    """(kernel, bias) of each layer, kernel of shape (inputs, outputs)."""
+    """Pairs (kernel, bias) of the layers, kernels of shape (inputs, outputs)."""
     activation: str = static(default="tanh")
-    """A name in `ACTIVATIONS`, between the layers."""
+    """Activation between the layers, a name in `ACTIVATIONS`."""
     output: str = static(default="clip")
-    """A name in `OUTPUTS`: what bounds the action."""
+    """Bound of the action, a name in `OUTPUTS`."""
     action_repeat: int = static(default=1)
-    """Control steps for which an action is to be held, as in training."""
+    """Control steps for which an action is held, as in training."""
 
     def __call__(
         self, observation: Float[Array, "*batch observation"]

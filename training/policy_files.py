@@ -1,9 +1,9 @@
 """Policies as two files without pickle: policy.json and policy.npz.
 
-A multilayer perceptron (format 1) is written so that anything can read it: its layers,
-its activation, its normalisation. Of any other policy (format 2) the arrays are written
-under their paths in the pytree; what they are put back into is made by the code that
-trained it, see `load_policy`.
+A multilayer perceptron (format 1) is written so that any program can read it: its
+layers, its activation, its normalisation. Any other policy (format 2) is written as
+arrays under their paths in the pytree. To read it, the code that trained it must make a
+policy of the same structure, see `load_policy`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from jaxrod.training.normalisation import RunningMoments
 from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy
 
 PERCEPTRON, PYTREE = 1, 2
-"""Formats of the files; there will be others when their meaning changes."""
+"""Formats of the files; a new meaning gets a new number."""
 
 _ROOT = "policy"
 _MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
@@ -48,11 +48,11 @@ _MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
 def save_policy(
     policy: Any, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> None:
-    """Writes `policy.json` (what it is) and `policy.npz` (its numbers).
+    """Writes `policy.json` (the description) and `policy.npz` (the numbers).
 
     Args:
         policy: An `MLPPolicy`, or any other pytree of arrays.
-        folder: Made if missing.
+        folder: Folder of the files; created if missing.
         about: Further facts for the JSON file, such as the task.
     """
     folder = Path(folder)
@@ -73,18 +73,18 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
     """Reads a policy written by `save_policy`.
 
     Args:
-        folder: That of the policy.
+        folder: Folder of the policy.
         like: A policy of the same structure, whose numbers do not matter; see
-            `jaxrod.training.untrained_policy`. Only needed for what is no
+            `jaxrod.training.untrained_policy`. Only needed for policies other than
             `MLPPolicy`. `jaxrod.training.restore_policy` makes it from a run.
 
     Returns:
         An `MLPPolicy`, or a policy like `like`.
 
     Raises:
-        ValueError: The folder holds no policy, or one of another format or structure,
-            or a file is damaged or holds what no policy can be; with the name of the
-            file.
+        ValueError: The folder holds no policy, or one of another format or structure;
+            or a file is damaged or holds something that cannot be a policy. The message
+            names the file.
     """
     folder = Path(folder)
     texts, numbers = folder / "policy.json", folder / "policy.npz"
@@ -126,7 +126,7 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
         ),
         activation=description["activation"],
         output=description["output"],
-        # Policies written before it was told decided at every control step.
+        # Policies from before this entry existed decided at every control step.
         action_repeat=description.get("action_repeat", 1),
     )
 
@@ -167,13 +167,13 @@ def _pytree(policy: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
-    """A policy of the structure of another one, with the numbers of a file.
+    """A policy with the structure of another policy and the numbers of a file.
 
-    Of floating-point numbers the width may be another one: policies are evaluated in
-    other precisions than they were trained in.
+    The floating-point precision may differ: policies may be evaluated in another
+    precision than they were trained in.
 
     Raises:
-        ValueError: They are not the numbers of such a policy.
+        ValueError: The numbers do not fit such a policy.
     """
     leaves = named_leaves(like, _ROOT)
     for name in leaves.keys() & arrays.keys():
@@ -200,7 +200,7 @@ def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
 
 
 def _kind(array: Any) -> str:
-    """Kind and shape of an array, whatever its precision."""
+    """Kind and shape of an array, without its precision."""
     return f"{np.dtype(array.dtype).name.rstrip('0123456789')}{list(array.shape)}"
 
 

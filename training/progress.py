@@ -1,4 +1,4 @@
-"""A progress bar on stderr: how far, how fast, what is reached, time left."""
+"""A progress bar on stderr: progress, speed, result so far, time left."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _WIDTH = 24
 
 
 class ProgressBar:
-    """Shows how far a run or an optimisation is.
+    """Shows the progress of a run or an optimisation.
 
-    On a terminal one line is redrawn; elsewhere (a notebook, a log file) a line is
+    On a terminal one line is redrawn. Elsewhere (a notebook, a log file) a line is
     printed whenever another tenth is done or half a minute has passed.
     """
 
@@ -29,11 +29,11 @@ class ProgressBar:
         """Starts the clock.
 
         Args:
-            total: The most there will be to do.
-            unit: What is counted, in the plural.
-            done: How many are done before the clock is started.
-            enabled: False shows nothing.
-            stream: Where to write; stderr by default.
+            total: Largest possible count.
+            unit: Name of the counted things, in the plural.
+            done: Count before the clock starts.
+            enabled: Whether anything is shown.
+            stream: Output stream; stderr by default.
         """
         self._total = total
         self._unit = unit
@@ -46,15 +46,15 @@ class ProgressBar:
         self.restart()
 
     def restart(self) -> None:
-        """Starts the clock anew: what took time so far was not what is counted."""
+        """Restarts the clock: the time so far was spent on other work."""
         self._began = self._printed = time.monotonic()
 
     def update(self, done: int, reached: str) -> None:
-        """Shows the state.
+        """Shows the current progress.
 
         Args:
-            done: How many are done.
-            reached: What is reached, in words.
+            done: Current count.
+            reached: Result so far, in words.
         """
         if not self._enabled:
             return
@@ -71,7 +71,7 @@ class ProgressBar:
             self._write(line + "\n")
 
     def message(self, text: str) -> None:
-        """Says something on a line of its own."""
+        """Prints a message on a line of its own."""
         if self._enabled:
             self.close()
             self._write(text + "\n")
@@ -91,11 +91,11 @@ def progress_line(done: int, total: int, unit: str, rate: float, reached: str) -
     """The text of the bar.
 
     Args:
-        done: How many are done.
-        total: The most there will be.
-        unit: What is counted, in the plural.
-        rate: How many a second; 0 before it is known.
-        reached: What is reached, in words.
+        done: Current count.
+        total: Largest possible count.
+        unit: Name of the counted things, in the plural.
+        rate: Counts per second; 0 if it is not known yet.
+        reached: Result so far, in words.
     """
     filled = min(_WIDTH, _WIDTH * done // total)
     bar = "#" * filled + "-" * (_WIDTH - filled)

@@ -14,7 +14,7 @@ class EpisodeLog:
 
     Attributes:
         returns: Sums of the rewards.
-        lengths: Control steps.
+        lengths: Numbers of control steps.
         flagged: Whether a numerical health flag ended the episode.
     """
 
@@ -35,13 +35,13 @@ class EpisodeLog:
 
         Args:
             records: On the host, shape (capacity, steps, num_envs).
-            updates: Number of the chunk's updates that were done.
+            updates: Number of completed updates of the chunk.
             env_steps: Control steps of the run when the chunk ended.
 
         Returns:
             The new episodes, as rows of a table.
         """
-        # Indices come in order of update, then step, then environment.
+        # The indices are sorted by update, then step, then environment.
         where = np.nonzero(records.finished[:updates])
         returns = [float(x) for x in records.episode_return[where]]
         lengths = [int(x) for x in records.length[where]]
@@ -60,20 +60,20 @@ class EpisodeLog:
         ]
 
     def restore(self, rows: list[dict[str, str]]) -> None:
-        """Takes the episodes from a table written before."""
+        """Restores the episodes from a table that was written earlier."""
         self.returns = [float(row["episode_return"]) for row in rows]
         self.lengths = [int(row["length"]) for row in rows]
         self.flagged = [row["flagged"] == "1" for row in rows]
 
     def recent(self, window: int) -> float | None:
-        """Mean return of the last `window` episodes, None before any.
+        """Mean return of the last `window` episodes, None before the first.
 
-        With the window of the benchmark (50 episodes of a seed) this is at the
-        end of a run the published final score.
+        With the benchmark's window (50 episodes per seed) this is the published final
+        score at the end of a run.
         """
         return float(np.mean(self.returns[-window:])) if self.returns else None
 
     @property
     def flagged_fraction(self) -> float:
-        """Fraction of the episodes that a health flag ended; 0 before any."""
+        """Fraction of the episodes that a health flag ended; 0 before the first."""
         return float(np.mean(self.flagged)) if self.flagged else 0.0

@@ -1,4 +1,4 @@
-"""The settings that all learners have, and the checks of settings.
+"""The settings that all learners share, and checks of settings.
 
 Checks run on the host, before anything is compiled.
 """
@@ -14,67 +14,67 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import check_count
 
 Scalar = float | Float[Array, ""]
-"""A number of a configuration, before and after it is traced."""
+"""A number of a configuration, before or after it is traced."""
 
 NetworkFactory = Callable[[str, int], Any]
-"""Makes networks of a user's own: `(role, output_size) -> flax module`."""
+"""Factory of a user's own networks: `(role, output_size) -> flax module`."""
 
 Settings = Any
-"""A configuration: a pytree with the fields that are named."""
+"""A configuration: a pytree with the named fields."""
 
 
 @pytree
 class LearnerConfig:
-    """Settings common to all learners. Numbers are traced: changing them is free.
+    """Settings common to all learners. Numbers are traced, so changes are cheap.
 
-    Learners have defaults of their own for some of these.
+    Learners have their own defaults for some of these.
     """
 
     num_envs: int = static(default=128)
-    """Environments acting side by side."""
+    """Number of environments that run in parallel."""
     rollout_steps: int = static(default=128)
     """Decisions of each environment in one update."""
     action_repeat: int = static(default=1)
     """Control steps for which every action is held."""
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
-    """Widths of the hidden layers of all networks but your own."""
+    """Widths of the hidden layers of all built-in networks."""
     network: NetworkFactory | None = static(default=None)
-    """Factory of networks of your own, `(role, output_size) -> flax module`; `None` for
+    """Factory of your own networks, `(role, output_size) -> flax module`; `None` for
     multilayer perceptrons. The role is "policy" (observation -> action) or "critic"
-    (observation -> value; in SAC, TD3 and DDPG observation and action, one after the
-    other); SAC asks for twice as many outputs of a policy as there are actions, means
-    first."""
+    (observation -> value; in SAC, TD3 and DDPG observation and action, concatenated).
+    SAC requires twice as many outputs of a policy as there are actions, means first."""
     spread_phases: bool = static(default=True)
     """Whether the first episodes start in mid-course, see
     `jaxrod.envs.VectorEnvironment`."""
     discount: Scalar = 0.99
     """Discount factor gamma, per decision."""
     reward_scale: Scalar = 0.1
-    """Factor of the rewards before they are learned."""
+    """Factor by which rewards are scaled for learning."""
     observation_limit: Scalar = 10.0
     """Bound to which normalised observations are clipped."""
     short_steps: Scalar = 0.0
-    """Control steps of the run in which episodes are cut short, see
+    """Control steps from the start of the run during which episodes are cut short, see
     `jaxrod.training.short_episodes`."""
     short_length: Scalar = 500.0
-    """Control steps of such an episode."""
+    """Control steps of an episode that is cut short."""
 
 
 WIDEST_LAYER = 16_384
-"""Units of a hidden layer: weights from one such layer to the next take 1 GB."""
+"""Largest number of units of a hidden layer: weights between two such layers take 1
+GB."""
 
 MOST_LAYERS = 1_000
-"""Hidden layers: as many as the file of a policy holds."""
+"""Largest number of hidden layers that the file of a policy can hold."""
 
 LARGEST_COUNT = 2**31 - 1
-"""Updates, sizes and turns of loops are counted in 32 bits."""
+"""Largest count of updates, sizes and loop iterations, which are 32-bit integers."""
 
 
 def check_steps(steps: int, per_update: int) -> int:
     """Number of updates in a number of control steps, rounded up.
 
     Raises:
-        ValueError: They are not one update, or more than can be counted.
+        ValueError: They are less than one update, or too many to count.
     """
     if steps < per_update:
         raise ValueError(
@@ -90,22 +90,22 @@ def check_steps(steps: int, per_update: int) -> int:
 
 
 def check_counts(config: Settings, *names: str) -> None:
-    """Raises ValueError unless every one of these is an integer of at least 1."""
+    """Raises ValueError unless each named setting is an integer of at least 1."""
     for name in names:
         _check_size(name, getattr(config, name))
 
 
 def _check_size(name: str, value: Any) -> None:
-    """Raises ValueError unless it is an integer that a loop or an array can have."""
+    """Raises ValueError unless it is a valid size of a loop or an array."""
     if check_count(name, value, 1) > LARGEST_COUNT:
         raise ValueError(f"{name} must be at most {LARGEST_COUNT}, got {value}")
 
 
 def check_learner(config: LearnerConfig, num_devices: int) -> None:
-    """Checks what every learner has.
+    """Checks the settings that all learners share.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_counts(config, "num_envs", "rollout_steps", "action_repeat")
     check_fractions(config, "discount")
@@ -137,7 +137,7 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
 
 
 def check_fractions(config: Settings, *names: str) -> None:
-    """Raises ValueError unless every one of these is between 0 and 1."""
+    """Raises ValueError unless each named setting is between 0 and 1."""
     for name in names:
         number = float(getattr(config, name))
         if not 0 <= number <= 1:
@@ -145,7 +145,7 @@ def check_fractions(config: Settings, *names: str) -> None:
 
 
 def check_positive(config: Settings, *names: str) -> None:
-    """Raises ValueError unless every one of these is positive and finite."""
+    """Raises ValueError unless each named setting is positive and finite."""
     for name in names:
         number = float(getattr(config, name))
         if not 0 < number < float("inf"):
@@ -153,7 +153,7 @@ def check_positive(config: Settings, *names: str) -> None:
 
 
 def check_not_negative(config: Settings, *names: str) -> None:
-    """Raises ValueError unless every one of these is finite and not negative."""
+    """Raises ValueError unless each named setting is finite and not negative."""
     for name in names:
         number = float(getattr(config, name))
         if not 0 <= number < float("inf"):
@@ -161,7 +161,7 @@ def check_not_negative(config: Settings, *names: str) -> None:
 
 
 def check_finite(config: Settings, *names: str) -> None:
-    """Raises ValueError unless every one of these is finite."""
+    """Raises ValueError unless each named setting is finite."""
     for name in names:
         number = float(getattr(config, name))
         if not abs(number) < float("inf"):

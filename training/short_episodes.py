@@ -1,9 +1,9 @@
 """Episodes cut short in the first part of a run.
 
-Where what decides an episode happens in its first moments, a learner that always waits
-for the end has few first moments to learn from: half a million control steps are 140
-episodes of Case 3. Episodes that are cut short are truncated, not terminated, and are
-left out of the score.
+If the first moments of an episode decide its outcome, a learner that always waits for
+the end sees few first moments: half a million control steps are 140 episodes of Case 3.
+Episodes that are cut short are truncated, not terminated, and do not count for the
+score.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from jaxrod.training.algorithm import steps_per_update
 def restart_phase(
     env: Environment, config: Any, updates: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """Start of the clock of episodes that start now [control steps].
+    """Initial clock of the episodes that start now [control steps].
 
     Args:
         env: The environment.
-        config: A configuration with the numbers `short_length`, the control steps of a
-            short episode, and `short_steps`, until when episodes are short.
-        updates: Updates of the run so far.
+        config: Configuration with the numbers `short_length`, the control steps of a
+            short
+            episode, and `short_steps`, the control steps until which episodes are
+            short.
+        updates: Number of updates of the run so far.
     """
     phase = jnp.maximum(env.episode_length - config.short_length, 0)
-    # Updates are compared, not control steps: these outgrow their integers.
+    # Updates are compared, not control steps, which would overflow their integers.
     short = updates < config.short_steps / steps_per_update(config)
     return jnp.where(short, phase, 0).astype(jnp.int32)

@@ -21,12 +21,12 @@ def actuated_arm(
 ) -> ActuatedArm:
     """The benchmark's soft arm under the consistent law, straight and at rest.
 
-    1 m long, 5 cm in radius, 1000 kg/m^3, 10 MPa and incompressible, clamped at the
-    origin and pointing along +y, in a viscous medium.
+    It is 1 m long, 5 cm in radius, with 1000 kg/m^3, 10 MPa, and incompressible. It is
+    clamped at the origin, points along +y, and is in a viscous medium.
 
     Args:
         n_elements: Number of elements, at least 2.
-        n_controls: Control points along the arm, per direction.
+        n_controls: Number of control points along the arm, per direction.
         couple_density: Couple per rest length for a control value of one [N m/m].
         viscosity: Force per length and speed [kg/(m s)], and couple per length and
             spin [kg m/s].

@@ -1,1 +1,1 @@
-"""The learners, and what they are made of."""
+"""The learners and their building blocks."""

@@ -19,12 +19,12 @@ from jaxrod.training.networks import check_outputs, initial_weights, make_networ
 from jaxrod.training.settings import LearnerConfig, Scalar
 
 ACTIVATION = "relu"
-"""Activation of all hidden layers, as in the reference implementation."""
+"""Activation function of all hidden layers, as in the reference implementation."""
 
 
 @pytree
 class Learner:
-    """Weights and optimiser states that gradient steps change."""
+    """Weights and optimiser states, which gradient steps change."""
 
     weights: dict[str, Any]
     """Weights of the networks and other learned numbers, by name."""
@@ -35,7 +35,7 @@ class Learner:
 def policy_network(
     config: LearnerConfig, output_size: int, dtype: DTypeLike
 ) -> nn.Module:
-    """The policy network; weights come from the train state."""
+    """The policy network, without weights; they are in the train state."""
     return make_network(
         config, "policy", output_size, activation=ACTIVATION, dtype=dtype
     )
@@ -48,7 +48,7 @@ def initial_policy(
     output_size: int,
     dtype: DTypeLike,
 ) -> Any:
-    """Weights of the policy network."""
+    """Initial weights of the policy network."""
     dummy = jnp.zeros(env.observation_size, dtype)
     network = policy_network(config, output_size, dtype)
     weights = initial_weights(network, key, dummy)
@@ -62,7 +62,7 @@ def critic_values(
     observation: Float[Array, "batch observation"],
     action: Float[Array, "batch action"],
 ) -> Float[Array, "critics batch"]:
-    """Values of the actions by every critic."""
+    """Values of the actions from every critic."""
     inputs = jnp.concatenate([observation, action], axis=-1)
     network = _critic_network(config, inputs.dtype)
     values = [network.apply({"params": w}, inputs)[:, 0] for w in weights]
@@ -76,7 +76,7 @@ def initial_critics(
     count: int,
     dtype: DTypeLike,
 ) -> tuple[Any, ...]:
-    """Weights of `count` independent critics."""
+    """Initial weights of `count` independent critics."""
     dummy = jnp.zeros(env.observation_size + env.action_size, dtype)
     network = _critic_network(config, dtype)
     keys = jax.random.split(key, count)
@@ -94,18 +94,18 @@ def critic_loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
 
-    The target is r + gamma V', and V' is 0 only where the task ended: an episode cut
-    short is continued by the value of its final observation.
+    The target is r + gamma V'. V' is 0 only where the task ended: an episode that was
+    cut short continues with the value of its final observation.
 
     Args:
-        weights: Of the critics.
-        config: Of the learner; it says what networks the critics are.
-        transition: A batch.
-        next_value: V', the value of what follows; no gradient goes through it.
-        discount: Gamma.
+        weights: Weights of the critics.
+        config: Configuration of the learner, which determines the critics' networks.
+        transition: A batch of transitions.
+        next_value: Value V' of the next observation; no gradient flows through it.
+        discount: Discount factor gamma.
 
     Returns:
-        The loss, and what to report of it.
+        The loss, and its terms for the report.
     """
     next_value = jnp.where(transition.terminated, 0, next_value)
     target = jax.lax.stop_gradient(transition.reward + discount * next_value)
@@ -132,7 +132,7 @@ def apply_gradient(
 
 
 def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
-    """Moves the weights called `target` by `rate` of the way to those of `name`."""
+    """Moves the weights called `target` towards those of `name` by a share `rate`."""
     moved = jax.tree.map(
         lambda old, new: old + rate * (new - old),
         learner.weights[target],
@@ -142,7 +142,7 @@ def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Lea
 
 
 def optimiser() -> optax.GradientTransformation:
-    """Adam's direction; the step size comes later."""
+    """Adam's direction; the step size is applied later."""
     return optax.scale_by_adam()
 
 

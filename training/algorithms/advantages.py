@@ -21,21 +21,21 @@ def generalised_advantages(
 ) -> Float[Array, "steps *batch"]:
     """Advantages A_t = sum_k (gamma lambda)^k delta_(t+k) within each episode.
 
-    delta_t = r_t + gamma V'_t - V_t, where V'_t, the value of what follows step
-    t, is 0 if the task ended there (`terminated`), the value of the final
-    observation if the episode was only cut short (`done` but not terminated),
-    and V_(t+1) otherwise. The sum stops where `done`.
+    delta_t = r_t + gamma V'_t - V_t. V'_t is the value of the state after step t. It is
+    0 if the task ended there (`terminated`), the value of the final observation if the
+    episode was only cut short (`done` but not terminated), and V_(t+1) otherwise. The
+    sum stops where `done`.
 
     Args:
         reward: Reward of each step.
-        value: Value of the observation each step acted on.
+        value: Value of the observation that each step acted on.
         last_value: Value of the observation after the last step.
-        final_value: Value of the observation each step ended on, before any
-            restart; read only where an episode was cut short.
-        terminated: The task ended in this step.
-        done: The episode ended in this step, for whatever reason.
-        discount: Gamma in [0, 1].
-        trace_decay: Lambda in [0, 1].
+        final_value: Value of the observation at the end of each step, before any
+            restart; used only where an episode was cut short.
+        terminated: Whether the task ended in this step.
+        done: Whether the episode ended in this step, for whatever reason.
+        discount: Discount factor gamma in [0, 1].
+        trace_decay: Trace decay lambda in [0, 1].
 
     Source: Schulman et al., "High-dimensional continuous control using
     generalized advantage estimation", 2016; Pardo et al., "Time limits in
@@ -63,8 +63,8 @@ def standardised(
     """Shifts and scales advantages to mean 0 and variance 1.
 
     Args:
-        advantage: Of any shape.
-        axes: Axes that are taken together.
+        advantage: Advantages of any shape.
+        axes: Axes over which mean and variance are taken.
         axis_name: Mapped axis over which the environments are spread, if any.
     """
 

@@ -1,8 +1,8 @@
-"""Learning on policy that begins with a policy there is, instead of with chance.
+"""On-policy learning that starts from an existing policy instead of a random one.
 
-What imitates a planner is bound by what the planner's cost tells and by what is
-observed; what climbs rewards takes long to find the first of them. One after the other
-has neither trouble.
+Imitating a planner is limited by what the planner's cost contains and by what is
+observed. Climbing rewards takes long to find the first of them. One after the other has
+neither problem.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from jaxrod.training.networks import layers
 from jaxrod.training.policy import MLPPolicy
 
 OUTPUT = "clip"
-"""How actions of all on-policy learners are bounded."""
+"""Bound of the actions of all on-policy learners."""
 
 
 def beginning_with(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
-    """A learner whose first policy is one that was learned before.
+    """A learner whose initial policy is one that was learned before.
 
-    The network, the moments and the bound of its observations are the policy's, so
-    that without noise it acts as it did if actions are held as long. Noise is the
-    configuration's: `initial_log_std` should be far below 0, or the first
-    updates forget what was known. The value network begins anew.
+    The network, the observation moments and their bound are the policy's. So without
+    noise it acts as before, if actions are held as long. The noise is the
+    configuration's: `initial_log_std` should be far below 0, or the first updates
+    destroy what was learned. The value network starts from scratch.
 
     Args:
         algorithm: `PPO` or `TRPO`, whose configuration must have the policy's
             `hidden_sizes`.
-        policy: What to begin with, of the same task.
+        policy: The initial policy, for the same task.
 
     Raises:
-        ValueError: The policy is no perceptron, or not of the kind these learn;
-            when the run begins, that the algorithm does not learn on policy, or that
+        ValueError: The policy is no perceptron, or not of the kind that these
+            algorithms learn. When the run begins: the algorithm is not on-policy, or
             sizes differ.
     """
     if not isinstance(policy, MLPPolicy):
@@ -75,7 +75,7 @@ def beginning_with(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
 
 
 def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
-    """The train state with the policy's network, moments and bound."""
+    """The train state with the policy's network, moments and observation bound."""
     if state.config.network is not None:
         raise ValueError("network must be None to begin with an MLPPolicy")
     weights: dict[str, Any] = dict(state.weights)

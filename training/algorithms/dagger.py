@@ -1,14 +1,14 @@
-r"""DAgger: a network learns to act as a planner would, where the network leads.
+r"""DAgger: a network learns to act like a planner, in the states that it visits.
 
-The policy acts, at first the planner instead in a share of decisions; in every state
-that is visited the planner says what it would do, beginning from what the policy does
-(`jaxrod.training.algorithms.held_plan`); and the network is fitted to all that was said
-so far, by least squares. The planner sees the whole state and differentiates the
-simulation, the policy is a function of the observation: what the planner says on
-grounds that are not observed is averaged over.
+The policy acts; at first the planner acts instead in a share of the decisions. In every
+visited state the planner computes its own action, starting from the policy's action
+(`jaxrod.training.algorithms.held_plan`). The network is fitted by least squares to all
+of the planner's actions so far. The planner sees the whole state and differentiates the
+simulation; the policy is a function of the observation. So the fit averages over
+everything that the planner uses but that is not observed.
 
-A planner that is no wiser than its cost teaches no more. What a reward pays for and the
-task's cost does not tell is not learned; no reward is used.
+A planner knows only its cost, so it cannot teach more. Goals that are in the reward but
+not in the task's cost are not learned; no reward is used.
 
 Source: Ross, Gordon & Bagnell, "A reduction of imitation learning and structured
 prediction to no-regret online learning", 2011.
@@ -51,7 +51,7 @@ from jaxrod.training.short_episodes import restart_phase
 def update(
     state: DAggerState, axis_name: str | None = None
 ) -> tuple[DAggerState, Metrics]:
-    """One update: act and be advised, then fit.
+    """One update: act and collect the planner's actions, then fit.
 
     Args:
         state: The train state.
@@ -63,7 +63,7 @@ def update(
     plans = config.num_envs * config.rollout_steps * config.plan_iterations
     report |= {
         "fit_error": fitted,
-        # Beside those that are acted: of the model, all devices together.
+        # In addition to the acted steps: steps of the model, over all devices.
         "model_steps": jnp.asarray(plans * PASSES * config.lookahead, fitted.dtype),
     }
     return dataclasses.replace(state, updates=state.updates + 1), Metrics(
@@ -74,7 +74,7 @@ def update(
 def _act(
     state: DAggerState, axis_name: str | None
 ) -> tuple[DAggerState, dict[str, Array], EpisodeRecord]:
-    """Acts, asks the planner in every decision, and remembers what it says."""
+    """Acts, asks the planner in every decision, and stores its actions."""
     config: DAggerConfig = state.config
     environment, model = VectorEnvironment(state.env), model_of(state.env)
     policy = network_policy(state)
@@ -133,7 +133,7 @@ def _act(
 def _fit(
     state: DAggerState, axis_name: str | None
 ) -> tuple[DAggerState, Float[Array, ""]]:
-    """Gradient steps on the squared distance from what the planner said; its mean."""
+    """Gradient steps on the squared distance from the planner; returns its mean."""
     config: DAggerConfig = state.config
     dtype = state.environments.observation.dtype
     network = policy_network(state.env, config, dtype)
@@ -167,10 +167,10 @@ def _fit(
 
 
 def _planner_share(state: DAggerState) -> Float[Array, ""]:
-    """Share of the decisions that the planner acts."""
+    """Share of the decisions in which the planner acts."""
     config = state.config
     dtype = state.environments.observation.dtype
-    # Updates are compared, not control steps: these outgrow their integers.
+    # Updates are compared, not control steps, which would overflow their integers.
     until = config.planner_steps / steps_per_update(config)
     return jnp.clip(1 - state.updates.astype(dtype) / jnp.maximum(until, 1), 0, 1)
 

@@ -1,4 +1,4 @@
-"""The settings and the state of DAgger: everything but its updates."""
+"""The settings and the state of DAgger, without its updates."""
 
 from __future__ import annotations
 
@@ -38,14 +38,15 @@ from jaxrod.training.settings import (
 from jaxrod.training.short_episodes import restart_phase
 
 ACTIVATION = "tanh"
-"""Of all hidden layers."""
+"""Activation function of all hidden layers."""
 
 
 @pytree
 class DAggerConfig(LearnerConfig):
-    """Settings of DAgger, beside those of `LearnerConfig`.
+    """Settings of DAgger; more are in `LearnerConfig`.
 
-    Rewards are not learned from: `discount` and `reward_scale` must stay as they are.
+    It does not learn from rewards: `discount` and `reward_scale` must keep their
+    defaults.
     """
 
     num_envs: int = static(default=64)
@@ -55,37 +56,37 @@ class DAggerConfig(LearnerConfig):
     lookahead: int = static(default=32)
     """Control steps for which the planner holds an action, and looks ahead."""
     plan_iterations: int = static(default=1)
-    """Gauss-Newton steps of the planner from what the policy does."""
+    """Gauss-Newton steps of the planner, starting from the policy's action."""
     gradient_steps: int = static(default=128)
     """Gradient steps of one update."""
     batch_size: int = static(default=256)
     """Decisions of one gradient step, a multiple of `num_envs`."""
     buffer_size: int = static(default=200_000)
-    """Decisions remembered, at most."""
+    """Largest number of decisions in memory."""
     effort: Scalar = 1e-2
-    """What the planner pays for the mean squared action."""
+    """Cost of the mean squared action for the planner."""
     planner_steps: Scalar = 300_000.0
-    """Control steps of the run over which the share of decisions that the planner acts
-    falls from 1 to 0, linearly."""
+    """Control steps of the run over which the share of decisions in which the planner
+    acts falls from 1 to 0, linearly."""
     learning_rate: Scalar = 1e-3
-    """Step size of Adam at the start."""
+    """Initial step size of Adam."""
     final_learning_rate: Scalar = 1e-4
-    """Step size at the end, reached linearly."""
+    """Final step size, reached linearly."""
 
 
 @pytree
 class Advice:
-    """What the planner says; leading axes as the context says."""
+    """Actions of the planner; leading axes depend on the context."""
 
     observation: Float[Array, "*batch observation"]
-    """What was seen, not normalised."""
+    """Observation, not normalised."""
     action: Float[Array, "*batch action"]
-    """What the planner would do."""
+    """Action of the planner."""
 
 
 @pytree
 class DAggerState:
-    """Everything a run is: save it, and it continues bit by bit."""
+    """Complete state of a run: a run restored from it continues bit by bit."""
 
     env: Environment = static()
     """The environment."""
@@ -94,7 +95,7 @@ class DAggerState:
     env_params: Any
     """Parameters of the environment."""
     weights: Any
-    """Of the policy network."""
+    """Weights of the policy network."""
     optimiser: Any
     """State of the optimiser."""
     moments: RunningMoments
@@ -102,20 +103,20 @@ class DAggerState:
     environments: VectorState
     """State of the batch of environments."""
     advice: Replay
-    """All that the planner said, the oldest forgotten first."""
+    """Actions of the planner so far; the oldest are overwritten first."""
     keys: Key[Array, " num_envs"]
-    """One key for every environment: of who acts, and of samples."""
+    """One key per environment, for the choice of who acts and for the samples."""
     updates: Int[Array, ""]
-    """Updates done."""
+    """Number of updates so far."""
     total_updates: Int[Array, ""]
-    """Updates of the whole run."""
+    """Number of updates of the whole run."""
 
 
 def validate(config: DAggerConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_learner(config, num_devices)
     check_counts(
@@ -155,17 +156,17 @@ def init(
     env_params: Any = None,
     total_steps: int | Int[Array, ""] = 1_000_000,
 ) -> DAggerState:
-    """The train state before the first update; pure, so `vmap` it over keys.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment, a `jaxrod.envs.Plannable`.
-        config: Settings; `vmap` over their numbers works too.
-        env_params: Parameters of the environment, None for its own.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the learning rate falls.
 
     Raises:
-        ValueError: The environment cannot be planned with.
+        ValueError: The environment is not plannable.
     """
     model_of(env)
     env = repeating(env, config.action_repeat)
@@ -183,7 +184,7 @@ def init(
         spread_phases=config.spread_phases,
         phase=restart_phase(env, config, 0),
     )
-    # Whole rollouts, so that a block never runs over the end.
+    # Whole rollouts, so that a block never crosses the end of the ring.
     rollouts = config.buffer_size // (config.num_envs * config.rollout_steps)
     shape = (rollouts * config.rollout_steps, config.num_envs)
     advice = Advice(
@@ -206,7 +207,7 @@ def init(
 
 
 def policy_network(env: Environment, config: DAggerConfig, dtype: Any) -> Any:
-    """The policy network; weights come from the train state."""
+    """The policy network, without weights; they are in the train state."""
     size = env.action_size
     return make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
 
@@ -236,8 +237,8 @@ def network_policy(state: DAggerState) -> Policy:
 
 
 def partition(state: DAggerState) -> DAggerState:
-    """Environments and what was said of them are spread over the devices."""
-    # Tree prefixes: each stands for all leaves of what has another type.
+    """Environments and the planner's actions are split over the devices."""
+    # Tree prefixes: each stands for all leaves below, though their types differ.
     repeated: Any = PartitionSpec()
     spread: Any = PartitionSpec(DEVICE_AXIS)
     memory: Any = PartitionSpec(None, DEVICE_AXIS)

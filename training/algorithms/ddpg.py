@@ -1,4 +1,4 @@
-"""Deep deterministic policy gradients: TD3 without its three precautions.
+"""Deep deterministic policy gradients: TD3 without its three safeguards.
 
 Source: Lillicrap et al., "Continuous control with deep reinforcement learning", 2016.
 """
@@ -16,7 +16,7 @@ from jaxrod.training.settings import Scalar
 class DDPGConfig(TD3Config):
     """Settings of DDPG: those of TD3 with one critic, no delay and no target smoothing.
 
-    What the settings mean is said in `jaxrod.training.TD3Config`.
+    `jaxrod.training.TD3Config` describes the settings.
     """
 
     policy_delay: int = static(default=1)

@@ -1,15 +1,16 @@
-r"""Actions made better by the model: what a planner would do instead.
+r"""Actions improved by the model: what a planner would do instead.
 
-A plan of one action $u$ in [-1, 1], held for some control steps, from the state $x$ on:
+The plan is one action $u$ in [-1, 1], held for some control steps, from the state $x$
+on:
 
 $$\min_u |r(x_h(u))|^2 + e |u|^2$$
 
-with the environment's residuals $r$ at the end, and a small effort $e$, which chooses
-among the many actions that do it: a plan of `jaxrod.control.mpc` with one step, as a
-function of where to begin. Being so short a plan it is cheap, a backward pass for each
-of the few residuals, and nearly a function of the state, so that a network can learn
-it; planned anew before it is acted out it earns nearly what a line of actions through
-several knots does (docs/optimum.md).
+with the environment's residuals $r$ at the end, and a small effort $e$, which selects
+one of the many actions that reach the goal. It is a plan of `jaxrod.control.mpc` with
+one step, as a function of its starting point. Such a short plan is cheap: one backward
+pass for each of the few residuals. It is nearly a function of the state, so a network
+can learn it. If it is recomputed before it has run out, it earns nearly as much as
+actions that are linear between several knots (docs/optimum.md).
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from jaxrod.envs import Environment
 from jaxrod.envs.action_repeat import ActionRepeat
 
 PASSES = 4
-"""Times that an iteration runs the model forward: at the action, at three others."""
+"""Forward runs of the model per iteration: one at the action, three at others."""
 
 
 def model_of(env: Environment) -> Any:
-    """The environment as a model of itself.
+    """The environment as its own model.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The environment is not plannable.
     """
     model = env.env if isinstance(env, ActionRepeat) else env
     check_model(model, ("predict", "residuals"))
@@ -49,18 +50,18 @@ def better_actions(
     effort: Array,
     iterations: int,
 ) -> tuple[Float[Array, "batch action"], Float[Array, " batch"]]:
-    """Actions after Gauss-Newton steps from those given, and what they cost.
+    """Actions after Gauss-Newton steps from the given actions, and their costs.
 
-    Where a step makes nothing better, or the model breaks, an action is left as it is.
+    An action is left unchanged if a step brings no improvement or the model breaks.
 
     Args:
         model: An environment with `predict` and `residuals`.
         params: Its parameters.
-        states: Its states, every leaf with the batch in front.
-        actions: Where to begin, in [-1, 1].
+        states: States of the environment; every leaf has a leading batch axis.
+        actions: Initial actions, in [-1, 1].
         lookahead: Control steps for which an action is held.
         effort: Cost of the mean squared action.
-        iterations: Steps of the method.
+        iterations: Number of Gauss-Newton steps.
     """
     cost = PlanCost(
         params=params,

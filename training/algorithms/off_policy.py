@@ -1,10 +1,9 @@
-"""Common parts of SAC, TD3 and DDPG: everything but the gradient steps.
+"""Common parts of SAC, TD3 and DDPG: all but the gradient steps.
 
-An update makes `rollout_steps` decisions in every environment, remembers them, and
-then makes `gradient_steps` gradient steps, each on a batch drawn from all that is
-remembered. Its update-to-data ratio is
-`gradient_steps / (num_envs * rollout_steps)` gradient steps per decision; a decision is
-one control step, or `action_repeat` of them.
+An update makes `rollout_steps` decisions in every environment and stores them. Then it
+makes `gradient_steps` gradient steps, each on a batch drawn from the whole memory. Its
+update-to-data ratio is `gradient_steps / (num_envs * rollout_steps)` gradient steps per
+decision. A decision is one control step, or `action_repeat` of them.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from jaxrod.training.short_episodes import restart_phase
 
 @pytree
 class OffPolicyConfig(LearnerConfig):
-    """Settings common to SAC, TD3 and DDPG, beside those of `LearnerConfig`.
+    """Settings common to SAC, TD3 and DDPG; more are in `LearnerConfig`.
 
     There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
     by default one for every 16.
@@ -50,28 +49,28 @@ class OffPolicyConfig(LearnerConfig):
 
     rollout_steps: int = static(default=8)
     gradient_steps: int = static(default=64)
-    """Gradient steps of one update, those of the critics."""
+    """Gradient steps of the critics in one update."""
     batch_size: int = static(default=256)
     """Transitions of one gradient step, a multiple of `num_envs`."""
     buffer_size: int = static(default=1_000_000)
-    """Transitions remembered, at most."""
+    """Largest number of transitions in memory."""
     learning_starts: Scalar = 10_000.0
-    """Control steps acted at random before anything is learned."""
+    """Control steps with random actions before learning starts."""
     noise_correlation: Scalar = 0.0
-    """Correlation of the noise of actions from one decision to the next: white at 0,
-    slow near 1, where it explores further. Below 1."""
+    """Correlation of the action noise from one decision to the next: white at 0, slow
+    near 1, where it explores further. Below 1."""
     policy_learning_rate: Scalar = 1e-3
     """Step size of Adam for the policy."""
     critic_learning_rate: Scalar = 1e-3
     """Step size of Adam for the critics."""
     target_rate: Scalar = 0.005
-    """Polyak rate: share of the way by which targets move to the weights they
+    """Polyak rate: share by which target weights move towards the weights that they
     follow."""
 
 
 @pytree
 class OffPolicyState:
-    """Everything an off-policy run is: save it, and it continues bit by bit."""
+    """Complete state of an off-policy run: restored, it continues bit by bit."""
 
     env: Environment = static()
     """The environment."""
@@ -88,15 +87,15 @@ class OffPolicyState:
     replay: Replay
     """Replay buffer."""
     action_keys: Key[Array, " num_envs"]
-    """One key for every environment, for the noise of its actions."""
+    """One key per environment, for the noise of its actions."""
     action_noise: Float[Array, "num_envs action"]
     """Noise of the last decision, standard normal."""
     replay_keys: Key[Array, " num_envs"]
-    """One key for every environment, for the samples drawn from its ring."""
+    """One key per environment, for the samples drawn from its ring."""
     updates: Int[Array, ""]
-    """Updates done."""
+    """Number of updates so far."""
     total_updates: Int[Array, ""]
-    """Updates of the whole run."""
+    """Number of updates of the whole run."""
 
 
 def start(
@@ -112,9 +111,9 @@ def start(
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Of the learner that is made.
-        env_params: Parameters of the environment, None for its own.
-        total_updates: Updates of the whole run.
+        config: Configuration of the learner.
+        env_params: Parameters of the environment, None for its defaults.
+        total_updates: Number of updates of the whole run.
         make_learner: `(key, config, dtype) -> Learner`.
     """
     env = repeating(env, config.action_repeat)
@@ -153,8 +152,8 @@ def start(
 
 
 def partition(state: OffPolicyState) -> OffPolicyState:
-    """Environments and what is remembered of them are spread over the devices."""
-    # Tree prefixes: each stands for all leaves of what has another type.
+    """Environments and their memories are split over the devices."""
+    # Tree prefixes: each stands for all leaves below, though their types differ.
     repeated: Any = PartitionSpec()
     spread: Any = PartitionSpec(DEVICE_AXIS)
     memory: Any = PartitionSpec(None, DEVICE_AXIS)
@@ -201,7 +200,7 @@ def deterministic_policy(state: OffPolicyState, outputs_per_action: int = 1) -> 
 
 
 def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
-    """Raises ValueError if a size or number does not make sense."""
+    """Raises ValueError if a size or number is invalid."""
     check_learner(config, num_devices)
     check_counts(config, "gradient_steps", "batch_size")
     if config.batch_size % config.num_envs:

@@ -36,9 +36,9 @@ class Batch:
     """Transitions and noise of one gradient step."""
 
     transition: Transition
-    """Observations normalised, rewards scaled."""
+    """Transitions with normalised observations and scaled rewards."""
     noise: tuple[Float[Array, "batch action"], ...]
-    """Standard normal noise, as many arrays as the gradient step takes."""
+    """Standard normal noise, in the number of arrays that the gradient step uses."""
 
 
 def act_and_store(
@@ -48,18 +48,19 @@ def act_and_store(
 ) -> tuple[OffPolicyState, Metrics]:
     """Acts with the newest policy; before `learning_starts` uniformly at random.
 
-    In each environment the noise is an autoregressive process,
-    z <- c z + sqrt(1 - c^2) white, with c the `noise_correlation`: at every decision
-    standard normal, but slow enough to carry an arm somewhere.
+    In each environment the noise is an autoregressive process, z <- c z + sqrt(1 - c^2)
+    white, with c the `noise_correlation`. At every decision it is standard normal, but
+    it can be slow enough to move an arm noticeably.
 
     Args:
         state: The train state.
-        act: (normalised observation, standard normal noise) -> action, on a batch.
+        act: Function (normalised observation, standard normal noise) -> action, on a
+            batch.
         axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
-        The state with environments, memory and moments moved on, the mean reward
-        of a control step (not scaled), and the episodes that ended.
+        The state with updated environments, memory and moments, the mean reward of a
+        control step (not scaled), and the episodes that ended.
     """
     config: OffPolicyConfig = state.config
     environment = VectorEnvironment(state.env)
@@ -73,7 +74,7 @@ def act_and_store(
         kept = config.noise_correlation
         noise = kept * noise + jnp.sqrt(1 - kept**2) * white
         observation = environments.observation
-        # The distribution function of the normal makes uniform noise of it.
+        # The normal distribution function makes the noise uniform.
         blind = jax.scipy.special.erf(noise * 0.5**0.5)
         action = act(
             normalise(state.moments, observation, config.observation_limit), noise
@@ -122,16 +123,16 @@ def learn(
     """Makes the gradient steps of one update; none before `learning_starts`.
 
     Args:
-        state: The train state, its memory up to date.
-        gradient_step: `(learner, batches) -> (learner, report)`.
-        acted: Results of acting.
-        batches_per_step: Batches of one call; divides `gradient_steps`.
-        noises: Arrays of noise, of the shape of the actions, that a batch brings.
+        state: The train state, with an up-to-date memory.
+        gradient_step: Function `(learner, batches) -> (learner, report)`.
+        acted: Metrics of acting.
+        batches_per_step: Number of batches per call; divides `gradient_steps`.
+        noises: Number of noise arrays per batch, each of the shape of the actions.
         axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
-        The state, and what acting brought with the means of what the calls report
-        (zeros before learning).
+        The state, and the metrics of acting together with the means of the calls'
+        reports (zeros before learning).
     """
     config: OffPolicyConfig = state.config
     per_env = config.batch_size // config.num_envs
@@ -180,7 +181,7 @@ def learn(
 
 
 def _may_learn(state: OffPolicyState) -> Array:
-    # Updates are compared, not control steps: these outgrow their integers.
+    # Updates are compared, not control steps, which would overflow their integers.
     config: OffPolicyConfig = state.config
     return state.updates >= config.learning_starts / steps_per_update(config)
 

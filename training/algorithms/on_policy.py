@@ -1,8 +1,8 @@
-"""Common parts of PPO and TRPO: everything but the policy step.
+"""Common parts of PPO and TRPO: all but the policy step.
 
-A train state, its start, and the experience of one update: a rollout with the
-newest policy, its advantages, and the observations normalised by the moments
-that the rollout was acted with.
+A train state, its initial value, and the experience of one update: a rollout with the
+newest policy, its advantages, and the observations. These are normalised by the moments
+that were used while acting.
 """
 
 from __future__ import annotations
@@ -50,24 +50,24 @@ from jaxrod.training.settings import (
 from jaxrod.training.short_episodes import restart_phase
 
 ACTIVATION = "tanh"
-"""Of all hidden layers, as in the reference implementation."""
+"""Activation function of all hidden layers, as in the reference implementation."""
 
 
 @pytree
 class OnPolicyConfig(LearnerConfig):
-    """Settings common to PPO and TRPO, beside those of `LearnerConfig`."""
+    """Settings common to PPO and TRPO; more are in `LearnerConfig`."""
 
     trace_decay: Scalar = 0.95
-    """Lambda of the advantage estimate."""
+    """Trace decay lambda of the advantage estimate."""
     entropy_weight: Scalar = 0.0
     """Weight of the entropy bonus."""
     initial_log_std: Scalar = 0.0
-    """Log of the standard deviation of the first actions."""
+    """Logarithm of the initial standard deviation of actions."""
 
 
 @pytree
 class OnPolicyState:
-    """Everything an on-policy run is: save it, and it continues bit by bit."""
+    """Complete state of an on-policy run: restored, it continues bit by bit."""
 
     env: Environment = static()
     """The environment."""
@@ -80,17 +80,17 @@ class OnPolicyState:
     optimiser: Any
     """State of the optimiser."""
     moments: RunningMoments
-    """Moments of the observations before the running update."""
+    """Moments of the observations before the current update."""
     environments: VectorState
     """State of the batch of environments."""
     action_keys: Key[Array, " num_envs"]
-    """One key for every environment, for the noise of its actions."""
+    """One key per environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
     """Key for the order of the minibatches."""
     updates: Int[Array, ""]
-    """Updates done."""
+    """Number of updates so far."""
     total_updates: Int[Array, ""]
-    """Updates after which schedules have run out."""
+    """Number of updates after which schedules are constant."""
 
 
 @pytree
@@ -102,7 +102,7 @@ class Experience:
     action: Float[Array, "steps num_envs action"]
     """Action as drawn, before clipping."""
     log_prob: Float[Array, "steps num_envs"]
-    """Logarithm of the density it was drawn with."""
+    """Logarithm of the density with which it was drawn."""
     advantage: Float[Array, "steps num_envs"]
     """Advantage of the action, not normalised."""
     value_target: Float[Array, "steps num_envs"]
@@ -110,20 +110,20 @@ class Experience:
     value: Float[Array, "steps num_envs"]
     """Scaled return that the value network predicted."""
     reward: Float[Array, "steps num_envs"]
-    """Reward, not scaled: for the record."""
+    """Reward, not scaled, for the report."""
 
 
 def policy_network(
     env: Environment, config: OnPolicyConfig, dtype: DTypeLike
 ) -> GaussianPolicy:
-    """The policy network; weights come from the train state."""
+    """The policy network, without weights; they are in the train state."""
     size = env.action_size
     mean = make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
     return GaussianPolicy(mean, size, config.initial_log_std, dtype=dtype)
 
 
 def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> nn.Module:
-    """The value network; weights come from the train state."""
+    """The value network, without weights; they are in the train state."""
     return make_network(config, "critic", 1, activation=ACTIVATION, dtype=dtype)
 
 
@@ -158,9 +158,9 @@ def start(
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
         config: An `OnPolicyConfig`.
-        env_params: Parameters of the environment, None for its own.
+        env_params: Parameters of the environment, None for its defaults.
         total_updates: Length of the schedules, in updates.
-        optimiser: Optax transformation, to make its state.
+        optimiser: Optax transformation that makes the optimiser's state.
     """
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
@@ -202,9 +202,8 @@ def gather_experience(
     """Acts with the newest policy and estimates the advantages.
 
     Returns:
-        The state with environments and moments moved on (the experience is
-        normalised by the moments before), the experience, and the episodes that
-        ended in it.
+        The state with updated environments and moments (the experience is normalised by
+        the earlier moments), the experience, and the episodes that ended in it.
     """
     config: OnPolicyConfig = state.config
     dtype = state.environments.observation.dtype
@@ -221,7 +220,7 @@ def gather_experience(
         return mean + jnp.exp(log_std)[None] * noise
 
     def value(observation: Array) -> Array:
-        # The network sees normalised observations.
+        # The network expects normalised observations.
         return predicted_value(values, state.weights["value"], observation)
 
     noise = action_noise(state)
@@ -265,7 +264,7 @@ def gather_experience(
 
 
 def partition(state: OnPolicyState) -> OnPolicyState:
-    """The environments are spread over the devices, all else is repeated."""
+    """The environments are split over the devices; everything else is replicated."""
     repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)
     specs: dict[str, Any] = {
         field.name: repeated
@@ -302,7 +301,7 @@ def deterministic_policy(state: OnPolicyState) -> Policy:
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
-    """Raises ValueError if a size or number does not make sense."""
+    """Raises ValueError if a size or number is invalid."""
     check_learner(config, num_devices)
     check_fractions(config, "trace_decay")
     check_not_negative(config, "entropy_weight")

@@ -49,30 +49,30 @@ from jaxrod.training.settings import (
 
 @pytree
 class PPOConfig(OnPolicyConfig):
-    """Settings of PPO, beside those of `OnPolicyConfig` and `LearnerConfig`."""
+    """Settings of PPO; more are in `OnPolicyConfig` and `LearnerConfig`."""
 
     epochs: int = static(default=8)
     """Passes over the experience of one update."""
     minibatches: int = static(default=8)
     """Gradient steps of one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 1e-3
-    """Step size of Adam at the start."""
+    """Initial step size of Adam."""
     final_learning_rate: Scalar = 5e-5
-    """Step size at the end, reached linearly."""
+    """Final step size, reached linearly."""
     clip: Scalar = 0.2
     """Clipping range epsilon of the probability ratio."""
     discount: Scalar = 0.98
     value_weight: Scalar = 0.5
     """Weight of the value loss."""
     gradient_norm: Scalar = 0.5
-    """Largest norm of the gradient, which is scaled down to it."""
+    """Norm to which longer gradients are clipped."""
 
 
 def validate(config: PPOConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_on_policy(config, num_devices)
     check_counts(config, "epochs", "minibatches")
@@ -94,13 +94,13 @@ def init(
     env_params: Any = None,
     total_steps: int | Int[Array, ""] = 10_000_000,
 ) -> OnPolicyState:
-    """The train state before the first update; pure, so `vmap` it over keys.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Settings; `vmap` over their numbers works too.
-        env_params: Parameters of the environment, None for its own.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the learning rate falls.
     """
     updates = -(-total_steps // steps_per_update(config))
@@ -113,9 +113,9 @@ def update(
 ) -> tuple[OnPolicyState, Metrics]:
     """One update: act, estimate advantages, climb the clipped objective.
 
-    A minibatch is a random set of time steps with all environments in it. So it
-    is the same set however the environments are spread over devices, its samples
-    come from independent environments, and it is read in long runs of memory.
+    A minibatch is a random set of time steps, with all environments in it. So it does
+    not depend on how the environments are split over devices, its samples come from
+    independent environments, and it is read in long contiguous blocks of memory.
 
     Args:
         state: The train state.
@@ -182,7 +182,7 @@ def _loss(
     env: Environment,
     config: PPOConfig,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
-    """Minus the clipped objective, and its terms to report."""
+    """Minus the clipped objective, and its terms for the report."""
     batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
     dtype = batch.observation.dtype
     mean, log_std = policy_network(env, config, dtype).apply(
@@ -203,7 +203,7 @@ def _loss(
         "policy_gain": gain,
         "value_loss": value_loss,
         "entropy": entropy,
-        # Schulman's estimator: unbiased, never negative, of little variance.
+        # Schulman's estimator: unbiased, never negative, with little variance.
         "kl": jnp.mean(ratio - 1 - log_ratio),
         "clipped": jnp.mean((jnp.abs(ratio - 1) > config.clip).astype(loss.dtype)),
     }
@@ -211,7 +211,7 @@ def _loss(
 
 
 def _optimiser(gradient_norm: Scalar) -> optax.GradientTransformation:
-    """Adam's direction for a gradient of bounded norm; the step size comes later."""
+    """Adam's direction for a clipped gradient; the step size is applied later."""
     return optax.chain(
         optax.clip_by_global_norm(gradient_norm),
         optax.scale_by_adam(eps=1e-5),

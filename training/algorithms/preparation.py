@@ -1,4 +1,4 @@
-"""Numbers of definite type, of which a train state is made."""
+"""Conversion of the numbers of a train state to definite dtypes."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from jaxrod.envs import Environment
 def canonicalise(
     key: Key[Array, ""], env: Environment, config: Any, env_params: Any
 ) -> tuple[Any, Any, Any]:
-    """Gives settings and parameters the type that all learning is done in.
+    """Converts settings and parameters to the dtype that is used for learning.
 
     Args:
         key: Any random key; nothing is drawn from it.
         env: The environment.
         config: Settings of a learner, their numbers floats or arrays.
-        env_params: Parameters of the environment, None for its own.
+        env_params: Parameters of the environment, None for its defaults.
 
     Returns:
-        `(config, env_params, dtype)`: dtype is that of the observations.
+        `(config, env_params, dtype)`; dtype is that of the observations.
     """
     if env_params is None:
-        # Factories look at their numbers, which a trace would hide from them.
+        # Factories check the values of their numbers, which a trace would hide.
         with jax.ensure_compile_time_eval():
             env_params = env.default_params()
     dtype = jax.eval_shape(env.reset, key, env_params)[0].dtype
     env_params = strip_weak_types(env_params, dtype)
-    # One type for all numbers, whether they came as floats or as arrays.
+    # One dtype for all numbers, whether given as floats or as arrays.
     config = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), config)
     return config, env_params, dtype
 
 
 def strip_weak_types(tree: Any, dtype: DTypeLike) -> Any:
-    """Leaves of definite type: a weak one would change type along the run."""
+    """Leaves with definite dtypes: a weak type could change during the run."""
 
     def one(leaf: Any) -> Array:
         leaf = jnp.asarray(leaf)

@@ -1,9 +1,9 @@
-"""A replay buffer of off-policy learners: a ring of transitions in device memory.
+"""The replay buffer of off-policy learners: a ring of transitions in device memory.
 
-Every environment has a ring of its own, all of the same length and written in step.
-Every environment gives the same number of samples to a batch, at times drawn from its
-own random key: each transition in memory is as likely as any other, and what is drawn
-does not depend on how many devices share the environments.
+Every environment has its own ring, all of the same length and written in step. Every
+environment contributes the same number of samples to a batch, at times drawn from its
+own random key. So each stored transition is equally likely, and the samples do not
+depend on how many devices share the environments.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from jaxrod.structure import pytree
 
 @pytree
 class Transition:
-    """Observations, actions, rewards and ends; leading axes as the context says."""
+    """Observations, actions, rewards and ends; leading axes depend on the context."""
 
     observation: Float[Array, "*batch observation"]
-    """Observation that the action answers."""
+    """Observation to which the action responds."""
     action: Float[Array, "*batch action"]
     """Action, in [-1, 1]."""
     reward: Float[Array, "*batch"]
@@ -30,7 +30,8 @@ class Transition:
     next_observation: Float[Array, "*batch observation"]
     """Observation after the step, before any restart."""
     terminated: Bool[Array, "*batch"]
-    """The task ended in this step: the value of `next_observation` is 0."""
+    """Whether the task ended in this step: the value of `next_observation` is then
+    0."""
 
 
 @pytree
@@ -38,9 +39,9 @@ class Replay:
     """The last transitions of every environment, or other records of time steps."""
 
     transitions: Any
-    """A pytree of arrays of shape (slots, num_envs, ...): a `Transition` here."""
+    """Pytree of arrays of shape (slots, num_envs, ...), by default a `Transition`."""
     written: Int[Array, ""]
-    """Time steps written since the beginning."""
+    """Number of time steps written so far."""
 
     @property
     def slots(self) -> int:
@@ -49,7 +50,7 @@ class Replay:
 
     @property
     def size(self) -> Int[Array, ""]:
-        """Time steps stored."""
+        """Number of stored time steps."""
         return jnp.minimum(self.written, self.slots)
 
 
@@ -71,15 +72,15 @@ def empty_replay(
 
 
 def append(replay: Replay, steps: Any) -> Replay:
-    """Writes a block of time steps over the oldest there are.
+    """Writes a block of time steps over the oldest ones.
 
     Args:
         replay: The ring; its length is a multiple of the block's, so that a block
-            never runs over the end.
-        steps: Shape (block, num_envs, ...), the same length in every call.
+            never crosses the end of the ring.
+        steps: Block of shape (block, num_envs, ...), of the same length in every call.
 
     Raises:
-        ValueError: The block does not divide the ring.
+        ValueError: The block's length does not divide the ring's.
     """
     block = jax.tree.leaves(steps)[0].shape[0]
     if replay.slots % block:
@@ -99,13 +100,13 @@ def append(replay: Replay, steps: Any) -> Replay:
 def sample_indices(
     replay: Replay, keys: Key[Array, " num_envs"], batches: int, per_env: int
 ) -> Int[Array, "batches per_env num_envs"]:
-    """Slots to sample, uniform over what is filled, with replacement.
+    """Slots to sample, uniform over the filled ones, with replacement.
 
     Args:
         replay: The ring.
-        keys: One typed random key for every environment.
+        keys: One typed random key per environment.
         batches: Number of batches.
-        per_env: Samples of a batch from each environment.
+        per_env: Number of samples per batch from each environment.
     """
     times = jax.vmap(
         lambda key: jax.random.randint(

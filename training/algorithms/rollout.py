@@ -1,4 +1,4 @@
-"""Collecting experience: a policy acts on a batch of environments."""
+"""Collection of experience: a policy acts on a batch of environments."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class Rollout:
     """Experience of `steps` steps of `num_envs` environments."""
 
     observation: Float[Array, "steps num_envs observation"]
-    """Observation that the action answers."""
+    """Observation to which the action responds."""
     action: Float[Array, "steps num_envs action"]
-    """Action as the policy drew it, before clipping to [-1, 1]."""
+    """Action drawn by the policy, before clipping to [-1, 1]."""
     reward: Float[Array, "steps num_envs"]
     """Reward, not scaled."""
     terminated: Bool[Array, "steps num_envs"]
-    """The task ended in this step."""
+    """Whether the task ended in this step."""
     done: Bool[Array, "steps num_envs"]
-    """The episode ended in this step, for whatever reason."""
+    """Whether the episode ended in this step, for whatever reason."""
     final_value: Float[Array, "steps num_envs"]
     """Value of the final observation where an episode was cut short, else 0."""
     episodes: EpisodeRecord
@@ -48,11 +48,12 @@ def collect(
         environment: The batch.
         state: Its state.
         env_params: Parameters of the environment.
-        act: (observation, noise) -> action, on a batch.
-        value: Observation -> value, on a batch. Called only in steps in which an
-            episode is cut short.
-        noise: The randomness of the actions, standard normal.
-        restart_phase: As in `jaxrod.envs.VectorEnvironment.step`.
+        act: Function (observation, noise) -> action, on a batch.
+        value: Function observation -> value, on a batch. Called only in steps in which
+            an episode is cut short.
+        noise: Standard normal noise of the actions.
+        restart_phase: Initial step count of new episodes, as in
+            `jaxrod.envs.VectorEnvironment.step`.
     """
 
     def step(

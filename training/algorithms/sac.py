@@ -43,19 +43,19 @@ from jaxrod.training.algorithms.tanh_gaussian import (
 from jaxrod.training.settings import Scalar, check_finite, check_positive
 
 OUTPUTS_PER_ACTION = 2
-"""Of the policy network: mean and logarithm of the standard deviation."""
+"""Outputs of the policy network per action: mean and log standard deviation."""
 
 
 @pytree
 class SACConfig(OffPolicyConfig):
-    """Settings of SAC, beside those of `OffPolicyConfig` and `LearnerConfig`."""
+    """Settings of SAC; more are in `OffPolicyConfig` and `LearnerConfig`."""
 
     temperature_learning_rate: Scalar = 3e-3
     """Step size of Adam for the temperature."""
     initial_temperature: Scalar = 0.02
-    """Weight of the entropy at the start."""
+    """Initial weight of the entropy."""
     entropy_per_action: Scalar = -1.0
-    """Target entropy of the policy per action, towards which the temperature moves.
+    """Target entropy of the policy per action, which the temperature adapts to reach.
     Below log 2."""
 
 
@@ -63,7 +63,7 @@ def validate(config: SACConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_off_policy(config, num_devices)
     check_positive(config, "temperature_learning_rate", "initial_temperature")
@@ -82,14 +82,14 @@ def init(
     env_params: Any = None,
     total_steps: int | Int[Array, ""] = 10_000_000,
 ) -> OffPolicyState:
-    """The train state before the first update; pure, so `vmap` it over keys.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Settings; `vmap` over their numbers works too.
-        env_params: Parameters of the environment, None for its own.
-        total_steps: Without effect: nothing follows a schedule.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
+        total_steps: No effect: there are no schedules.
     """
 
     def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:

@@ -1,4 +1,4 @@
-"""Numbers that change along a run."""
+"""Numbers that change during a run."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from jaxrod.training.settings import Scalar
 
 
 class HasProgress(Protocol):
-    """A train state that knows how far it is."""
+    """A train state that counts its updates."""
 
     @property
     def updates(self) -> Int[Array, ""]:
-        """Updates done."""
+        """Number of updates so far."""
 
     @property
     def total_updates(self) -> Int[Array, ""]:
-        """Updates of the whole run."""
+        """Number of updates of the whole run."""
 
 
 def along_the_run(

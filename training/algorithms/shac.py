@@ -1,15 +1,16 @@
 r"""Short-horizon actor-critic: the policy climbs the gradient of the simulation itself.
 
-A batch acts for a short window; what it earns there and the value of where it ends,
+A batch acts for a short window. Its return there plus the value of its last state,
 
 $$J = \sum_{k<h} \gamma^k r_k + \gamma^h V(s_h),$$
 
-is differentiated through the simulation by the policy's weights, from every start of a
-window or of an episode in it. The value is learned from lambda returns, and follows
-slowly. Without a critic, V = 0, it is the analytic policy gradient (APG). What is
-earned is minus the task's smooth cost, or the reward, whose steps have no slope.
+is differentiated through the simulation with respect to the policy's weights. Each
+window, and each episode that starts in it, contributes one such sum. The value is
+learned from lambda returns, and its target follows slowly. Without a critic, V = 0,
+this is the analytic policy gradient (APG). The objective is minus the task's smooth
+cost, or the reward, whose steps have no slope.
 
-A gradient that is not finite moves nothing: the update is skipped and counted.
+If a gradient is not finite, the update is skipped and counted.
 
 Source: Xu et al., "Accelerated policy learning with parallel differentiable
 simulation", 2022.
@@ -68,29 +69,29 @@ OBJECTIVES = ("cost", "reward")
 
 @pytree
 class SHACConfig(OnPolicyConfig):
-    """Settings of SHAC, beside those of `OnPolicyConfig` and `LearnerConfig`."""
+    """Settings of SHAC; more are in `OnPolicyConfig` and `LearnerConfig`."""
 
     num_envs: int = static(default=64)
     rollout_steps: int = static(default=16)
     action_repeat: int = static(default=4)
     objective: str = static(default="cost")
-    """What is made small or large: the task's smooth "cost", or its "reward"."""
+    """Objective: the task's smooth "cost", minimised, or its "reward", maximised."""
     critic: bool = static(default=True)
-    """Whether the value of where a window ends counts; without, it is APG."""
+    """Whether the value at the end of a window counts; without it, this is APG."""
     epochs: int = static(default=8)
     """Passes of the critic over the experience of one update."""
     minibatches: int = static(default=4)
     """Gradient steps of one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 2e-3
-    """Step size of Adam for the policy at the start."""
+    """Initial step size of Adam for the policy."""
     final_learning_rate: Scalar = 2e-4
-    """Step size at the end, reached linearly."""
+    """Final step size, reached linearly."""
     critic_learning_rate: Scalar = 1e-3
     """Step size of Adam for the critic."""
     target_rate: Scalar = 0.2
-    """Share of the way by which the target critic follows in an update."""
+    """Share by which the target critic follows the critic in an update."""
     gradient_norm: Scalar = 1.0
-    """Largest norm of a gradient, which is scaled down to it."""
+    """Norm to which longer gradients are clipped."""
     initial_log_std: Scalar = -1.0
 
 
@@ -98,7 +99,7 @@ def validate(config: SHACConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_on_policy(config, num_devices)
     check_counts(config, "epochs", "minibatches")
@@ -131,17 +132,17 @@ def init(
     env_params: Any = None,
     total_steps: int | Int[Array, ""] = 10_000_000,
 ) -> OnPolicyState:
-    """The train state before the first update; pure, so `vmap` it over keys.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
-        env: The environment, with a `cost` where that is the objective.
-        config: Settings; `vmap` over their numbers works too.
-        env_params: Parameters of the environment, None for its own.
+        env: The environment, with a `cost` if that is the objective.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the learning rate falls.
 
     Raises:
-        ValueError: The environment has no cost, and that is the objective.
+        ValueError: The objective is the cost, but the environment has none.
     """
     updates = -(-total_steps // steps_per_update(config))
     adam = _optimiser(config)
@@ -160,7 +161,7 @@ def init(
 def update(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Metrics]:
-    """One update: a gradient step of the policy, then some of the critic.
+    """One update: a gradient step of the policy, then several of the critic.
 
     Args:
         state: The train state.
@@ -189,7 +190,7 @@ def update(
     norm = optax.tree.norm(gradient)
     sound = jnp.isfinite(norm)
     rate = along_the_run(state, config.learning_rate, config.final_learning_rate, dtype)
-    # Not a number times nothing is not a number either: replaced before any use.
+    # NaN times zero is still NaN, so the gradient is replaced before any use.
     gradient = jax.tree.map(lambda leaf: jnp.where(sound, leaf, 0), gradient)
     direction, memory = adam.update(gradient, state.optimiser["policy"])
     moved = optax.tree.add_scale(state.weights["policy"], -rate, direction)
@@ -236,7 +237,7 @@ def _fitted(
     key: Key[Array, ""],
     axis_name: str | None,
 ) -> tuple[Any, Any, Float[Array, ""]]:
-    """The critic after its gradient steps, its optimiser, and the mean error."""
+    """The critic after its gradient steps, its optimiser state, and its mean error."""
     config: SHACConfig = state.config
     weights, memory = state.weights["value"], state.optimiser["value"]
     if not config.critic:
@@ -248,7 +249,8 @@ def _fitted(
     aim = value + generalised_advantages(
         reward=window.earned,
         value=value,
-        # Read only where the last step ended no episode: there it is what follows.
+        # Used only if the last step ended no episode; its final value is then the next
+        # one.
         last_value=following[-1],
         final_value=following,
         terminated=window.terminated,
@@ -279,13 +281,13 @@ def _fitted(
 
 
 def _policy(state: OnPolicyState) -> Policy:
-    """The tanh of the mean."""
+    """The policy whose action is the tanh of the mean."""
     policy: Any = deterministic_policy(state)
     return dataclasses.replace(policy, output="tanh")
 
 
 def _optimiser(config: SHACConfig) -> optax.GradientTransformation:
-    """Adam's direction of a bounded gradient, with a shorter memory than usual."""
+    """Adam's direction of a clipped gradient, with a shorter memory than usual."""
     return optax.chain(
         optax.clip_by_global_norm(config.gradient_norm),
         optax.scale_by_adam(b1=0.7, b2=0.95),

@@ -1,4 +1,4 @@
-"""A short window of acting, to be differentiated by the policy's weights."""
+"""A short window of acting, differentiable with respect to the policy's weights."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from jaxrod.training.short_episodes import restart_phase
 
 @pytree
 class Window:
-    """What happened in a window; shapes (rollout_steps, num_envs, ...)."""
+    """Experience of a window; shapes (rollout_steps, num_envs, ...)."""
 
     observation: Float[Array, "steps num_envs observation"]
-    """Normalised observation that the action answers."""
+    """Normalised observation to which the action responds."""
     final_observation: Float[Array, "steps num_envs observation"]
     """Normalised observation after the decision, before any restart."""
     raw: Float[Array, "steps num_envs observation"]
-    """Observation that the action answers, as it is."""
+    """Observation to which the action responds, not normalised."""
     earned: Float[Array, "steps num_envs"]
-    """Of the objective, scaled."""
+    """Scaled contribution to the objective."""
     reward: Float[Array, "steps num_envs"]
-    """Of the task, not scaled."""
+    """Reward of the task, not scaled."""
     terminated: Bool[Array, "steps num_envs"]
-    """The task ended in this step."""
+    """Whether the task ended in this step."""
     done: Bool[Array, "steps num_envs"]
-    """The episode ended in this step, for whatever reason."""
+    """Whether the episode ended in this step, for whatever reason."""
     episodes: EpisodeRecord
     """The complete episodes that ended."""
 
@@ -46,7 +46,7 @@ class Window:
 def acted(
     state: OnPolicyState, weights: Any, noise: Float[Array, "steps num_envs action"]
 ) -> tuple[VectorState, Window]:
-    """A window acted by a policy of these weights."""
+    """Acts for a window with a policy of the given weights."""
     config = state.config
     environment = VectorEnvironment(state.env)
     network = policy_network(state.env, config, noise.dtype)
@@ -65,7 +65,8 @@ def acted(
         earned = outcome.reward
         if config.objective == "cost":
             cost = outcome.info["cost"]
-            # A broken arm costs nothing that anybody could tell; it is truncated.
+            # The cost of a broken arm is unknown, so it counts as zero; the arm is
+            # truncated.
             cost = jnp.where(jnp.isfinite(cost), cost, 0)
             earned = -config.action_repeat * cost
         return following, Window(
@@ -86,7 +87,7 @@ def acted(
 def objective(
     window: Window, following: Float[Array, "steps num_envs"], discount: Scalar
 ) -> Float[Array, ""]:
-    """Discounted sum from all starts of the window and of episodes in it, a step's."""
+    """Discounted sums from all starts of the window and of its episodes, per step."""
 
     def backwards(later: Array, step: Any) -> tuple[Array, Array]:
         earned, terminated, done, value = step
@@ -103,7 +104,7 @@ def objective(
 def target_value(
     state: OnPolicyState, observation: Float[Array, "*batch observation"]
 ) -> Float[Array, "*batch"]:
-    """Value of normalised observations by the target critic; 0 without one."""
+    """Value of normalised observations from the target critic; 0 without a critic."""
     if not state.config.critic:
         return jnp.zeros_like(observation[..., 0])
     network = value_network(state.config, observation.dtype)

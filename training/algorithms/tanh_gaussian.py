@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 LOG_STD_LIMITS = (-20.0, 2.0)
-"""Bounds of the logarithm of the standard deviation, those of the reference."""
+"""Bounds of the logarithm of the standard deviation, as in the reference."""
 LARGEST_ENTROPY = math.log(2)
 """Largest entropy of an action in [-1, 1], that of the uniform density."""
 
@@ -17,7 +17,7 @@ LARGEST_ENTROPY = math.log(2)
 def split_output(
     output: Float[Array, "*batch outputs"],
 ) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch action"]]:
-    """Mean and bounded log standard deviation from one network's output."""
+    """Mean and bounded log standard deviation from the output of one network."""
     mean, log_std = jnp.split(output, 2, axis=-1)
     return mean, jnp.clip(log_std, *LOG_STD_LIMITS)
 
@@ -29,13 +29,13 @@ def tanh_gaussian(
 ) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch"]]:
     """The action a = tanh(u), u = mean + std z, and the log of its density.
 
-    log p(a) = sum(log N(u) - log(1 - tanh(u)^2)), and the last term is
-    2 (log 2 - u - softplus(-2 u)), which loses no digits where tanh is flat.
+    log p(a) = sum(log N(u) - log(1 - tanh(u)^2)). The last term is evaluated as 2 (log
+    2 - u - softplus(-2 u)), which loses no digits where tanh is flat.
 
     Args:
-        mean: Of u.
+        mean: Mean of u.
         log_std: Logarithm of the standard deviation of u.
-        noise: Z, standard normal.
+        noise: Standard normal noise z.
 
     Source: Haarnoja et al., "Soft actor-critic algorithms and applications", 2018,
     appendix C.

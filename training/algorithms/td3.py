@@ -1,9 +1,9 @@
 """Twin delayed deep deterministic policy gradients.
 
-A deterministic policy climbs the first of its critics. Three things keep it from
-climbing their errors: targets take the smaller of two critics, their actions carry
-clipped noise (target policy smoothing), and the policy is updated less often than the
-critics.
+A deterministic policy climbs the first of its critics. Three safeguards keep it from
+exploiting their errors: targets take the smaller value of two critics, target actions
+carry clipped noise (target policy smoothing), and the policy is updated less often than
+the critics.
 
 Source: Fujimoto et al., "Addressing function approximation error in actor-critic
 methods", 2018.
@@ -51,27 +51,27 @@ from jaxrod.training.settings import (
 
 @pytree
 class TD3Config(OffPolicyConfig):
-    """Settings of TD3, beside those of `OffPolicyConfig` and `LearnerConfig`."""
+    """Settings of TD3; more are in `OffPolicyConfig` and `LearnerConfig`."""
 
     policy_delay: int = static(default=2)
-    """Critic steps for one of the policy and the targets; divides `gradient_steps`."""
+    """Critic steps per step of the policy and the targets; divides `gradient_steps`."""
     critics: int = static(default=2)
-    """Number of critics, the smallest of whose values is used."""
+    """Number of critics; the smallest of their values is used."""
     exploration_noise: Scalar = 0.1
     """Standard deviation of the noise added to actions."""
     exploration_decay: Scalar = 0.0
-    """Share by which that noise decays over the run, linearly."""
+    """Share by which the exploration noise decays over the run, linearly."""
     target_noise: Scalar = 0.2
     """Standard deviation of the target policy smoothing noise."""
     target_noise_limit: Scalar = 0.5
-    """Bound to which that noise is clipped."""
+    """Bound to which the target noise is clipped."""
 
 
 def validate(config: TD3Config, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_off_policy(config, num_devices)
     check_counts(config, "policy_delay", "critics")
@@ -93,13 +93,13 @@ def init(
     env_params: Any = None,
     total_steps: int | Int[Array, ""] = 10_000_000,
 ) -> OffPolicyState:
-    """The train state before the first update; pure, so `vmap` it over keys.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Settings; `vmap` over their numbers works too.
-        env_params: Parameters of the environment, None for its own.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the exploration noise falls.
     """
 
@@ -123,13 +123,13 @@ def smoothed_target_action(
     spread: Scalar,
     limit: Scalar,
 ) -> Float[Array, "*batch action"]:
-    """Actions in [-1, 1] with clipped noise: target policy smoothing.
+    """Adds clipped noise to actions in [-1, 1]: target policy smoothing.
 
     Args:
-        action: In [-1, 1].
-        noise: Standard normal.
+        action: Actions in [-1, 1].
+        noise: Standard normal noise.
         spread: Standard deviation of the noise before clipping.
-        limit: The noise is clipped to +- this.
+        limit: Bound to which the noise is clipped, either way.
     """
     return jnp.clip(action + jnp.clip(spread * noise, -limit, limit), -1, 1)
 

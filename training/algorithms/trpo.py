@@ -1,4 +1,4 @@
-"""Trust region policy optimisation: natural gradients within a bound on the change.
+"""Trust region policy optimisation: natural gradients with a bounded policy change.
 
 Source: Schulman et al., "Trust region policy optimization", 2015.
 """
@@ -56,28 +56,28 @@ from jaxrod.training.settings import (
 
 @pytree
 class TRPOConfig(OnPolicyConfig):
-    """Settings of TRPO, beside those of `OnPolicyConfig` and `LearnerConfig`."""
+    """Settings of TRPO; more are in `OnPolicyConfig` and `LearnerConfig`."""
 
     rollout_steps: int = static(default=64)
     conjugate_iterations: int = static(default=10)
     """Products with the Fisher matrix in one update."""
     fisher_stride: int = static(default=5)
-    """Stride of the time steps that the Fisher matrix is computed from."""
+    """Stride of the time steps from which the Fisher matrix is computed."""
     line_search_tries: int = static(default=10)
-    """Largest number of step lengths tried by the line search."""
+    """Largest number of step lengths that the line search tries."""
     value_epochs: int = static(default=8)
     """Passes of the value network over the experience of one update."""
     value_minibatches: int = static(default=8)
     """Gradient steps of one pass; divides `rollout_steps`."""
     max_kl: Scalar = 0.01
     """Bound on the policy's change in the first update: mean KL divergence of the old
-    from the new one."""
+    policy from the new one."""
     final_max_kl: Scalar = 0.01
-    """That bound in the last update; linear in between."""
+    """Bound on the policy's change in the last update; linear in between."""
     damping: Scalar = 0.01
     """Multiple of the identity added to the Fisher matrix."""
     line_search_shrink: Scalar = 0.5
-    """Factor between one length of the step and the next."""
+    """Factor from one step length to the next in the line search."""
     trace_decay: Scalar = 0.98
     value_learning_rate: Scalar = 1e-3
     """Step size of Adam for the value network."""
@@ -87,7 +87,7 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
 
     Raises:
-        ValueError: With the name and the value of what is wrong.
+        ValueError: A setting is wrong; the message has its name and value.
     """
     check_on_policy(config, num_devices)
     check_counts(
@@ -116,15 +116,16 @@ def init(
     env_params: Any = None,
     total_steps: int | Int[Array, ""] = 10_000_000,
 ) -> OnPolicyState:
-    """The train state before the first update; pure, so `vmap` it over keys.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Settings; `vmap` over their numbers works too.
-        env_params: Parameters of the environment, None for its own.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the bound on the change goes from its
-            first to its last value.
+            first to
+            its last value.
     """
     updates = -(-total_steps // steps_per_update(config))
     return start(key, env, config, env_params, updates, _value_optimiser())
@@ -157,7 +158,7 @@ def update(
 def _improve_policy(
     state: OnPolicyState, experience: Experience, axis_name: str | None
 ) -> tuple[Any, dict[str, Array]]:
-    """The policy's new weights, and numbers to report."""
+    """The policy's new weights, and numbers for the report."""
     config: TRPOConfig = state.config
     advantage = standardised(experience.advantage, (0, 1), axis_name)
     experience = dataclasses.replace(experience, advantage=advantage)
@@ -173,7 +174,7 @@ def _improve_policy(
     old_mean, old_log_std = outputs(start, batch.observation)
 
     def objective(parameters: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The surrogate objective, and the mean KL divergence, old from new."""
+        """The surrogate objective, and the mean KL divergence of old from new."""
         mean, log_std = outputs(parameters, batch.observation)
         noise = (batch.action - mean) * jnp.exp(-log_std)[None]
         ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)
@@ -196,7 +197,7 @@ def _improve_policy(
 
     def acceptable(parameters: Array) -> Array:
         after, kl = mean_over_devices(objective(parameters), axis_name)
-        # False also where something is not a number.
+        # Also False if a number is NaN.
         return (after > before) & (kl <= max_kl)
 
     search = backtrack(
@@ -223,8 +224,8 @@ def mean_divergence(
 ) -> Float[Array, ""]:
     """Mean KL divergence KL(old, new) of normal distributions.
 
-    KL = sum(log s'/s + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), written with expm1 so
-    that float32 resolves it where both are nearly the same.
+    KL = sum(log s'/s + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), written with expm1 so that
+    float32 resolves it for nearly equal distributions.
     """
     change = log_std - old_log_std
     spread = change + 0.5 * jnp.expm1(-2 * change)
@@ -235,7 +236,7 @@ def mean_divergence(
 def _fit_value(
     state: OnPolicyState, experience: Experience, axis_name: str | None
 ) -> tuple[OnPolicyState, Float[Array, ""]]:
-    """Moves the value network towards the returns; a minibatch is as in PPO."""
+    """Fits the value network to the returns; minibatches are as in PPO."""
     config: TRPOConfig = state.config
     network = value_network(config, experience.observation.dtype)
     optimiser = _value_optimiser()
@@ -279,7 +280,7 @@ def _entropy(log_std: Float[Array, " action"]) -> Float[Array, ""]:
 
 
 def _value_optimiser() -> optax.GradientTransformation:
-    """Adam's direction for the value network alone; the step size comes later."""
+    """Adam's direction for the value network only; the step size is applied later."""
     adam = optax.scale_by_adam()
     return optax.GradientTransformation(
         lambda weights: adam.init(weights["value"]), adam.update

@@ -1,4 +1,4 @@
-"""The largest step that a quadratic bound allows, found without any matrix."""
+"""The largest step within a quadratic bound, found without forming a matrix."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ def fisher_product(
 ) -> Callable[[Vector], Vector]:
     """Products with the Fisher matrix of a normal distribution over actions.
 
-    The Fisher matrix is the Hessian of the mean KL divergence from the distribution
-    at `parameters`, there. With J the Jacobian of (mean, log std) it is J^T M J, where
+    The Fisher matrix is the Hessian of the mean KL divergence from the distribution at
+    `parameters`, evaluated there. With J the Jacobian of (mean, log std) it is J^T M J.
     M is 1 / std^2 for a mean, averaged over the samples, and 2 for a log std. J is
-    linearised once: every product is one sweep forwards and one backwards.
+    linearised once: every product takes one forward and one backward pass.
 
     Args:
-        outputs: Parameters -> (mean, shape (samples, actions); log std, (actions,)).
-        parameters: Where the matrix is taken.
+        outputs: Function from the parameters to the mean, shape (samples, actions), and
+            the
+            log std, shape (actions,).
+        parameters: Point at which the matrix is evaluated.
 
     Source: Schulman et al., "Trust region policy optimization", 2015, appendix C.
     """
@@ -48,16 +50,16 @@ def conjugate_gradient(
     iterations: int,
     tolerance: float = 1e-10,
 ) -> Vector:
-    """Solves A x = b for a positive definite A that is only known by its products.
+    """Solves A x = b for a positive definite A that is known only by its products.
 
-    Stops early when the squared residual is `tolerance` of its beginning: what
-    follows would be rounding.
+    It stops early when the squared residual is below `tolerance` times its initial
+    value: further iterations would only produce round-off.
 
     Args:
-        product: X -> A x.
-        right_side: B.
-        iterations: The most products.
-        tolerance: Of the squared residual, relative.
+        product: Function that returns A x for a vector x.
+        right_side: Right-hand side b.
+        iterations: Largest number of products.
+        tolerance: Relative tolerance of the squared residual.
     """
     enough = tolerance * jnp.vdot(right_side, right_side)
 
@@ -98,7 +100,7 @@ class LineSearch:
     """Result of a backtracking line search."""
 
     point: Vector
-    """The accepted point; the start if none was."""
+    """Accepted point; the start if no point was accepted."""
     accepted: Bool[Array, ""]
     """Whether a point was accepted."""
     backtracks: Int[Array, ""]
@@ -112,14 +114,14 @@ def backtrack(
     shrink: Scalar,
     tries: int,
 ) -> LineSearch:
-    """Shortens a step until where it leads is acceptable.
+    """Shortens a step until its end point is acceptable.
 
     Args:
-        acceptable: Whether a point will do.
-        start: Where the step starts.
+        acceptable: Function that returns whether a point is acceptable.
+        start: Start of the step.
         step: The longest step.
-        shrink: Factor between one try and the next.
-        tries: The most tries; if none will do, the search stays at the start.
+        shrink: Factor from one try to the next.
+        tries: Largest number of tries; if all fail, the search stays at the start.
     """
 
     def unfinished(carry: tuple[Array, Array]) -> Bool[Array, ""]:

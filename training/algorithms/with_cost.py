@@ -12,17 +12,17 @@ from jaxrod.envs import Environment
 
 @dataclasses.dataclass(frozen=True)
 class WithCost:
-    """The environment with its cost in `info`, of the state before any restart.
+    """The environment with its cost in `info`, for the state before any restart.
 
     Raises:
-        ValueError: It has none.
+        ValueError: The environment has no cost.
     """
 
     env: Environment
     """The environment."""
 
     def __post_init__(self) -> None:
-        """Checks that it has a cost."""
+        """Checks that the environment has a cost."""
         if not hasattr(self.env, "cost"):
             raise ValueError(
                 f"{type(self.env).__name__} has no cost (jaxrod.envs.Plannable): "

@@ -1,1 +1,1 @@
-"""Training runs: the loop, their folder, checkpoints, resuming."""
+"""Training runs: the loop, the folder of a run, checkpoints, resuming."""

@@ -1,12 +1,12 @@
-"""Checkpoints: a train state and a few facts, whole or not at all.
+"""Checkpoints: a train state and a few facts, written completely or not at all.
 
-Each is one `.npz` file, without pickle: an array for every leaf, under its path in the
-state, and as JSON text the facts and what the leaves were. A file has its name only
-once it is on the disk, and every array carries a checksum: a process may be killed,
-and a disk may fail, at any moment.
+Each is one `.npz` file, without pickle. It has an array for every leaf, under its path
+in the state, and JSON text with the facts and a description of the leaves. A file gets
+its name only once it is on the disk, and every array carries a checksum: a process may
+be killed, and a disk may fail, at any moment.
 
-Arrays are fetched from whatever devices hold them and put back the same way, so
-a run may continue on another number of devices (then equal up to rounding).
+Arrays are fetched from the devices that hold them and put back the same way. So a run
+may continue on another number of devices (it is then equal up to round-off).
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from jaxrod.training.leaves import (
 )
 
 NAMES = r"[0-9]{10}\.npz"
-"""Names of the files, as a regular expression."""
+"""Regular expression for the names of the files."""
 
 FORMAT = 1
-"""Version of the files; raised when their meaning changes."""
+"""Version of the file format; raised when the meaning changes."""
 
 _ABOUT, _STATE = "about", "state"
 
@@ -51,21 +51,21 @@ class Checkpoints:
     """The newest checkpoints of a run, in a folder of their own."""
 
     def __init__(self, folder: Path, keep: int = 2) -> None:
-        """Names the folder.
+        """Sets the folder.
 
         Args:
-            folder: Made with the first checkpoint if missing.
+            folder: Folder of the checkpoints; created with the first one if missing.
             keep: Number of checkpoints to keep.
         """
         self.folder, self._keep = folder, keep
         self._latest: int | None = None
 
     def path(self, step: int) -> Path:
-        """The file of a checkpoint."""
+        """File of a checkpoint."""
         return self.folder / f"{step:010d}.npz"
 
     def steps(self) -> list[int]:
-        """Numbers of the checkpoints there are, the newest first."""
+        """Numbers of the existing checkpoints, newest first."""
         if not self.folder.is_dir():
             return []
         names = (file.name for file in self.folder.iterdir() if file.is_file())
@@ -76,13 +76,13 @@ class Checkpoints:
         """Writes a checkpoint and removes the oldest ones.
 
         Args:
-            step: Number of the checkpoint, growing along the run. Nothing is
-                written if it is the one that was saved or restored last.
+            step: Number of the checkpoint, which increases during the run. Nothing is
+                written if it was the last to be saved or restored.
             state: The train state.
             facts: Further facts to store; anything JSON can hold.
 
         Raises:
-            OSError: It cannot be written; with the name of the file.
+            OSError: It cannot be written; the message names the file.
         """
         if step == self._latest:
             return
@@ -101,7 +101,7 @@ class Checkpoints:
             lambda file: np.savez(file, allow_pickle=False, **arrays),
         )
         self._latest = step
-        # Later ones are what a run left that went on from before them.
+        # Later ones are left over from a run that was resumed from before them.
         for old in [one for one in self.steps() if one <= step][self._keep :]:
             self.path(old).unlink()
 
@@ -116,14 +116,14 @@ class Checkpoints:
         Args:
             template: A train state of the same structure and shapes.
             step: Number of the checkpoint, None for the newest.
-            check: Raises if these are not the facts that are looked for; asked
-                before the state is looked at.
+            check: Raises if the facts are not as expected; called before the state is
+                read.
 
         Returns:
             The state, in host memory, and the facts.
 
         Raises:
-            ValueError: There is no checkpoint, or it is of another structure.
+            ValueError: There is no checkpoint, or its structure differs.
             jaxrod.files.DamagedFileError: The file is damaged.
         """
         step = next(iter(self.steps()), None) if step is None else step
@@ -145,7 +145,7 @@ class Checkpoints:
 
 
 def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """All that a file holds, its checksums compared."""
+    """Complete content of a file, after its checksums have been verified."""
     with reading(file):
         if not zipfile.is_zipfile(file):
             raise ValueError("it is torn")
@@ -161,7 +161,7 @@ def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) -> None:
-    """Raises ValueError unless what was stored fits the train state."""
+    """Raises ValueError unless the stored leaves fit the train state."""
     wanted = {name: described(leaf) for name, leaf in leaves.items()}
     apart = differences_of_leaves(wanted, found)
     if apart:

@@ -1,4 +1,4 @@
-"""Checks of an algorithm: that it keeps to what `Algorithm` says, in words."""
+"""Checks that an algorithm keeps the contract of `Algorithm`, with clear messages."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from jaxrod.validation import check_count
 def resolve(
     algorithm: str | Algorithm, config: Any, trust: Collection[str] | None = None
 ) -> tuple[Algorithm, Any]:
-    """The algorithm of a name, and its configuration.
+    """Resolves the name of an algorithm, and checks its configuration.
 
     Args:
         algorithm: A name, an import path or an `Algorithm`.
         config: Its configuration, None for the defaults.
-        trust: For a name that a file holds, see `find_algorithm`.
+        trust: Trusted modules if a file holds the name, see `find_algorithm`.
 
     Raises:
         UntrustedError: A file names it, and it is not trusted.
-        ValueError: There is no such algorithm, the configuration is of another one, or
-            either is not what `Algorithm` says; with the name of what is wrong.
+        ValueError: There is no such algorithm, the configuration belongs to another
+            one, or either breaks the contract of `Algorithm`; the message names the
+            fault.
     """
     if isinstance(algorithm, str):
         algorithm = find_algorithm(algorithm, trust)
@@ -64,21 +65,22 @@ def resolve(
 
 
 def updates_of(algorithm: Algorithm, config: Any) -> int:
-    """Control steps of one update, checked."""
+    """Control steps of one update, after a check."""
     steps = algorithm.steps_per_update(config)
     return check_count(f"steps_per_update of {algorithm.name}", steps, 1)
 
 
 def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
-    """Checks what an algorithm makes of its first train state; computes nothing.
+    """Checks an algorithm on its first train state, without computing anything.
 
     Args:
-        algorithm: That made the state.
-        state: As `init` returned it.
+        algorithm: Algorithm that made the state.
+        state: State as returned by `init`.
         env: The environment.
 
     Raises:
-        ValueError: `update`, `policy` or `partition` is not what `Algorithm` says.
+        ValueError: `update`, `policy` or `partition` breaks the contract of
+            `Algorithm`.
     """
     name = algorithm.name
     after = jax.eval_shape(lambda state: algorithm.update(state), state)
@@ -104,7 +106,7 @@ def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
 
 
 def _check_same_form(name: str, before: Any, after: Any) -> None:
-    """Raises ValueError unless two states have the same structure and types."""
+    """Raises ValueError unless two states have the same structure and dtypes."""
     forms = [
         {
             jax.tree_util.keystr(path): f"{leaf.dtype}{list(leaf.shape)}"
@@ -163,7 +165,7 @@ def _check_policy(name: str, policy: Any, env: Environment) -> None:
     ):
         raise ValueError(f"policy of {name} must be deterministic, it holds a key")
     size, actions = env.observation_size, env.action_size
-    # A batch of a size that nothing else has.
+    # The second batch size differs from every other dimension.
     for leading in ((), (size + actions + 1,)):
         observation = jax.ShapeDtypeStruct((*leading, size), jnp.result_type(float))
         demand = (

@@ -1,4 +1,4 @@
-"""One compiled program for many updates, spread over the devices there are."""
+"""One compiled program for many updates, spread over the available devices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxrod.training.leaves import is_key
 
 
 def device_mesh(devices: Sequence[jax.Device]) -> Mesh:
-    """A line of devices; the environments of a run are spread along it."""
+    """One-dimensional mesh of devices; the environments of a run are split along it."""
     return jax.make_mesh(
         (len(devices),),
         (DEVICE_AXIS,),
@@ -26,14 +26,14 @@ def device_mesh(devices: Sequence[jax.Device]) -> Mesh:
 
 
 def partition_of(algorithm: Algorithm, state: Any) -> Any:
-    """Specifications of a train state: those of the algorithm, or all repeated."""
+    """Partition specs of a train state: the algorithm's, or all replicated."""
     if algorithm.partition is None:
         return PartitionSpec()
     return algorithm.partition(state)
 
 
 def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
-    """Puts a tree where its specifications, a tree prefix, say."""
+    """Places a tree on the devices given by its specs, which are a tree prefix."""
 
     def put(spec: PartitionSpec, subtree: Any) -> Any:
         sharding = NamedSharding(mesh, spec)
@@ -45,7 +45,7 @@ def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
 
 
 def _put_share(leaf: Any, sharding: NamedSharding) -> Any:
-    """Puts what belongs on this process's devices there; all have the same leaf."""
+    """Places this process's share on its devices; all processes have the same leaf."""
     if is_key(leaf):
         words = _put_share(jax.random.key_data(leaf), sharding)
         return jax.random.wrap_key_data(words, impl=jax.random.key_impl(leaf))
@@ -61,12 +61,12 @@ def compile_updates(
     Args:
         algorithm: The learner.
         state: A train state, placed on the mesh; it is not changed here.
-        capacity: Most updates of one call.
-        mesh: From `device_mesh`.
+        capacity: Largest number of updates of one call.
+        mesh: Mesh from `device_mesh`.
 
     Returns:
-        `(state, count) -> (state, metrics)`. The state given is consumed. The
-        metrics have a leading axis of `capacity`, valid up to `count`.
+        `(state, count) -> (state, metrics)`. The given state is consumed. The metrics
+        have a leading axis of length `capacity`, valid up to `count`.
     """
     compiled = lower_updates(algorithm, state, capacity, mesh).compile()
 
@@ -81,14 +81,14 @@ def lower_updates(
 ) -> jax.stages.Lowered:
     """The program that `compile_updates` compiles, with its arguments.
 
-    Every device runs its share of the environments and of every minibatch; only
-    gradients and a few averages are exchanged. How many updates to do is an
-    argument of the program, so a shorter last chunk compiles nothing.
+    Every device runs its share of the environments and of every minibatch. Only
+    gradients and a few averages are exchanged. The number of updates is an argument of
+    the program, so a shorter last chunk recompiles nothing.
     """
     specs = partition_of(algorithm, state)
     # Without a partition there is one device, and nothing to average over.
     axis = () if algorithm.partition is None else (DEVICE_AXIS,)
-    # Tree prefixes: each stands for all leaves of what has another type.
+    # Tree prefixes: each stands for all leaves below, though their types differ.
     repeated: Any = PartitionSpec()
     along_devices: Any = PartitionSpec(None, None, DEVICE_AXIS)
     metric_specs = Metrics(scalars=repeated, episodes=along_devices)
@@ -111,8 +111,8 @@ def lower_updates(
         mesh=mesh,
         in_specs=(specs, PartitionSpec()),
         out_specs=(specs, metric_specs),
-        # What is repeated stays equal on all devices because it is only changed
-        # by averages over them; the checker cannot see that through the scans.
+        # Replicated leaves stay equal on all devices because only averages over the
+        # devices change them; the checker cannot see that through the scans.
         check_vma=False,
     )
     count = jax.ShapeDtypeStruct((), jnp.int32)

@@ -1,13 +1,13 @@
-"""The rows of a run as an event file, which TensorBoard shows while training goes on.
+"""The rows of a run as an event file, which TensorBoard shows during training.
 
 The file repeats `progress.csv`: one event for each row, at its `env_steps` and the time
-of its `wall_s`, with every other number as a scalar. It is begun anew from that table
-whenever a run goes on, so that no step is there twice or missing, whenever the run was
-killed and whether or not it had an event file before.
+of its `wall_s`, with every other number as a scalar. It is rewritten from that table
+whenever a run is resumed. So no step is duplicated or missing, no matter when the run
+was killed and whether it had an event file before.
 
-The messages are those of tensorboardX. Its writer is not used: that one hands events to
-a thread, which a full disk ends without a word, and puts the machine's name into the
-file's.
+The messages are those of tensorboardX, but its writer is not used. That writer passes
+events to a thread, which a full disk ends silently, and it puts the machine's name into
+the file name.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from tensorboardX.proto.event_pb2 import Event
 
 NAMES = r"events\.out\.tfevents\.\d+\.jaxrod"
-"""Regular expression of the names of these files."""
+"""Regular expression for the names of these files."""
 
 _VERSION = "brain.Event:2"
-"""Version of the format, by which TensorBoard knows how to take a restart."""
+"""Version of the format; it tells TensorBoard how to treat a restart."""
 
 
 def check_installed() -> None:
-    """Raises ModuleNotFoundError, in words, where tensorboardX is not installed."""
+    """Raises ModuleNotFoundError, with a clear message, if tensorboardX is missing."""
     try:
         import tensorboardX.proto.event_pb2  # noqa: F401
     except ModuleNotFoundError as missing:
@@ -52,17 +52,18 @@ class EventFile:
     def __init__(
         self, folder: Path, rows: Iterable[Mapping[str, Any]], wall_s: float
     ) -> None:
-        """Begins the file, with what is known of the run so far.
+        """Begins the file with the rows of the run so far.
 
         Args:
-            folder: Folder of the file; made if it is not there. Other files of the
-                same kind in it are removed.
-            rows: Rows of the table of progress, as numbers or as it keeps them.
-            wall_s: Seconds the run has taken so far [s].
+            folder: Folder of the file; created if missing. Other files of the same kind
+                in
+                it are removed.
+            rows: Rows of the progress table, as numbers or as text from the table.
+            wall_s: Time that the run has taken so far [s].
 
         Raises:
             ModuleNotFoundError: tensorboardX is not installed.
-            OSError: The file cannot be written; with its name.
+            OSError: The file cannot be written; the message has its name.
         """
         from tensorboardX.proto.event_pb2 import Event, SessionLog
 
@@ -75,7 +76,7 @@ class EventFile:
                 file for file in folder.iterdir() if re.fullmatch(NAMES, file.name)
             ]
         # TensorBoard reads files in the order of their names, and a restart at step 0
-        # makes it forget what it has read in others.
+        # makes it forget the content of the others.
         self.path = folder / f"events.out.tfevents.{time.time_ns()}.jaxrod"
         start = SessionLog(status=SessionLog.START)
         self._append(
@@ -90,24 +91,24 @@ class EventFile:
                 file.unlink(missing_ok=True)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Adds a row, with its `env_steps` and `wall_s`.
+        """Adds a row at its `env_steps` and `wall_s`.
 
         Raises:
-            OSError: It cannot be written; with its name.
+            OSError: The file cannot be written; the message has its name.
         """
         event = self._event(row)
         if event:
             self._append([event])
 
     def _event(self, row: Mapping[str, Any]) -> Event | None:
-        """An event of all scalars of a row; None where it has none."""
+        """An event with all scalars of a row; None if it has none."""
         from tensorboardX.proto.event_pb2 import Event
         from tensorboardX.proto.summary_pb2 import Summary
 
         values = [
             Summary.Value(tag=name, simple_value=float(value))
             for name, value in row.items()
-            # What has no value yet is None in a row, and empty in the table.
+            # Missing values are None in a row, and empty in the table.
             if name not in ("env_steps", "wall_s") and value not in (None, "")
         ]
         if not values:
@@ -128,7 +129,7 @@ class EventFile:
 
 
 def _record(event: Event) -> bytes:
-    """An event as the file keeps it: length, message, and a checksum of each."""
+    """An event as stored in the file: length, message, and a checksum of each."""
     from tensorboardX.record_writer import masked_crc32c
 
     content = event.SerializeToString()

@@ -1,16 +1,16 @@
-"""The folder of a run: its files, each written whole or not at all.
+"""The folder of a run: its files, each written completely or not at all.
 
-config.json     what was asked for: enough to run it again; marks the folder
+config.json     the request: enough to run it again; marks the folder
 progress.csv    one row per chunk: env_steps, wall_s, episode_return_mean, ...
 episodes.csv    one row per complete training episode, in order of completion
 summary.json    the result
 checkpoints/    to continue from, see `jaxrod.training.runs.checkpoint`
 policy/         the trained policy, see `jaxrod.training.load_policy`
-tensorboard/    the rows of progress.csv as an event file, where asked for
+tensorboard/    the rows of progress.csv as an event file, if requested
 
-The command line draws learning_curve.png and replay.html beside them. While a process
-trains here there is a lock, see `jaxrod.training.runs.lock`. What else lies in the
-folder is left alone.
+The command line also draws learning_curve.png and replay.html there. While a process
+trains in the folder there is a lock, see `jaxrod.training.runs.lock`. Other files in
+the folder are left alone.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from jaxrod.validation import LARGEST_SEED
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 REPLAY = "replay.html"
-"""Files that the command line draws of a run."""
+"""Files that the command line draws for a run."""
 
 _CONFIG_KINDS = {
     "task": TEXT,
@@ -75,7 +75,7 @@ class RunFolder(OwnedFolder):
     """The files of one run."""
 
     def __init__(self, path: str | Path) -> None:
-        """Names the folder; it need not exist.
+        """Sets the path of the folder, which need not exist.
 
         Raises:
             ValueError: `path` is empty.
@@ -99,7 +99,7 @@ class RunFolder(OwnedFolder):
 
     @property
     def finished(self) -> bool:
-        """Whether the run here came to its end."""
+        """Whether the run in this folder has finished."""
         if not self.summary_file.exists():
             return False
         return self.summary()["status"] == "finished"
@@ -137,14 +137,14 @@ class RunFolder(OwnedFolder):
 
 
 def renamed(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with the task under its name, which was `case` in older runs."""
+    """A configuration with the task as `task`; older runs called it `case`."""
     return {"task" if name == "case" else name: config[name] for name in config}
 
 
 def differences(
     stored: Mapping[str, Any], wanted: Mapping[str, Any], ignore: Sequence[str] = ()
 ) -> list[str]:
-    """Says how two configurations differ, one phrase per entry."""
+    """Describes the differences of two configurations, one phrase per entry."""
     found = []
     for name in sorted({*stored, *wanted} - set(ignore)):
         a, b = stored.get(name), wanted.get(name)

@@ -1,9 +1,10 @@
-"""The processes of one run: one, or many on one machine or several.
+"""The processes of one run: a single one, or many on one or several machines.
 
 JAX runs the same program in every process (`jax.distributed.initialize`). The first
-process is the writer: it alone has the folder of the run. Whatever only it can know,
-what a folder holds, say, or that there is none, it tells the others here, so that all
-go on or stop together; with one process nothing is exchanged and nothing is slower.
+process is the writer: it alone has the folder of the run. Facts that only the writer
+can know (the content of a folder, say, or that there is none) are broadcast to the
+others here, so that all processes continue or stop together. With one process nothing
+is exchanged and nothing is slower.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ from jaxrod.installation.processes import GO_ON
 from jaxrod.training.leaves import is_key
 
 _DONE, _REFUSED = b"+", b"-"
-# How JAX's errors begin that are not about an exchange.
+# Prefixes of JAX errors that do not come from an exchange.
 _OWN_FAULTS = ("RESOURCE_EXHAUSTED", "INVALID_ARGUMENT", "UNIMPLEMENTED")
 
 
 class LostProcessError(RuntimeError):
-    """Another process of the run has ended, or cannot be reached."""
+    """Another process of the run has ended or is unreachable."""
 
 
 class Hosts:
-    """The processes whose devices a run uses."""
+    """The processes that own the devices of a run."""
 
     def __init__(self, devices: Sequence[jax.Device]) -> None:
-        """Finds out whose the devices are.
+        """Determines the owners of the devices.
 
         Raises:
-            ValueError: They belong to some of the other processes only.
+            ValueError: They belong only to some of the other processes.
         """
         owners = {device.process_index for device in devices}
         mine = jax.process_index()
@@ -56,11 +57,11 @@ class Hosts:
         return self.count > 1
 
     def from_writer(self, make: Callable[[], bytes]) -> bytes:
-        """What the writer makes, at every process.
+        """Result of a function that only the writer calls, broadcast to every process.
 
         Raises:
-            ValueError: The writer has refused, and why; so do all.
-            OSError: At the writer, where it could not read or write.
+            ValueError: The writer has refused; all processes raise its message.
+            OSError: Raised at the writer if it could not read or write.
         """
         if not self.several:
             return make()
@@ -86,12 +87,14 @@ class Hosts:
         return bool(flags[:, 0].any()), bool(flags[0, 1])
 
     def fetched(self, tree: Any, mesh: Mesh, at_all: bool = True) -> Any:
-        """A tree in the memory of the host; every process has to ask for it.
+        """A tree in host memory; every process has to call this.
 
         Args:
-            tree: Its leaves are spread over the mesh or repeated on it.
-            mesh: Of all devices of the run.
-            at_all: False: where only the writer needs it, and others get None.
+            tree: Tree whose leaves are split over the mesh or replicated on it.
+            mesh: Mesh of all devices of the run.
+            at_all: Whether every process needs the tree; if False, all but the writer
+                get
+                None.
         """
         if not self.several:
             return jax.device_get(tree) if at_all else tree
@@ -101,7 +104,7 @@ class Hosts:
             if not isinstance(leaf, jax.Array):
                 return leaf
             if not leaf.is_fully_addressable:
-                # One leaf at a time, for a replay may fill much of a device.
+                # One leaf at a time, because a replay may fill much of a device.
                 leaf = leaf if leaf.is_fully_replicated else repeat(leaf)
                 leaf = leaf.addressable_data(0)
             if not (self.writes or at_all):
@@ -112,10 +115,10 @@ class Hosts:
 
     @contextmanager
     def losing_none(self, steps: int) -> Iterator[None]:
-        """Says what it means when JAX cannot exchange what it has to.
+        """Turns errors of JAX's exchanges into a clear message.
 
         Raises:
-            LostProcessError: Instead of JAX's error.
+            LostProcessError: Raised instead of JAX's error.
         """
         try:
             yield
@@ -133,7 +136,7 @@ _REPEATED = PartitionSpec()
 
 
 def packed(arrays: Mapping[str, np.ndarray], about: Any) -> bytes:
-    """Arrays and what JSON can hold, as bytes."""
+    """Packs arrays and JSON data into bytes."""
     stream = io.BytesIO()
     text = np.frombuffer(json.dumps(about).encode(), np.uint8)
     np.savez(stream, allow_pickle=False, **{"": text}, **arrays)
@@ -141,14 +144,14 @@ def packed(arrays: Mapping[str, np.ndarray], about: Any) -> bytes:
 
 
 def unpacked(content: bytes) -> tuple[dict[str, np.ndarray], Any]:
-    """What `packed` was given."""
+    """Arrays and JSON data from the bytes of `packed`."""
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
     return arrays, json.loads(arrays.pop("").tobytes())
 
 
 def _told(content: bytes) -> bytes:
-    """The bytes of the first process, at all."""
+    """The first process's bytes, broadcast to all processes."""
     tell = multihost_utils.broadcast_one_to_all
     length = int(tell(np.array(len(content), np.int32)))
     buffer = np.zeros(length, np.uint8)

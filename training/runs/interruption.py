@@ -1,4 +1,4 @@
-"""Ctrl-C that lets the running chunk finish."""
+"""Ctrl-C handling that lets the running chunk finish."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 class Interruption:
     """Turns SIGINT and SIGTERM into a request to stop, while the context lasts.
 
-    The first signal sets `asked`; a second one raises KeyboardInterrupt. Outside
-    the main thread, where Python allows no handlers, nothing is changed.
+    The first signal sets `asked`; a second one raises KeyboardInterrupt. Outside the
+    main thread, where Python allows no handlers, nothing changes.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        """Listens only within the context.
+        """Prepares the handlers, which only act within the context.
 
         Args:
-            say: Called with a sentence when the first signal comes.
+            say: Function called with a sentence at the first signal.
         """
         self.asked = False
         self._say = say
@@ -39,7 +39,7 @@ class Interruption:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Gives the signals back to whoever had them."""
+        """Restores the previous signal handlers."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 

@@ -1,10 +1,10 @@
-"""A folder that one process at a time may write to.
+"""A lock on a folder that lets one process at a time write to it.
 
-The operating system holds the lock and gives it back when the process ends, however
-it ends: a killed run leaves nothing behind that would have to be cleared away. On
-network file systems that pass locks on (NFS does, Lustre where it is mounted so) it
-holds between machines, too. Where a file system knows no locks there is a warning,
-and `jaxrod.training.runs.table.Table` notices when another process has written.
+The operating system holds the lock and releases it when the process ends, however it
+ends: a killed run leaves nothing to clean up. On network file systems that forward
+locks (NFS, and Lustre with the right mount option) it also works between machines. On a
+file system without locks there is a warning, and `jaxrod.training.runs.table.Table`
+notices when another process has written.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pathlib import Path
 from jaxrod.files import open_to_write
 
 NAME = ".jaxrod.lock"
-"""The file that is locked; says which process holds it."""
+"""File that is locked; its content names the process that holds it."""
 
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 
 class FolderInUseError(ValueError):
-    """Another process writes to the folder."""
+    """Another process is writing to the folder."""
 
 
 class UnlockedFolderWarning(UserWarning):
@@ -38,11 +38,12 @@ class UnlockedFolderWarning(UserWarning):
 def only_process(folder: Path) -> Iterator[None]:
     """Keeps other processes out of a folder for as long as the context lasts.
 
-    The folder is made if it is missing, and removed again if nothing came into it.
+    The folder is created if it is missing, and removed again if it is still empty at
+    the end.
 
     Raises:
-        FolderInUseError: Another process holds it, which is named.
-        jaxrod.files.LinkedFileError: The file of the lock is a link.
+        FolderInUseError: Another process holds it; the message names the process.
+        jaxrod.files.LinkedFileError: The lock file is a link.
         OSError: The folder cannot be made or written to.
     """
     made = not folder.exists()
@@ -55,7 +56,7 @@ def only_process(folder: Path) -> Iterator[None]:
                 os.write(lock, f"{os.getpid()} {platform.node()}\n".encode())
             yield
         finally:
-            # Before it is given back; see `_is_still`. Windows keeps open files.
+            # Unlinked before it is released; see `_is_still`. Windows keeps open files.
             with suppress(OSError):
                 os.unlink(folder / NAME)
             os.close(lock)
@@ -88,12 +89,12 @@ def _take(file: Path) -> int:
             return lock
         if _is_still(lock, file):
             return lock
-        # Whoever had it took it away between our opening and our locking.
+        # Its holder removed the file between our opening and our locking it.
         os.close(lock)
 
 
 def _is_still(lock: int, file: Path) -> bool:
-    """Whether an open file is the one that has the name."""
+    """Whether an open file is still the one under its name."""
     try:
         return os.path.samestat(os.fstat(lock), os.lstat(file))
     except FileNotFoundError:
@@ -101,7 +102,7 @@ def _is_still(lock: int, file: Path) -> bool:
 
 
 def _holder(lock: int) -> str:
-    """The process that holds the lock, in words."""
+    """Description of the process that holds the lock."""
     words = os.pread(lock, 200, 0) if hasattr(os, "pread") else os.read(lock, 200)
     pid, _, host = words.decode(errors="replace").strip().partition(" ")
     return f"process {pid} on {host}" if pid and host else "another process"
@@ -111,7 +112,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _lock(handle: int) -> None:
-        """Locks a byte that is never read: locks of Windows keep readers out."""
+        """Locks a byte that is never read: Windows locks keep readers out."""
         os.lseek(handle, 2**30, os.SEEK_SET)
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         os.lseek(handle, 0, os.SEEK_SET)
@@ -120,5 +121,5 @@ else:
     import fcntl
 
     def _lock(handle: int) -> None:
-        """Locks the file for this process; not `lockf`, which any close undoes."""
+        """Locks the file for this process; not `lockf`, which any close would undo."""
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

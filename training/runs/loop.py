@@ -1,4 +1,4 @@
-"""The entry point of training: checks what is asked for and starts the run."""
+"""The entry point of training: checks the request and starts the run."""
 
 from __future__ import annotations
 
@@ -48,44 +48,47 @@ def train(
 ) -> Result:
     """Trains a policy.
 
-    Ctrl-C (or a SIGTERM) lets the running chunk finish, saves and returns what
-    there is; a second one stops at once. A run in a folder that was stopped or
-    killed, whenever that was, continues with `resume=True` from its last
-    checkpoint and ends bit by bit as if nothing had happened.
+    Ctrl-C (or a SIGTERM) lets the running chunk finish, saves and returns the result so
+    far; a second one stops at once. A stopped or killed run in a folder continues with
+    `resume=True` from its last checkpoint, no matter when it was stopped. It ends bit
+    by bit as if it had never been interrupted.
 
     Args:
-        env: The environment. Of one that `jaxrod.envs.make` has made the run records
-            how, so that `jaxrod evaluate` and `jaxrod render` make it again; of
-            another they say that they cannot.
+        env: The environment. If `jaxrod.envs.make` made it, the run records the recipe,
+            so
+            that `jaxrod evaluate` and `jaxrod render` can make it again. For any other
+            environment these commands report that they cannot.
         algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
-        steps: Control steps, rounded up to whole updates.
-        seed: The seed of all randomness.
+        steps: Number of control steps, rounded up to whole updates.
+        seed: Seed of all random numbers.
         out: Folder of the run, see `jaxrod.training.runs.folder`; None writes
             nothing.
         config: Settings of the algorithm, None for its defaults.
-        env_params: Parameters of the environment, None for its own.
-        resume: Continue the run in `out`.
-        overwrite: Replace the run in `out`; other files there stay.
-        score_window: `final_score` is the mean return of this many last
-            complete training episodes.
-        evaluation_episodes: Episodes of the evaluation at the end, 0 for none.
-        checkpoint_seconds: Time between checkpoints [s]; there is one at the end
-            in any case.
-        chunk_steps: A chunk is at least this many control steps, in whole
+        env_params: Parameters of the environment, None for its defaults.
+        resume: Whether to continue the run in `out`.
+        overwrite: Whether to replace the run in `out`; other files there stay.
+        score_window: Number of last complete training episodes whose mean return is
+            `final_score`.
+        evaluation_episodes: Number of episodes of the evaluation at the end, 0 for
+            none.
+        checkpoint_seconds: Time between checkpoints [s]; there is always one at the
+            end.
+        chunk_steps: Smallest number of control steps of a chunk, rounded up to whole
             updates.
         devices: Devices to spread the environments over, None for all; one for an
             algorithm without a `partition`.
-        progress: Show a progress bar on stderr.
-        log: Called with every row of the progress table; or "tensorboard", which
-            keeps an event file of them in `out` (`docs/learning.md`).
+        progress: Whether to show a progress bar on stderr.
+        log: Function called with every row of the progress table; or "tensorboard",
+            which
+            writes them to an event file in `out` (`docs/learning.md`).
 
     Raises:
-        ModuleNotFoundError: What `log` needs is not installed.
-        ValueError: An argument or a setting makes no sense; `out` holds a run
-            that was not asked to be resumed or overwritten, or files that are not
-            of a run; another process trains there; or what is to be resumed is
+        ModuleNotFoundError: A package that `log` needs is not installed.
+        ValueError: An argument or a setting is invalid; `out` holds a run
+            and neither `resume` nor `overwrite` was set, or it holds files that are
+            not of a run; another process trains there; or the run to be resumed is
             damaged.
-        OSError: Something cannot be written; with its name.
+        OSError: A file cannot be written; the message has its name.
         FloatingPointError: Learning diverged; the checkpoints are from before.
     """
     steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
@@ -115,8 +118,8 @@ def train(
     with ExitStack() as stack:
 
         def take(folder: RunFolder) -> bytes:
-            # Once so that what is refused leaves no trace, once more when nobody
-            # else can change it.
+            # Checked first so that a refusal leaves no trace, and again once nobody
+            # else can change the folder.
             _check_folder(folder, asked, resume, overwrite)
             stack.enter_context(folder.only_process())
             _check_folder(folder, asked, resume, overwrite)
@@ -186,7 +189,7 @@ def request(
     seed: int,
     score_window: int,
 ) -> dict[str, Any]:
-    """What is asked for, as `config.json` keeps it."""
+    """The request, as stored in `config.json`."""
     return {
         **_origin(env),
         "algorithm": algorithm,
@@ -200,8 +203,8 @@ def request(
 def _origin(env: Environment) -> dict[str, Any]:
     """The task, and the options with which `make` makes the environment again.
 
-    Of an environment that `make` has not made nobody knows how to make it again. What
-    it is is then kept in words, for people, and to tell it from others.
+    An environment that `make` did not make cannot be made again. Its description is
+    then stored as text, for people, and to tell it from others.
     """
     how = made(env)
     if how is None:
@@ -224,7 +227,7 @@ def _origin(env: Environment) -> dict[str, Any]:
 def _check_folder(
     folder: RunFolder, asked: dict[str, Any], resume: bool, overwrite: bool
 ) -> None:
-    """Says why the folder cannot be used, if it cannot."""
+    """Raises ValueError with the reason if the folder cannot be used."""
     name = str(folder.path)
     if not resume:
         folder.check_replaceable()
@@ -240,7 +243,7 @@ def _check_folder(
             f"resume needs what {CONFIG} in {name!r} says that the run was started "
             f"with; {', '.join(changed)}"
         )
-    # In replacing what it does not know it could lose it.
+    # Replacing unknown files could lose them.
     folder.check_replaceable()
     result = folder.summary_file.exists()
     if result:
@@ -256,7 +259,7 @@ def _check_folder(
             )
     begun = result or (folder.policy / "policy.json").exists()
     if begun and not Checkpoints(folder.checkpoints).steps():
-        # Starting over in its place would lose what was reached.
+        # Starting over in this folder would lose the results so far.
         raise ValueError(
             f"out must hold a checkpoint to resume from, but the run in "
             f"{name!r} is {'finished' if folder.finished else 'under way'} and its "

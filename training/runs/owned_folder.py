@@ -1,8 +1,8 @@
-"""A folder of results that knows which of its files jaxrod has written.
+"""A folder of results that knows which of its files were written by jaxrod.
 
-Its `config.json` carries a mark. Where the mark is missing, nothing in the folder is
-replaced or removed, on any request; where it is there, only the files that such a
-folder is known to hold are, one by one.
+Its `config.json` carries a mark. If the mark is missing, nothing in the folder is
+replaced or removed, whatever the request. If it is there, only the files that such a
+folder is known to hold are replaced or removed, one by one.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from jaxrod.files import (
 from jaxrod.training.runs.lock import only_process
 
 CONFIG = "config.json"
-"""File of the configuration and the mark."""
+"""File with the configuration and the mark."""
 
 
 class OwnedFolder:
-    """A folder that one command writes, and its files."""
+    """A folder that one command writes, with its files."""
 
     def __init__(
         self,
@@ -40,14 +40,14 @@ class OwnedFolder:
         files: Sequence[str],
         folders: Mapping[str, str] | None = None,
     ) -> None:
-        """Names the folder; it need not exist.
+        """Sets the path of the folder, which need not exist.
 
         Args:
             path: The folder.
             kind: Kind of its content, such as "training run".
-            files: Names of the files in it, beside `config.json`.
-            folders: Names of the folders in it, and as a regular expression the
-                names of the files in each.
+            files: Names of the files in it, in addition to `config.json`.
+            folders: Names of the folders in it, each with a regular expression for the
+                names of its files.
 
         Raises:
             ValueError: `path` is empty.
@@ -61,18 +61,18 @@ class OwnedFolder:
 
     @property
     def exists(self) -> bool:
-        """Whether a run was started here, by jaxrod or something else."""
+        """Whether a run was started here, by jaxrod or another program."""
         return os.path.lexists(self.path / CONFIG)
 
     def only_process(self) -> AbstractContextManager[None]:
-        """Keeps other processes from writing here, see `folder_lock`."""
+        """Keeps other processes from writing here, see `jaxrod.training.runs.lock`."""
         return only_process(self.path)
 
     def stored(self) -> dict[str, Any]:
-        """Reads `config.json` without its mark.
+        """Reads `config.json` and drops its mark.
 
         Raises:
-            ValueError: It is not there, is damaged, or marks something else.
+            ValueError: The file is missing, is damaged, or has another mark.
         """
         file = self.path / CONFIG
         try:
@@ -90,7 +90,7 @@ class OwnedFolder:
         return f"jaxrod {self.kind} 1"
 
     def check_replaceable(self) -> None:
-        """Raises ValueError where writing here could cost what jaxrod did not write."""
+        """Raises ValueError if writing here could destroy files of others."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{self.path} is a file, not a folder")
         for name in self._folders:
@@ -109,7 +109,7 @@ class OwnedFolder:
                 raise ValueError(f"{self.path / name} was not written by jaxrod")
 
     def _there(self) -> list[str]:
-        """Names written here that exist already."""
+        """Names of existing files and folders that are written here."""
         return [name for name in self._files if os.path.lexists(self.path / name)] + [
             name
             for name in self._folders
@@ -118,7 +118,7 @@ class OwnedFolder:
         ]
 
     def _strange(self) -> str | None:
-        """The reason why the folder is not known as jaxrod's; None where it is."""
+        """Reason why the folder is not recognised as jaxrod's; None if it is."""
         file = self.path / CONFIG
         if not os.path.lexists(file):
             return f"no {CONFIG} that says that they are of a {self.kind} of jaxrod"
@@ -131,11 +131,11 @@ class OwnedFolder:
         return None
 
     def begin(self, config: Mapping[str, Any]) -> None:
-        """Removes what was written here before and writes `config.json`.
+        """Removes earlier results and writes `config.json`.
 
         Raises:
-            ValueError: See `check_replaceable`; or the configuration has no form
-                in JSON. Then nothing is removed.
+            ValueError: See `check_replaceable`; or the configuration cannot be written
+                as JSON. Nothing is removed then.
         """
         text = as_json(CONFIG, {"format": self._mark, **config})
         self.check_replaceable()
@@ -144,17 +144,17 @@ class OwnedFolder:
         write_atomically(self.path / CONFIG, text)
 
     def clear(self) -> None:
-        """Removes what jaxrod has written here, and nothing else.
+        """Removes the files that jaxrod has written here, and nothing else.
 
         Raises:
-            ValueError: See `check_replaceable`; then nothing is removed.
+            ValueError: See `check_replaceable`; nothing is removed then.
         """
         self.check_replaceable()
         self._remove_results()
         _remove(self.path / CONFIG)
 
     def _remove_results(self) -> None:
-        """Removes all but the mark, by which the folder is known for what it is."""
+        """Removes everything but the mark, by which the folder is recognised."""
         for folder, names in self._folders.items():
             for file in _matching(self.path / folder, names):
                 _remove(file)
@@ -166,10 +166,10 @@ class OwnedFolder:
         self.remove_temporary()
 
     def remove_temporary(self, but: Sequence[str] = ()) -> None:
-        """Removes files that a killed process was about to write.
+        """Removes temporary files that a killed process left behind.
 
         Args:
-            but: Files that others may be writing just now.
+            but: Files that other processes may be writing at this moment.
         """
         names = "|".join(re.escape(name) for name in self._files if name not in but)
         for folder, pattern in {".": names, **self._folders}.items():
@@ -179,7 +179,7 @@ class OwnedFolder:
 
 
 def _matching(folder: Path, names: str) -> list[Path]:
-    """The files of a folder whose whole names match."""
+    """Files of a folder whose full names match."""
     if not folder.is_dir():
         return []
     return [
@@ -199,11 +199,11 @@ def _remove(file: Path) -> None:
 
 
 def as_json(name: str, content: Mapping[str, Any]) -> bytes:
-    """The text of a JSON file.
+    """Text of a JSON file.
 
     Raises:
         ValueError: A number is not finite.
-        TypeError: Something has no form in JSON.
+        TypeError: A value cannot be written as JSON.
     """
     try:
         text = json.dumps(dict(content), indent=2, allow_nan=False)

@@ -1,4 +1,4 @@
-"""Settings of a learner as JSON holds them, and back."""
+"""Settings of a learner converted to JSON and back."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ KINDS: dict[type, str] = {
     float: "a number",
     str: "text",
 }
-"""Kinds of settings in words."""
+"""Descriptions of the kinds of settings."""
 FUNCTION = "the import path of a function, module:NAME"
-"""Settings that are functions, in words."""
+"""Description of settings that are functions."""
 
 
 def recorded(settings: Any) -> dict[str, Any]:
-    """The settings of a learner, a dataclass, as `config.json` keeps them.
+    """The settings of a learner, a dataclass, in the form of `config.json`.
 
     Raises:
-        ValueError: One is a function that no other process could find.
+        ValueError: One is a function that another process could not find.
     """
     return {
         field.name: _recorded(field.name, getattr(settings, field.name))
@@ -40,17 +40,18 @@ def recorded(settings: Any) -> dict[str, Any]:
 def restored(
     defaults: Any, stored: Mapping[str, Any], trust: Collection[str] = ()
 ) -> Any:
-    """Settings from what `config.json` keeps of them.
+    """Settings restored from `config.json`.
 
     Args:
         defaults: Settings of the learner; those that are not stored stay.
-        stored: What was kept; what is no setting of the learner is left out.
+        stored: Stored settings; entries that are no settings of the learner are
+            ignored.
         trust: Modules that may be imported because the file names them, see
-            `jaxrod.envs.importing.check_trusted`; what is as by default needs none.
+            `jaxrod.envs.importing.check_trusted`; default values need none.
 
     Raises:
-        ValueError: One is not of its kind.
-        UntrustedError: One is a function that is not trusted.
+        ValueError: A setting has the wrong type.
+        UntrustedError: A setting is a function that is not trusted.
         ImportError: A function is not found.
     """
     known = {field.name for field in dataclasses.fields(defaults)}
@@ -65,7 +66,7 @@ def restored(
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON holds it; what JSON cannot hold stays what it is."""
+    """A value as JSON can hold it; other values stay unchanged."""
     if isinstance(value, tuple | list):
         return [plain(one) for one in value]
     if isinstance(value, dict):
@@ -75,7 +76,7 @@ def plain(value: Any) -> Any:
 
 
 def is_function(default: Any) -> bool:
-    """Whether a setting with this default is a function, or None for the usual one."""
+    """Whether a setting with this default takes a function, or None."""
     return default is None or callable(default)
 
 
@@ -83,13 +84,14 @@ def find_function(name: str, path: Any, trust: Collection[str] | None = None) ->
     """The function that a setting names.
 
     Args:
-        name: Of the setting.
-        path: Its import path; None stands for itself.
-        trust: For a path that a file holds, see `restored`; None for what the user
-            names.
+        name: Name of the setting.
+        path: Its import path; None returns None.
+        trust: Trusted modules if a file holds the path, see `restored`; None if the
+            user
+            gives the path.
 
     Raises:
-        ValueError: It is no import path, or not that of a function.
+        ValueError: It is no import path, or its object is not a function.
         UntrustedError: A file names it, and it is not trusted.
         ImportError: It is not found.
     """
@@ -133,7 +135,7 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def _restored(name: str, value: Any, default: Any, trust: Collection[str]) -> Any:
-    """A stored value, of the same kind as the default."""
+    """A stored value, which must have the type of the default."""
     if is_function(default):
         usual = callable(default) and value == import_path(default)
         return default if usual else find_function(name, value, trust)

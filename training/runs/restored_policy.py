@@ -1,4 +1,4 @@
-"""The policy of a run, whatever algorithm and network it is of."""
+"""The policy of a run, for any algorithm and network."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def restore_policy(
     Args:
         run: Folder of the run.
         env: The environment it was trained on.
-        env_params: Parameters of the environment, None for its own.
+        env_params: Parameters of the environment, None for its defaults.
         trust: Modules that may be imported because the run names them, such as
             `("my_learners",)`: those of an algorithm or a network of your own. The
             policies of built-in algorithms and networks need none.
 
     Raises:
-        ValueError: There is no run, it has no policy yet, or a file is damaged; with
-            its name.
+        ValueError: There is no run, it has no policy yet, or a file is damaged; the
+            message names it.
         UntrustedError: The run names an algorithm or a network that is not trusted.
-        ImportError: The algorithm or a network that it was trained with is not found.
+        ImportError: The algorithm or the network of the run is not found.
     """
     folder = RunFolder(run)
     stored = folder.config()
@@ -60,16 +60,16 @@ def untrained_policy(
     *,
     env_params: Any = None,
 ) -> Any:
-    """Structure of the policy that training would make; computes nothing.
+    """Structure of the policy that training would make, without computing anything.
 
     Args:
         env: The environment.
         algorithm: A name, an import path or an `Algorithm`.
         config: Settings of the algorithm, None for its defaults.
-        env_params: Parameters of the environment, None for its own.
+        env_params: Parameters of the environment, None for its defaults.
 
     Returns:
-        The policy, with shapes and types (`jax.ShapeDtypeStruct`) in place of numbers.
+        The policy, with shapes and dtypes (`jax.ShapeDtypeStruct`) in place of numbers.
     """
     algorithm, config = resolve(algorithm, config)
     algorithm.validate(config, 1)

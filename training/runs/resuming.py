@@ -1,4 +1,4 @@
-"""Going back to the last sound checkpoint of a run, and the tables with it."""
+"""Restoring the last sound checkpoint of a run, and cutting its tables to match."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _FACTS = {
     "progress": OBJECT,
     "episodes": OBJECT,
 }
-"""Facts that a checkpoint holds beside the train state."""
+"""Facts that a checkpoint holds in addition to the train state."""
 
 
 @pytree
@@ -50,17 +50,17 @@ class Stored:
     learner: Any
     """The train state of the algorithm."""
     env_params: Any
-    """Parameters of the environment: a run goes on only in the one it began in."""
+    """Parameters of the environment: a run must continue with its original ones."""
 
 
 class DamagedCheckpointWarning(UserWarning):
-    """The newest checkpoint cannot be read; a run goes on from the one before."""
+    """The newest checkpoint cannot be read; the run continues from the one before."""
 
 
 def facts_of(
     folder: RunFolder, asked: dict[str, Any], updates: int, wall_s: float
 ) -> dict[str, Any]:
-    """Facts of a checkpoint, after all that they count is on the disk."""
+    """Facts of a checkpoint, once the rows they count are on the disk."""
     return {
         "config": asked,
         "updates": updates,
@@ -71,31 +71,31 @@ def facts_of(
 
 
 def stored(state: Any, env_params: Any) -> Stored:
-    """Stored parts of a train state and the parameters of its environment."""
+    """Content of a checkpoint from a train state and environment parameters."""
     return Stored(state, jax.tree.map(jnp.asarray, env_params))
 
 
 def restore(
     folder: RunFolder, checkpoints: Checkpoints, asked: dict[str, Any], template: Stored
 ) -> tuple[Stored, dict[str, Any]] | None:
-    """Reads the newest checkpoint that can be read and cuts the tables back to it.
+    """Restores the newest readable checkpoint and cuts the tables back to it.
 
     Args:
-        folder: Of the run.
-        checkpoints: Of the run.
-        asked: Its configuration.
-        template: What is stored, of the same structure and shapes.
+        folder: Folder of the run.
+        checkpoints: Checkpoints of the run.
+        asked: Configuration of the run.
+        template: Content of a checkpoint, of the same structure and shapes.
 
     Returns:
-        What was stored and the facts; None where there is no checkpoint, for a run
-        that was killed before the first one starts over.
+        The content and the facts; None if there is no checkpoint, because a run that
+        was killed before the first one starts over.
 
     Raises:
-        ValueError: No checkpoint can be read, the newest is of another run, or a
-            table has lost what it counts on. Then nothing is changed.
+        ValueError: No checkpoint can be read, the newest belongs to another run, or a
+            table has lost rows that the checkpoint counts. Nothing is changed then.
 
     Warns:
-        DamagedCheckpointWarning: The newest cannot be read, an older one can.
+        DamagedCheckpointWarning: The newest cannot be read, but an older one can.
     """
     found, damaged = None, []
     for step in checkpoints.steps():
@@ -110,14 +110,14 @@ def restore(
         raise ValueError(f"no checkpoint can be used: {'; '.join(damaged)}")
     if found:
         _check_same_task(found[0].env_params, template.env_params)
-    # All that can be wrong is looked for before anything is changed.
+    # All checks come before any change.
     marks = found[1] if found else {"progress": None, "episodes": None}
     tables = {"progress": folder.progress, "episodes": folder.episodes}
     for name, table in tables.items():
         table.check(marks[name])
     for name, table in tables.items():
         table.cut(marks[name])
-    # What was being written when the run was killed.
+    # Files that were being written when the run was killed.
     folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
     if damaged:
         warnings.warn(
@@ -131,7 +131,7 @@ def restore(
 def _check_facts(
     file: Path, step: int, asked: dict[str, Any], facts: dict[str, Any]
 ) -> None:
-    """Raises ValueError unless a checkpoint is of this run."""
+    """Raises ValueError unless a checkpoint belongs to this run."""
     with reading(file):
         check_entries(facts, _FACTS)
         if facts["updates"] != step:
@@ -146,13 +146,13 @@ def _check_facts(
 
 
 def _check_same_task(stored: Any, given: Any) -> None:
-    """Raises ValueError unless all numbers of an environment are what they were."""
+    """Raises ValueError unless all numbers of an environment are unchanged."""
     for (path, was), now in zip(
         jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
     ):
         if is_key(now):
             was, now = jax.random.key_data(was), jax.random.key_data(now)
-        # Another machine may have computed the last digit otherwise.
+        # Another machine may have computed a different last digit.
         if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
             raise ValueError(
                 "resume needs the env_params that the run was started with; "

@@ -1,7 +1,7 @@
 """One run on the host: chunks of compiled updates, and the records between them.
 
-After every chunk the run logs, shows progress, and now and then saves; it never
-looks inside an algorithm, see `jaxrod.training.algorithm`.
+After every chunk the run logs, shows progress, and sometimes saves. It never looks
+inside an algorithm, see `jaxrod.training.algorithm`.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ from jaxrod.training.settings import check_steps
 _STORED = "stored"
 
 TENSORBOARD: Literal["tensorboard"] = "tensorboard"
-"""The word for an event file in the folder of the run, see `EventFile`."""
+"""Value of `log` for an event file in the folder of the run, see `EventFile`."""
 
 Log = Callable[[dict[str, Any]], None] | Literal["tensorboard"]
-"""What is done with every row of the progress table."""
+"""Consumer of the rows of the progress table."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Result:
     episodes: EpisodeLog
     """Every complete training episode of the run."""
     evaluation: Evaluation | None
-    """Evaluation of `policy`; None if interrupted or not asked for."""
+    """Evaluation of `policy`; None if interrupted or not requested."""
     state: Any
     """The final train state."""
     folder: RunFolder | None
@@ -71,7 +71,7 @@ class Result:
 
 
 class Run:
-    """One call of `jaxrod.training.train`: the state of the host while it lasts."""
+    """One call of `jaxrod.training.train`, with its state on the host."""
 
     def __init__(
         self,
@@ -109,9 +109,9 @@ class Run:
         own = self.folder
         self.checkpoints = Checkpoints(own.checkpoints) if own else None
 
-        # The mesh first: it fails at once where the devices do not fit.
+        # The mesh first: it fails at once if the devices do not fit.
         self.mesh = device_mesh(devices)
-        # Static, for 32 bits do not hold the control steps of a very long run.
+        # Static, because 32 bits cannot hold the control steps of a very long run.
         start = jax.jit(learner.init, static_argnums=(1, 4))
         key = jax.random.key(asked["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
@@ -119,7 +119,7 @@ class Run:
         if folder and resume:
             state = self._restore(state)
         elif folder:
-            # Not before the state could be made: what fails here costs nothing.
+            # Only after the state could be made: a failure before costs nothing.
             hosts.from_writer(partial(_begin, folder, asked))
         self.state = place(state, partition_of(learner, state), self.mesh)
         self.log = log if hosts.writes and log != TENSORBOARD else None
@@ -130,17 +130,17 @@ class Run:
 
     @property
     def env_steps(self) -> int:
-        """Control steps done."""
+        """Number of control steps so far."""
         return self.done * self.per_update
 
     def _clock(self) -> float:
-        """Seconds this run has taken, with what it took before it was resumed."""
+        """Time of this run, including the time before it was resumed [s]."""
         self.wall_s = self.wall_before + time.monotonic() - self.began
         return self.wall_s
 
     def go(self, evaluation_episodes: int) -> Result:
         """Runs to the end, or to an interruption, and writes the result."""
-        # A finished run has nothing to add to: its summary stands as it is.
+        # A finished run has nothing to add: its summary stays as it is.
         ended = self.done == self.total
         summary = {} if ended else self._advance()
         finished = self.done == self.total
@@ -172,7 +172,7 @@ class Run:
         )
 
     def _advance(self) -> dict[str, Any]:
-        """Compiles and runs the chunks; returns how long what took."""
+        """Compiles and runs the chunks; returns compilation time and speed."""
         began, steps_before = time.monotonic(), self.env_steps
         if self.show:
             print(f"compiling {self.learner.name} for {self.env.name}", file=sys.stderr)
@@ -212,7 +212,7 @@ class Run:
         }
 
     def _record(self, metrics: Metrics, count: int, bar: ProgressBar) -> None:
-        """Takes in a chunk: one row of progress, the episodes that ended."""
+        """Records a chunk: one row of progress, and the episodes that ended."""
         wall = self._clock()
         self.done += count
         new = self.episodes.take(metrics.episodes, count, self.env_steps)
@@ -241,7 +241,7 @@ class Run:
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
-        """Raises FloatingPointError if there is anything that is not a number."""
+        """Raises FloatingPointError if any number is NaN."""
         names = ", ".join(broken)
         if names:
             raise FloatingPointError(
@@ -250,7 +250,8 @@ class Run:
             )
 
     def _save(self) -> None:
-        # The last step of a chunk may break what no reported number has seen yet.
+        # The last step of a chunk may have produced NaNs that no reported number shows
+        # yet.
         policy = self._policy()
         lost = any(np.isnan(leaf).any() for leaf in jax.tree.leaves(policy))
         self._stop_if(["the policy"] if lost else [])
@@ -262,7 +263,7 @@ class Run:
             facts = facts_of(self.folder, self.asked, self.done, self._clock())
             kept = stored(state, self.env_params)
             self.checkpoints.save(self.done, kept, facts)
-            # So that a run can be evaluated and drawn while it goes on.
+            # So that a run can be evaluated and drawn while it is running.
             self._export(policy)
 
     def _policy(self) -> Policy:
@@ -279,7 +280,7 @@ class Run:
             save_policy(policy, self.folder.policy, about)
 
     def _restore(self, template: Any) -> Any:
-        """The train state to go on from, with all that is known of the run so far."""
+        """The train state to continue from; also restores the run's counts."""
         begun = stored(template, self.env_params)
         if not self.hosts.several:
             found = self._read(begun)
@@ -296,7 +297,7 @@ class Run:
         return kept.learner
 
     def _read(self, template: Stored) -> _Found | None:
-        """Reads what there is in the folder."""
+        """Reads the checkpoint and the episodes in the folder."""
         assert self.checkpoints and self.folder
         found = restore(self.folder, self.checkpoints, self.asked, template)
         return None if found is None else (*found, self.folder.episodes.read())
@@ -333,7 +334,7 @@ class Run:
 
 
 _Found = tuple[Stored, dict[str, Any], list[dict[str, str]]]
-"""What a run goes on from: a checkpoint's state and facts, rows of the episodes."""
+"""Restored data of a run: a checkpoint's state and facts, rows of the episodes."""
 
 
 def _begin(folder: RunFolder, asked: dict[str, Any]) -> bytes:
@@ -342,7 +343,7 @@ def _begin(folder: RunFolder, asked: dict[str, Any]) -> bytes:
 
 
 def _as_bytes(found: _Found | None) -> bytes:
-    """What was found, to be sent to other processes."""
+    """The restored data as bytes, for sending to other processes."""
     if found is None:
         return b""
     kept, *about = found
@@ -351,7 +352,7 @@ def _as_bytes(found: _Found | None) -> bytes:
 
 
 def _from_bytes(content: bytes, template: Stored) -> _Found | None:
-    """What `_as_bytes` was given."""
+    """The restored data from the bytes of `_as_bytes`."""
     if not content:
         return None
     arrays, (facts, episodes) = unpacked(content)
@@ -361,7 +362,7 @@ def _from_bytes(content: bytes, template: Stored) -> _Found | None:
 
 
 def _reached(row: Mapping[str, Any]) -> str:
-    """What a row of progress has reached: until an episode ends, the rewards."""
+    """Result so far from a row of progress: rewards until the first episode ends."""
     if row["episode_return_mean"] is not None:
         return f"return {row['episode_return_mean']:,.1f}"
     if "reward_mean" in row:

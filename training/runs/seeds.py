@@ -27,26 +27,26 @@ def train_seeds(
 ) -> tuple[Any, dict[str, Array]]:
     """Trains one run per seed, all in one program and without touching the host.
 
-    Fit for small tasks and studies; for a long run use `jaxrod.training.train`.
-    Vectorised, both branches of a condition are computed: a restart costs a
-    little in every step.
+    Suitable for small tasks and studies; for a long run use `jaxrod.training.train`.
+    Under vectorisation both branches of a condition are computed, so restarts add a
+    small cost to every step.
 
     Args:
         env: The environment.
         algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
-        steps: Control steps of each run, rounded up to whole updates.
+        steps: Number of control steps of each run, rounded up to whole updates.
         seeds: The seeds.
         config: Settings of the algorithm, None for its defaults.
-        env_params: Parameters of the environment, None for its own.
+        env_params: Parameters of the environment, None for its defaults.
 
     Returns:
-        The train states, with a leading axis of seeds, and metrics of shape
-        (seeds, updates): those of the algorithm, `episodes` (complete episodes
-        that ended in the update) and `episode_return_mean` (of these; NaN if
-        none).
+        The train states, with a leading axis of seeds, and metrics of shape (seeds,
+        updates): those of the algorithm, `episodes` (number of complete episodes that
+        ended in the update) and `episode_return_mean` (mean over these; NaN if there
+        are none).
 
     Raises:
-        ValueError: An argument or a setting makes no sense.
+        ValueError: An argument or a setting is invalid.
     """
     learner, config = resolve(algorithm, config)
     learner.validate(config, 1)

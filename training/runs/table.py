@@ -1,4 +1,4 @@
-"""A CSV file that grows by rows and can be cut back to what a checkpoint counted."""
+"""A CSV file that grows by rows and can be cut back to a checkpoint's count."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ Mark = dict[str, Any]
 
 
 class Table:
-    """The table and, once it was cut, how far this process has written it."""
+    """The table, and, once it was cut, the extent that this process has written."""
 
     def __init__(self, path: Path) -> None:
-        """Names the file; it need not exist."""
+        """Sets the path of the file, which need not exist."""
         self.path = path
         self._begin(b"")
 
@@ -43,12 +43,12 @@ class Table:
         self._digest = hashlib.sha256(content)
 
     def append(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Adds rows; the first row of the file decides the columns.
+        """Appends rows; the first row of the file determines the columns.
 
         Raises:
-            ValueError: Another process has written to the file, or a row is of
-                other columns.
-            OSError: It cannot be written; with its name.
+            ValueError: Another process has written to the file, or a row has other
+                columns.
+            OSError: It cannot be written; the message has its name.
         """
         rows = list(rows)
         if not rows:
@@ -85,7 +85,7 @@ class Table:
         self._digest.update(added)
 
     def mark(self) -> Mark:
-        """Waits until all rows are on the disk; returns what is there."""
+        """Waits until all rows are on the disk; returns a mark at their end."""
         if self._bytes:
             with naming(self.path):
                 handle = open_to_write(self.path, os.O_RDWR)
@@ -100,9 +100,9 @@ class Table:
         }
 
     def check(self, mark: Mark | None) -> None:
-        """Raises ValueError unless the file begins with what was marked.
+        """Raises ValueError unless the file begins with the marked content.
 
-        The file that this process continues must not be a link either.
+        The file that this process continues must not be a link.
         """
         refuse_link(self.path)
         if mark is None:
@@ -145,7 +145,7 @@ class Table:
         self._begin(kept)
 
     def read(self) -> list[dict[str, str]]:
-        """Returns all complete rows, none if the file does not exist.
+        """Returns all complete rows; none if the file does not exist.
 
         Raises:
             ValueError: The file is damaged.
@@ -163,15 +163,15 @@ class Table:
 
 
 def check_mark(mark: Mapping[str, Any]) -> None:
-    """Raises ValueError unless it can be the mark of a table."""
+    """Raises ValueError unless it can be a mark of a table."""
     check_entries(mark, {"rows": whole(0), "bytes": whole(0), "sha256": TEXT})
 
 
 def _first_empty(content: bytes) -> str | None:
-    """The first place where a table lacks a value, as a phrase.
+    """Phrase for the first place where a table lacks a value.
 
-    First of all one in a column that has values above: some have none until an episode
-    has ended.
+    Columns with values in earlier rows take precedence: some columns have no values
+    until an episode has ended.
     """
     lines = list(csv.reader(io.StringIO(content.decode(errors="replace"), newline="")))
     columns, rows = lines[0], lines[1:]
@@ -190,7 +190,7 @@ def _first_empty(content: bytes) -> str | None:
 
 
 def _lines(rows: Iterable[Iterable[Any]]) -> bytes:
-    """Rows as CSV."""
+    """Rows as CSV text."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()
