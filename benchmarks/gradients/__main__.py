@@ -1,10 +1,10 @@
-"""Measure derivatives through time: errors, cost, memory, what a tip still feels.
+"""Measure derivatives through time: errors, cost, memory, sensitivity of the tip.
 
-Takes a named scene (swing: an arm let go; slam: the same onto a post, with and without
-the contact; rope: a thin one), differentiates the end of the run with respect to
-couples over time and the stiffness, and compares with central differences over step
-sizes, in float64 and float32. Prints two tables; with --out, writes report.md,
-report.json and gradients.png too. A minute or two for each scene.
+Takes a named scene (swing: an arm that is released; slam: the same arm hitting a post,
+with and without the contact; rope: a thin arm), differentiates the end of the run with
+respect to couples over time and the stiffness, and compares with central differences
+for a range of step sizes, in float64 and float32. Prints two tables; with --out, also
+writes report.md, report.json and gradients.png. Takes a minute or two for each scene.
 
 Exits with 0 if the derivative in float64 is right to 1e-6, and with 1 if not.
 
@@ -97,7 +97,7 @@ def _reports(args: argparse.Namespace) -> list[GradientReport]:
 
 
 def markdown(reports: list[GradientReport]) -> str:
-    """Two tables."""
+    """The report as two tables."""
     cells = [
         ("steps of a run", lambda r: f"{r.steps} of {r.n_elements} elements"),
         ("reverse mode, error, float64", lambda r: f"{min(r.reverse_errors):.1e}"),
@@ -143,7 +143,7 @@ def markdown(reports: list[GradientReport]) -> str:
 
 
 def picture(reports: list[GradientReport]) -> bytes:
-    """Errors by step size, and singular values by horizon."""
+    """Plot of errors against step size, and of singular values against the horizon."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

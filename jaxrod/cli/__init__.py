@@ -1,18 +1,18 @@
 """The command line: `jaxrod COMMAND ...`.
 
 Each command is one module of this package, named after it, or a program of the
-checkout (`jaxrod.cli.checkout`), with
+checkout (`jaxrod.cli.checkout`). It has
 
-- a docstring: what the command does, shown by `jaxrod COMMAND --help`;
+- a docstring: a description of the command, shown by `jaxrod COMMAND --help`;
 - `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
   worked examples;
-- `run(args) -> int`: does it and returns the exit code.
+- `run(args) -> int`: executes the command and returns the exit code.
 
-Only the module of the command that was asked for is imported.
+Only the module of the requested command is imported.
 
-Exit codes: 0 done, 1 done and the answer is bad (such as a machine that fails
-`jaxrod doctor`) or the installation has not got what is asked for, 2 the request cannot
-be carried out, 70 a fault of jaxrod (with its traceback), 130 interrupted.
+Exit codes: 0 done; 1 done, but with a bad result (such as a machine that fails `jaxrod
+doctor`), or the installation lacks what the command needs; 2 the request cannot be
+carried out; 70 a fault of jaxrod (with its traceback); 130 interrupted.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ EXTRAS = {
 }
 
 BROKEN = 70
-"""Exit code after an error that nobody foresaw."""
+"""Exit code after an unexpected error."""
 
 EPILOG = """\
 * in a checkout of the repository, installed with `pip install -e .`
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line.
 
     Args:
-        argv: The arguments after the program's name; those of the process if None.
+        argv: Arguments after the program's name; those of the process if None.
 
     Returns:
         The exit code.
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parser.parse_args(arguments)
         with _warnings_as_sentences(command):
             code = int(args.run(args))
-        # A closed pipe has to show here, not while the interpreter shuts down.
+        # A closed pipe has to show up here, not while the interpreter shuts down.
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
@@ -118,8 +118,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 file=sys.stderr,
             )
             return 2
-        # What a file of a run holds is checked where it is read. This is a fault of
-        # ours, which only its traceback explains.
+        # The content of a run's files is checked where it is read. So this is a fault
+        # of jaxrod, which only its traceback explains.
         traceback.print_exc()
         words = printable(shlex.join(["jaxrod", *arguments]))
         print(
@@ -132,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _warnings_as_sentences(command: str) -> Iterator[None]:
-    """Shows warnings without the line of the program that gave them."""
+    """Shows warnings without the source line that issued them."""
 
     def show(
         message: Warning | str,
@@ -182,7 +182,7 @@ def module_of(command: str) -> ModuleType:
     """Imports the module of a command.
 
     Raises:
-        NoCheckoutError: It is one of a checkout, and there is none.
+        NoCheckoutError: The command needs a checkout, and there is none.
     """
     if command in checkout.PROGRAMS:
         return checkout.program(command)
@@ -190,7 +190,7 @@ def module_of(command: str) -> ModuleType:
 
 
 def _sentence(error: ValueError | OSError | ImportError) -> str:
-    """Turns an error into one sentence for the person at the terminal."""
+    """Turns an error into one sentence for the user."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         package = error.name.partition(".")[0]
         if package in EXTRAS:

@@ -1,7 +1,7 @@
-"""Commands whose programs a checkout has in its folder `benchmarks`.
+"""Commands whose programs are in the folder `benchmarks` of a checkout.
 
-They run the published grid and compare with other simulators: of use to whoever works
-on jaxrod, and not part of what is installed. A program is a module with the same
+They run the published grid and compare with other simulators. They are useful for
+people who work on jaxrod, and are not installed. A program is a module with the same
 docstring, `add_arguments` and `run` as the commands of `jaxrod.cli`.
 """
 
@@ -27,7 +27,7 @@ class NoCheckoutError(ImportError):
 
 
 def program(command: str) -> ModuleType:
-    """The module of a command.
+    """Imports the module of a command.
 
     Args:
         command: One of `PROGRAMS`.
@@ -45,7 +45,7 @@ def program(command: str) -> ModuleType:
         )
     package, _, _ = name.partition(".")
     if package not in sys.modules:
-        # By its place: the current folder may well have `benchmarks` of its own.
+        # Imported by its path: the current folder may have its own `benchmarks`.
         place = root / package / "__init__.py"
         spec = importlib.util.spec_from_file_location(package, place)
         assert spec is not None and spec.loader is not None

@@ -1,4 +1,4 @@
-"""Which devices a run of the command line takes."""
+"""Choice of the devices for a run of the command line."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
     """The first devices of each process, in their order.
 
     Args:
-        devices: Those of all processes.
-        asked: What --devices said of each process; None: all.
+        devices: Devices of all processes.
+        asked: Value of --devices for each process; None for all.
 
     Raises:
-        ValueError: A process has fewer.
+        ValueError: A process has fewer devices.
     """
     if asked is None:
         return list(devices)
@@ -33,18 +33,20 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
 
 
 def devices_that_fit(num_envs: int, asked: int | None, available: int | None) -> int:
-    """How many devices to use: those asked for, or as many as divide the batch.
+    """Number of devices to use: the requested one, or as many as divide the batch.
 
     Args:
-        num_envs: Environments to spread.
-        asked: What --devices said.
-        available: Devices there are; None before JAX has started, for the cores.
+        num_envs: Number of environments to spread.
+        asked: Value of --devices.
+        available: Number of existing devices; None before JAX has started, for the
+            number
+            of cores.
     """
     if available is None:
         from jaxrod.installation.backend import available_cores
 
         available = available_cores()
-        # More would be made of the same cores, and nobody told.
+        # More devices would only split the same cores, without the user being told.
         asked = asked if asked is None else min(asked, available)
     if asked is not None:
         return asked

@@ -1,8 +1,8 @@
-"""Check that this machine computes right.
+"""Check that this machine computes correctly.
 
-Runs small programs whose answers are known, on every kind of device that JAX sees,
-and reports the versions and settings that change results. Exits with 0 when the
-machine is sound and with 1 when it is not, saying what is wrong and what to do.
+Runs small programs with known answers on every kind of device that JAX sees, and
+reports the versions and settings that change results. Exits with 0 if the machine is
+sound and with 1 if not; then it reports what is wrong and what to do.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the checks and prints what they found."""
+    """Runs the checks and prints their results."""
     from jaxrod.installation.doctor import run_checks
 
     checks = run_checks()

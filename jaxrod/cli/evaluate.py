@@ -1,7 +1,7 @@
 """Measure the policy of a run.
 
-Plays complete episodes of the deterministic policy side by side, with randomness
-that training never saw, and reports their returns.
+Plays complete episodes of the deterministic policy in parallel, with random numbers
+that training never used, and reports their returns.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plays the episodes and prints how they went."""
+    """Plays the episodes and prints their results."""
     import jaxrod
     from jaxrod.validation import check_seed
 

@@ -1,4 +1,4 @@
-"""The meaning of a dataclass's fields, as their source says it."""
+"""The meanings of a dataclass's fields, read from its source."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 def field_meanings(kind: type) -> dict[str, str]:
     """The string under each field of a class and its bases, on one line.
 
-    Python keeps no docstrings of fields: they are read from the source, and a field of
-    a class without one (typed into an interpreter) has none.
+    Python keeps no docstrings of fields, so they are read from the source. A class
+    without source (typed into an interpreter) has none.
     """
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__[:-1]):
@@ -37,7 +37,7 @@ def _own_meanings(kind: type) -> dict[str, str]:
 
 
 def _text(statement: ast.stmt) -> str:
-    """A statement that is a string alone; empty for any other."""
+    """Text of a statement that is a string; empty for any other statement."""
     if not isinstance(statement, ast.Expr):
         return ""
     value: Any = statement.value

@@ -57,7 +57,7 @@ FILES = (
     "convergence.png",
     "replay.html",
 )
-"""Files that are written, beside config.json."""
+"""Files that are written, in addition to config.json."""
 
 ASKED = (
     "task",
@@ -74,7 +74,7 @@ ASKED = (
     "elements",
     "double",
 )
-"""The request, as config.json keeps it."""
+"""Arguments of the request that config.json stores."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -188,8 +188,8 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.out
     folder = OwnedFolder(out, "optimised trajectory", FILES)
     with ExitStack() as stack:
-        # Once so that what is refused leaves no trace, once more when nobody else can
-        # change it.
+        # Checked first so that a refusal leaves no trace, and again once nobody else
+        # can change the folder.
         _check_folder(folder, args.overwrite)
         stack.enter_context(folder.only_process())
         _check_folder(folder, args.overwrite)
@@ -257,7 +257,7 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
 
 
 def _check_folder(folder: OwnedFolder, overwrite: bool) -> None:
-    """Says why the folder cannot be used, if it cannot."""
+    """Raises ValueError with the reason if the folder cannot be used."""
     folder.check_replaceable()
     if folder.exists and not overwrite:
         raise ValueError(
@@ -337,7 +337,7 @@ def _write(out: Path, result: Solution, summary: dict[str, Any]) -> None:
         print(
             'the picture needs matplotlib: pip install "jaxrod[viz]"', file=sys.stderr
         )
-    # Last, because its presence says that the folder is complete.
+    # Written last: its presence shows that the folder is complete.
     write_atomically(
         out / "summary.json", (json.dumps(summary, indent=2) + "\n").encode()
     )

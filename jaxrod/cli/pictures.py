@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def draw_learning_curve(path: Path, config: Mapping[str, Any]) -> Path | None:
-    """Draws `learning_curve.png` into a run folder, or says why there is none."""
+    """Draws `learning_curve.png` into a run folder, or prints why there is none."""
     from jaxrod import viz
     from jaxrod.training.runs.folder import LEARNING_CURVE
 
@@ -52,7 +52,7 @@ def write_replay(
     seconds: float | None = None,
     seed: int = 0,
 ) -> Path | None:
-    """Plays the policy and writes a page that shows it, if the task says what to draw.
+    """Plays the policy and writes a page that shows it, if the task can be drawn.
 
     The page is `out`; if that is None, `replay.html` in the run folder.
     """
@@ -74,7 +74,7 @@ def write_replay(
 
 
 def print_paths(*paths: Path | None) -> None:
-    """Prints what was written, one file a line."""
+    """Prints the paths of the written files, one per line."""
     for path in paths:
         if path is not None:
             print(os.fspath(path))

@@ -1,4 +1,4 @@
-"""One episode of a policy, recorded to be looked at."""
+"""One episode of a policy, recorded for viewing."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Frame:
     state: Any
     """State of the environment."""
     reward: Float[Array, "*frames"]
-    """Mean reward of the control steps since the frame before."""
+    """Mean reward of the control steps since the previous frame."""
     running: Bool[Array, "*frames"]
-    """Whether the episode still runs."""
+    """Whether the episode is still running."""
 
 
 def record(
@@ -39,19 +39,20 @@ def record(
     seed: int = 0,
     title: str = "",
 ) -> Replay:
-    """Plays an episode and records what there is to see at up to 60 Hz.
+    """Plays an episode and records its frames at up to 60 Hz.
 
     Args:
         env: The environment.
-        policy: Observation -> action, a pytree, or a `jaxrod.envs.MemoryPolicy`; its
-            actions are held for its `action_repeat` control steps, if it has one.
-        seconds: How long to play [s]; None for a whole episode, which also ends it.
+        policy: Function observation -> action, a pytree, or a
+            `jaxrod.envs.MemoryPolicy`;
+            its actions are held for its `action_repeat` control steps, if it has one.
+        seconds: Length of the recording [s]; None for a whole episode. The end of the
+            episode always ends the recording.
         seed: Seed of the episode.
         title: Heading of the replay.
 
     Raises:
-        ValueError: The environment does not say what to draw, or `seconds` is not
-            positive.
+        ValueError: The environment cannot be drawn, or `seconds` is not positive.
     """
     if not drawable(env):
         raise ValueError(missing(env))
@@ -69,7 +70,7 @@ def record(
     )
     seen = jax.device_get(snapshots(env, frames.state, params))
     reward, running = np.asarray(frames.reward), np.asarray(frames.running)
-    # A rod that is no longer finite cannot be drawn; what led there can.
+    # A rod that is no longer finite cannot be drawn; the frames before it can.
     nodes = seen.positions.reshape(len(running), -1)
     sound = running & np.isfinite(nodes).all(axis=1)
     count = len(sound) if sound.all() else int(np.argmin(sound))

@@ -1,9 +1,9 @@
 """Draw the learning curve and a replay of a run.
 
-Writes RUN/learning_curve.png, with the paper's result where the run compares with
-it, and RUN/replay.html: one episode of the deterministic policy, as a page that
-plays in any browser without a network, if the task says what to draw. Works while the
-run is still training, from its last checkpoint on.
+Writes RUN/learning_curve.png, with the paper's result if the run compares with it, and
+RUN/replay.html: one episode of the deterministic policy, if the task can be drawn, as a
+page that plays in any browser without a network. Also works while the run is still
+training, from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draws and prints the names of the files."""
+    """Draws the files and prints their names."""
     import jaxrod
     from jaxrod.cli import pictures
     from jaxrod.validation import check_seed

@@ -1,4 +1,4 @@
-"""Opening what `jaxrod train` left, with a clear sentence where something is amiss."""
+"""Opening the runs of `jaxrod train`, with clear errors if something is wrong."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _COMPARABLE = ("variant", "controls")
 
 
 def score_window(task: str) -> int:
-    """Last training episodes of a seed whose mean return is the final score.
+    """Number of last training episodes of a seed whose mean return is the final score.
 
     As in the paper: 10 in Cases 3 and 4, 50 in the others.
     """
@@ -44,8 +44,8 @@ class StoredRun:
     """A run on disk, finished or not.
 
     Attributes:
-        path: Its folder.
-        config: What was asked for, as in `config.json`.
+        path: Folder of the run.
+        config: The request, as in `config.json`.
         env: The environment it was trained on.
         trust: Modules that may be imported because the run names them.
     """
@@ -57,15 +57,15 @@ class StoredRun:
 
     @property
     def title(self) -> str:
-        """The run in a few words."""
+        """Short description of the run."""
         return describe(self.config)
 
     def policy(self) -> Policy:
         """Reads the deterministic policy.
 
         Raises:
-            ValueError: There is none yet, or it is damaged or of another task.
-            UntrustedError: The run names an algorithm or a network of somebody's own.
+            ValueError: There is none yet, or it is damaged or belongs to another task.
+            UntrustedError: The run names an untrusted algorithm or network of a user.
         """
         from jaxrod.training import MLPPolicy, restore_policy
         from jaxrod.training.runs.folder import renamed
@@ -114,7 +114,7 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
 
 
 def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
-    """Reads what the run in a folder was.
+    """Reads the configuration of a run and makes its environment.
 
     Args:
         path: The folder.
@@ -123,7 +123,7 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
 
     Raises:
         ValueError: There is no run, or its `config.json` is damaged.
-        UntrustedError: Its task is somebody's own, and not trusted.
+        UntrustedError: Its task is a user's own, and not trusted.
     """
     from jaxrod import envs
 
@@ -152,7 +152,7 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
 def _made_again(
     file: Path, task: str, options: Mapping[str, Any], trust: Collection[str]
 ) -> Environment:
-    """The environment of somebody's own task, which may have changed since."""
+    """The environment of a user's own task, which may have changed since the run."""
     try:
         return make_task(task, options, trust)
     except UntrustedError as error:
@@ -182,14 +182,16 @@ def read_config(path: Path) -> dict[str, Any]:
 def make_task(
     task: str, options: Mapping[str, Any], trust: Collection[str] | None = None
 ) -> Environment:
-    """Makes the environment of a task; one's own is looked for in this folder, too.
+    """Makes the environment of a task; a user's own may be in the current folder.
 
     Args:
-        task: As `jaxrod.envs.make` takes it.
-        options: Its options. Lists, of which JSON has no other kind, become tuples: an
-            environment has to be hashable.
-        trust: For a task that a file names, see `open_run`; None for one that the user
-            names.
+        task: Task, as for `jaxrod.envs.make`.
+        options: Options of the task. Lists, JSON's only sequences, become tuples,
+            because
+            an environment has to be hashable.
+        trust: Trusted modules if a file names the task, see `open_run`; None if the
+            user
+            names it.
 
     Raises:
         ValueError: There is no such task, or it does not take these options.
@@ -200,7 +202,7 @@ def make_task(
 
     here, own = os.getcwd(), ":" in task
     if own and trust is not None:
-        # Before this folder is among those that modules come from.
+        # Checked before this folder is among those from which modules are imported.
         check_trusted(task, trust)
     if own and here not in sys.path:
         sys.path.insert(0, here)
@@ -214,7 +216,7 @@ def _fixed(value: Any) -> Any:
 
 
 def describe(config: Mapping[str, Any]) -> str:
-    """A run in a few words, such as "tracking (paper), ppo, seed 0"."""
+    """Short description of a run, such as "tracking (paper), ppo, seed 0"."""
     options = config.get("env_options") or {}
     what = [config["variant"]] if config.get("variant") else []
     if options.get("controls") is not None:
@@ -226,10 +228,10 @@ def describe(config: Mapping[str, Any]) -> str:
 
 
 def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
-    """The paper's result at this; None where scores do not compare.
+    """The paper's result for the same task; None if scores do not compare.
 
     Args:
-        config: As in `config.json`.
+        config: Configuration, as in `config.json`.
     """
     from jaxrod import viz
 

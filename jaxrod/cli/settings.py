@@ -1,4 +1,4 @@
-"""Settings of an algorithm, as words on the command line: NAME=VALUE."""
+"""Settings of an algorithm as words on the command line: NAME=VALUE."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from typing import Any
 from jaxrod.cli.field_meanings import field_meanings
 
 _WIDTH = 88
-"""Columns of a listing."""
+"""Width of a listing in columns."""
 _USUAL = "default"
-"""Word for the function that is used where a setting names none."""
+"""Word for the default function."""
 
 
 def configure(
@@ -26,16 +26,16 @@ def configure(
     words: Sequence[str],
     trust: Collection[str] = (),
 ) -> Any:
-    """The configuration: defaults, then the stored settings, then NAME=VALUE words.
+    """The configuration: defaults, then stored settings, then NAME=VALUE words.
 
     Args:
         defaults: Settings of the learner.
-        stored: Settings that a file holds.
-        words: What the user says, which is the user's own say-so.
+        stored: Settings from a file.
+        words: Settings that the user types, which are trusted.
         trust: Modules that may be imported because the file names them.
 
     Raises:
-        ValueError: A name is unknown or a value is not of its kind.
+        ValueError: A name is unknown or a value has the wrong type.
         UntrustedError: A stored setting is a function that is not trusted.
     """
     from jaxrod.training.runs.recorded_settings import restored
@@ -56,7 +56,7 @@ def configure(
 
 
 def _parse(name: str, text: str, default: Any) -> Any:
-    """Reads a value of the same kind as the default."""
+    """Reads a value of the same type as the default."""
     from jaxrod.training.runs.recorded_settings import KINDS, find_function, is_function
 
     if is_function(default):
@@ -78,7 +78,7 @@ def _parse(name: str, text: str, default: Any) -> Any:
 
 
 def word_of(value: Any) -> str:
-    """A value as `--set` reads it; not of a function."""
+    """A value in the form that `--set` reads; not for functions."""
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -87,11 +87,11 @@ def word_of(value: Any) -> str:
 def options(words: Sequence[str]) -> dict[str, Any]:
     """Options of a task from NAME=VALUE words.
 
-    A value is what it is in JSON or in Python, a number, true, none or a list; all
-    else is text.
+    A value is read as JSON or Python: a number, true, none or a list. Anything else is
+    text.
 
     Raises:
-        ValueError: A word is not NAME=VALUE.
+        ValueError: A word is not of the form NAME=VALUE.
     """
     found = {}
     for word in words:
@@ -107,7 +107,7 @@ def options(words: Sequence[str]) -> dict[str, Any]:
 
 
 def listing(defaults: Any) -> str:
-    """Every setting with its default and its meaning."""
+    """Listing of every setting with its default and its meaning."""
     from jaxrod.training.import_path import import_path
     from jaxrod.training.runs.recorded_settings import is_function
 
@@ -135,8 +135,8 @@ def listing(defaults: Any) -> str:
 def count(text: str) -> int:
     """Reads a count such as 300, 500k, 10M or 1e7.
 
-    Raises:
-        argparse.ArgumentTypeError: It is none; of all errors the one whose words
+    argparse.ArgumentTypeError: It is not a count. Argparse shows the message of this
+    error type only.
             argparse passes on.
     """
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
@@ -156,15 +156,15 @@ def count(text: str) -> int:
 
 
 _DIGITS = 30
-"""Nothing is counted that has more."""
+"""Largest decimal exponent of a count."""
 
 
 def path(text: str) -> Path:
-    """Reads the name of a file or folder.
+    """Reads the path of a file or folder.
 
     Raises:
-        argparse.ArgumentTypeError: There is none. An empty one is mostly a variable
-            of the shell that is not set, and would be the current folder.
+        argparse.ArgumentTypeError: It is empty. An empty path is mostly an unset
+            variable of the shell, and would mean the current folder.
     """
     if not text.strip():
         raise argparse.ArgumentTypeError(f"must name a file or folder, got {text!r}")

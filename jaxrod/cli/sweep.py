@@ -1,18 +1,18 @@
 """Train many policies: every combination of tasks, algorithms, settings and seeds.
 
-Each combination is one run, as of `jaxrod train`, in a process and a folder of its own
-under DIR. They are trained here, one after the other on all cores or with --jobs a few
-side by side, each on its share of them; or with --ray on the machines of a Ray cluster
-(docs/sweeps.md). Ctrl-C saves and stops; the same command goes on, after a kill too,
-and leaves what is finished. A run that fails is told of, others go on, and the next
-call tries it again from its last checkpoint.
+Each combination is one run, as with `jaxrod train`, in its own process and its own
+folder under DIR. By default they are trained here, one after the other on all cores.
+With --jobs several run in parallel, each on its share of the cores. With --ray they run
+on the machines of a Ray cluster (docs/sweeps.md). Ctrl-C saves and stops. The same
+command continues, also after a kill, and skips finished runs. A failed run is reported,
+the others continue, and the next call tries it again from its last checkpoint.
 
-`--set NAME=VALUE,VALUE` has alternatives of a setting; those of a tuple are given one
-by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`. What only one of the algorithms
-has is set with its name: `--set ppo.learning_rate=1e-3,3e-4`.
+`--set NAME=VALUE,VALUE` gives alternatives of a setting. Alternatives of a tuple are
+given one by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`. A setting of only one
+of the algorithms is given with its name: `--set ppo.learning_rate=1e-3,3e-4`.
 
 DIR gets results.csv (a row per run), a picture per task (means and spreads over seeds),
-and a folder and a log of every run, which is named after what was chosen.
+and a folder and a log for every run, named after its combination.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Trains what is unfinished, or lists it."""
+    """Trains the unfinished runs, or lists them."""
     import jax
 
     from jaxrod.cli.sweeps.plan import plan
@@ -144,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.installation.backend import given_options
 
     given_options()  # Mistakes in them are reported before JAX starts.
-    # Runs are planned here and trained elsewhere: no GPU's memory is to be taken.
+    # Runs are planned here and trained elsewhere, so this process takes no GPU memory.
     jax.config.update("jax_platforms", "cpu")
     if args.ray is None and (args.cpus, args.gpus) != (None, None):
         raise ValueError("--cpus and --gpus go with --ray")
@@ -194,7 +194,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _place(args: argparse.Namespace) -> Iterator[Any]:
-    """Where the runs are trained."""
+    """Machine or cluster on which the runs are trained."""
     if args.ray is None:
         from jaxrod.cli.sweeps.process import ThisMachine
 
@@ -207,7 +207,7 @@ def _place(args: argparse.Namespace) -> Iterator[Any]:
 
 
 def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
-    """Raises ValueError where a run can be neither begun nor continued."""
+    """Raises ValueError if a run can be neither started nor continued."""
     from jaxrod.cli.sweeps.planned import differs
     from jaxrod.cli.sweeps.process import log_of
     from jaxrod.files import refuse_link
@@ -228,10 +228,10 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
 
 
 def _train(runs: Sequence[SweepRun], out: Path, place: Any, more: list[str]) -> int:
-    """Trains what is unfinished; returns the exit code.
+    """Trains the unfinished runs; returns the exit code.
 
     Returns:
-        0 all runs came to their ends, 1 some failed, 130 interrupted.
+        0 if all runs finished, 1 if some failed, 130 if interrupted.
     """
     from jaxrod.cli.sweeps.process import last_row, log_of, wait_for
     from jaxrod.cli.sweeps.results import Results

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    """One line of text, in which what a terminal would obey is shown as an escape."""
+    """One line of text, with control characters shown as escapes."""
     line = " ".join(text.split("\n"))
     return "".join(
         sign if sign.isprintable() else sign.encode("unicode_escape").decode()

@@ -4,16 +4,18 @@ TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches 
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
 nest), `following` (a moving target, by curvatures, ten times a second), `snake` or
 `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or `trivial` (solved
-in seconds, to try things out). The arms' variants are `paper`, whose
-scores compare with the published ones, and `clean`; the others' is `clean`. Or it is
-one of your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names what
-makes it, and modules are looked for in the current folder, too (docs/extending.md).
+in seconds, to try things out). The variants of the arms are `paper`, whose scores
+compare with the published ones, and `clean`; the others have `clean` only. TASK may
+also be your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names the
+callable that makes it. Modules are also searched in the current folder
+(docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
-learning_curve.png and replay.html. Ctrl-C saves and stops; --resume goes on, and
-ends as if nothing had happened. While a process trains in a folder no other can;
-what jaxrod has not written there stays as it is, with --overwrite too.
+learning_curve.png and replay.html. Ctrl-C saves and stops. --resume continues the run,
+which ends as if it had never been interrupted. While a process trains in a folder, no
+other process can. Files that jaxrod has not written there are left alone, even with
+--overwrite.
 """
 
 from __future__ import annotations
@@ -66,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
                 resolve(stored["algorithm"], None, _trust(args))
     if args.like:
         assert stored
-        # So that the folder is named after what is trained.
+        # So that the folder is named after the task, algorithm and seed that are
+        # trained.
         args.algorithm = args.algorithm or stored["algorithm"]
         args.seed = stored["seed"] if args.seed is None else args.seed
     algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
@@ -78,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
     said = settings.configure(config, {}, words)
-    # Whatever the user has just said is trusted, under its other names, too.
+    # Anything that the user has just typed is trusted, also under its other names.
     trust = _trust(args, said)
     if stored and algorithm == stored["algorithm"]:
         assert source
@@ -90,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             check_steps(stored["steps"], updates_of(learner, config))
     config = settings.configure(config, {}, words)
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
-    # Before somebody's own task is imported, which may compute at once.
+    # Before a user's own task is imported, which may start computing at once.
     jaxrod.configure_cpu(devices_that_fit(wanted, args.devices, available=None))
     processes = (args.coordinator, args.processes, args.process_id)
     if args.distributed:
@@ -113,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     out = _folder(args, getattr(env, "variant", None))
-    # Of several processes only the first looks, in `train`: it may have begun already.
+    # With several processes only the first checks, in `train`: it may have begun.
     if not args.resume and not args.distributed:
         RunFolder(out).check_replaceable()
         if RunFolder(out).exists and not args.overwrite:
@@ -157,10 +160,10 @@ def run(args: argparse.Namespace) -> int:
         return 1
     except LostProcessError as error:
         print(f"jaxrod train: {error}", file=sys.stderr, flush=True)
-        # Ending in order would wait for the one that is lost, and then abort.
+        # A regular exit would wait for the lost process, and then abort.
         os._exit(1)
     if args.distributed:
-        # Here, where all are: what follows only the first does.
+        # Shut down here, where all processes are: only the first does the rest.
         try:
             jax.distributed.shutdown()
         except jax.errors.JaxRuntimeError:
@@ -192,22 +195,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
-    """Modules and import paths that may be imported where a file names them.
+    """Modules and import paths that may be imported if a file names them.
 
     Args:
-        args: Those of the command: what --trust names, and what else the user names.
+        args: Arguments of the command: the modules of --trust, and other names that the
+            user gives.
         said: Settings as the user has given them.
     """
     from jaxrod.envs.importing import spelt_out
 
     typed = (args.task, spelt_out(args.task), args.algorithm or "")
-    # The name of what is built in is no word for a module of the same name.
+    # The name of a built-in does not vouch for a module of the same name.
     paths = [word for word in typed if ":" in word]
     return (*args.trust, *paths, *_functions(said))
 
 
 def _modules(algorithm: str, config: Any) -> list[str]:
-    """Modules to trust when such a run is resumed, other than its task's."""
+    """Modules to trust when this run is resumed, other than its task's."""
     paths = [algorithm, *_functions(config)]
     usual = () if config is None else _functions(type(config)())
     named = {path.rpartition(":")[0] for path in paths if path not in usual}
@@ -224,7 +228,7 @@ def _functions(settings: Any) -> list[str]:
 
 
 def _logs(args: argparse.Namespace, out: Path) -> bool:
-    """Whether to keep an event file: as asked for, else as the run that goes on."""
+    """Whether to keep an event file: as requested, or as in the resumed run."""
     from jaxrod.training import RunFolder
 
     if args.log is None and args.resume:
@@ -235,7 +239,7 @@ def _logs(args: argparse.Namespace, out: Path) -> bool:
 def _draw(
     out: Path, policy: Any, trust: Collection[str], replay: bool
 ) -> list[Path | None]:
-    """Draws what there is to draw of a finished run."""
+    """Draws the pictures of a finished run."""
     from jaxrod.cli import pictures
 
     stored = runs.open_run(out, trust)
@@ -246,7 +250,7 @@ def _draw(
 
 
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
-    """The result in words."""
+    """The result as lines of text."""
     final = summary["final_score"]
     score = "no episode was completed"
     if final is not None:
@@ -270,12 +274,12 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
 
 
 def _folder(args: argparse.Namespace, variant: str | None) -> Path:
-    """The folder of the run; by default named after what is trained."""
+    """Folder of the run; by default it is named after the task and the settings."""
     from jaxrod import envs
 
     if args.out is not None:
         return args.out
-    # An import path is no name of a folder everywhere.
+    # An import path is not a valid folder name on every system.
     algorithm = (args.algorithm or "ppo").replace(":", "-")
     words = [short_name(args.task), variant, algorithm, str(args.seed or 0)]
     if args.task not in envs.names():
@@ -290,7 +294,7 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
 
 
 def short_name(task: str) -> str:
-    """A task in the name of a folder; of one's own where it is and what makes it."""
+    """Name of a task for a folder; for a user's own task, its file and its callable."""
     place, colon, name = task.rpartition(":")
     return f"{Path(place.removesuffix('.py')).name}-{name}" if colon else task
 
@@ -302,7 +306,7 @@ def _default_variant(task: str) -> str | None:
 def _chosen(
     given: Any, stored: Mapping[str, Any] | None, name: str, default: Any
 ) -> Any:
-    """The value given now, else that of the run when it began, else the default."""
+    """The value given now, or that of the stored run, or the default."""
     if given is not None:
         return given
     return stored.get(name, default) if stored else default

@@ -7,10 +7,10 @@ import argparse
 from jaxrod.cli import runs, settings
 
 STEPS = 10_000_000
-"""Control steps by default: the published budget."""
+"""Default number of control steps: the published budget."""
 
 PUBLISHED = "published"
-"""The word for the nest of the paper, among the seeds of others."""
+"""Value of --nest for the paper's nest; other nests are given by their seeds."""
 
 EXAMPLES = """\
 examples:
@@ -169,7 +169,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _nest(text: str) -> int | str:
-    """Reads which nest: the published one, or the seed of another."""
+    """Reads the value of --nest: the published nest, or the seed of another."""
     try:
         return text if text == PUBLISHED else int(text)
     except ValueError:

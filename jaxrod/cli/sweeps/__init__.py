@@ -1,1 +1,1 @@
-"""Many runs: planned, trained side by side here or on a cluster, told of."""
+"""Sweeps of many runs: planning, parallel training here or on a cluster, results."""

@@ -1,8 +1,8 @@
 """A command that does not outlive the process that started it.
 
-`python -P child.py WORDS` is `jaxrod WORDS`, but when its standard input ends, because
-whoever holds the other end is gone (however it went), it saves and stops as after
-Ctrl-C.
+`python -P child.py WORDS` acts like `jaxrod WORDS`, but it also watches its standard
+input. When this ends, because the process at the other end is gone (for whatever
+reason), it saves and stops as after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import traceback
 from pathlib import Path
 
 BROKEN = 70
-"""Exit code after an error that the command did not foresee."""
+"""Exit code after an unexpected error."""
 
 
 def _follow() -> None:
@@ -38,6 +38,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    # This package, wherever the command was started.
+    # This package, regardless of the folder in which the command was started.
     sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
     sys.exit(main())

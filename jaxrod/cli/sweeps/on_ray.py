@@ -1,12 +1,12 @@
-"""Runs as tasks of a Ray cluster: it finds room for them, and tries again elsewhere.
+"""Runs as tasks of a Ray cluster, which finds room for them and retries them elsewhere.
 
-Each task starts the process of its run and waits for it. All that is kept of a run is
-in its folder, on a file system that the nodes share, so that a task which is tried
-again, on whatever node, goes on from the last checkpoint.
+Each task starts the process of its run and waits for it. All data of a run are in its
+folder, on a file system that the nodes share. So a task that is retried, on any node,
+continues from the last checkpoint.
 
 A run has one writer. Its process holds the lock of the folder
-(`jaxrod.training.runs.lock`) and ends when its task does, whose end of a pipe it
-watches; a task that is tried again while the process of the first still lives waits
+(`jaxrod.training.runs.lock`). It ends when its task does, because it watches the task's
+end of a pipe. If a task is retried while the first process is still alive, it waits
 until the lock is free.
 """
 
@@ -26,31 +26,31 @@ from jaxrod.training import RunFolder
 from jaxrod.training.runs.lock import FolderInUseError
 
 RETRIES = 10
-"""How often a run is tried again whose node or worker died."""
+"""Number of retries of a run whose node or worker died."""
 POLL_SECONDS = 2.0
 SEEN_SECONDS = 90.0
-"""How long a network file system may take to show here what a node has written [s]."""
+"""Longest delay until a network file system shows a node's files here [s]."""
 
 _PASSED_ON = ("PYTHONPATH", "JAX_", "JAXROD_", "XLA_")
-"""Beginnings of the variables of the environment that every run gets from here."""
+"""Prefixes of environment variables that every run gets from this process."""
 
 
 class RayTask:
-    """A run that Ray trains somewhere."""
+    """A run that is trained on some node of the Ray cluster."""
 
     def __init__(self, reference: Any, folder: RunFolder) -> None:
-        """Knows the task by its result, which is not there yet."""
+        """Keeps the reference to the task's future result."""
         self._reference, self._folder = reference, folder
         self._said_before = _size(log_of(folder))
         self._returned = 0.0
 
     @property
     def begun(self) -> bool:
-        """Whether a process trains it by now: its log has grown."""
+        """Whether a process trains it already: its log has grown."""
         return _size(log_of(self._folder)) > self._said_before
 
     def ended(self) -> Ended | None:
-        """How it ended; None while it has not, or what it left is not seen here."""
+        """Its outcome; None if it has not ended or its files are not visible yet."""
         import ray
 
         if not ray.wait([self._reference], timeout=0)[0]:
@@ -73,30 +73,30 @@ class RayTask:
         return ended
 
     def stop(self) -> None:
-        """Lets it save and stop."""
+        """Asks the run to save and stop."""
         import ray
 
         ray.cancel(self._reference)
 
     def end(self) -> None:
-        """Ends its task at once, if it has not ended."""
+        """Ends the task at once, if it has not ended."""
         import ray
 
         ray.cancel(self._reference, force=True)
 
 
 class RayCluster:
-    """Hands all runs to Ray, which trains as many at once as it has room for."""
+    """Passes all runs to Ray, which trains as many at once as it has room for."""
 
     poll_seconds = POLL_SECONDS
     room = True
 
     def __init__(self, cores: int, gpus: float) -> None:
-        """Describes the tasks of a cluster that is connected.
+        """Sets the resources of the tasks on a connected cluster.
 
         Args:
-            cores: Processor cores that a run asks for.
-            gpus: GPUs that a run asks for.
+            cores: Number of processor cores per run.
+            gpus: Number of GPUs per run.
         """
         import ray
 
@@ -108,27 +108,27 @@ class RayCluster:
             for name, value in os.environ.items()
             if name.startswith(_PASSED_ON)
         }
-        # XLA starts as many threads, on whichever cores the system gives them.
+        # XLA starts this many threads, on whichever cores the system assigns.
         self._variables["NPROC"] = str(cores)
 
     def start(self, words: Sequence[str], folder: RunFolder) -> RayTask:
-        """Takes a run."""
+        """Submits a run."""
         place = str(folder.path)
         reference = self._train.remote(words, place, os.getcwd(), self._variables)
         return RayTask(reference, folder)
 
     def leave(self, work: RayTask) -> None:
-        """Ray knows."""
+        """Does nothing: Ray frees the resources itself."""
 
 
 @contextmanager
 def cluster(address: str, cores: int, gpus: float) -> Iterator[RayCluster]:
-    """Connects to a cluster for as long as the context lasts.
+    """Connects to a cluster while the context lasts.
 
     Args:
-        address: Where its head listens, HOST:PORT, or "auto" on one of its nodes.
-        cores: Processor cores that a run asks for.
-        gpus: GPUs that a run asks for.
+        address: Address of its head, HOST:PORT, or "auto" on one of its nodes.
+        cores: Number of processor cores per run.
+        gpus: Number of GPUs per run.
 
     Raises:
         ConnectionError: There is no cluster.
@@ -146,13 +146,13 @@ def cluster(address: str, cores: int, gpus: float) -> Iterator[RayCluster]:
 def train_here(
     words: Sequence[str], place: str, cwd: str, variables: Mapping[str, str]
 ) -> Ended:
-    """Trains a run on this node, from where it is, and waits for its end.
+    """Trains a run on this node, from its last checkpoint, and waits for its end.
 
     Args:
         words: The command, after `jaxrod`.
         place: Folder of the run.
-        cwd: Folder in which to run it, where a task of one's own is looked for.
-        variables: Of the environment, beside those of this node.
+        cwd: Folder in which to run it; a user's own task is searched there.
+        variables: Environment variables, in addition to those of this node.
     """
     import ray
 
@@ -167,7 +167,7 @@ def train_here(
     log = log_of(folder)
     _add(log, f"on {platform.node()}, node {ray.get_runtime_context().get_node_id()}")
     try:
-        # A task that was taken for dead may have left a process that saves.
+        # A task that was assumed dead may have left a process that is still saving.
         wait_for([folder], lambda text: _add(log, text))
     except FolderInUseError as error:
         return Ended(2, str(error))

@@ -23,7 +23,7 @@ from jaxrod.training.settings import check_steps
 from jaxrod.validation import check_count, check_seed
 
 _LONGEST = 200
-"""Characters of a name: file systems have 255, with what is put around it."""
+"""Largest length of a name: file systems allow 255 characters, including additions."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,33 +33,33 @@ class SweepRun:
     task: str
     """Name or import path of the task."""
     variant: str | None
-    """Variant of the task; None where it has none."""
+    """Variant of the task; None if it has none."""
     algorithm: str
     """Name or import path of the learner."""
     seed: int
-    """Seed of all randomness."""
+    """Seed of all random numbers."""
     steps: int
-    """Control steps."""
+    """Number of control steps."""
     chosen: Mapping[str, str]
-    """Settings that were chosen, by name, as words."""
+    """Chosen settings by name, as words."""
     config: dict[str, Any]
-    """What decides how it ends, as in `config.json`."""
+    """Configuration that determines the result, as in `config.json`."""
     options: tuple[str, ...] = ()
-    """Words of the command that are the same in all runs."""
+    """Words of the command that all runs share."""
     devices: int | None = None
-    """Devices of the processor to spread over; None for as many as fit."""
+    """Number of CPU devices to spread over; None for as many as fit."""
 
     beside = ""
 
     @property
     def group(self) -> str:
-        """Runs that differ in their seeds alone: the algorithm and its settings."""
+        """Group of runs that differ only in their seeds: algorithm and settings."""
         settings = (f"{name}={word}" for name, word in sorted(self.chosen.items()))
         return " ".join((self.algorithm, *settings))
 
     @property
     def subject(self) -> str:
-        """Runs whose returns compare: the task and its variant."""
+        """Group of runs whose returns compare: the task and its variant."""
         return _for_files(*filter(None, (short_name(self.task), self.variant)))
 
     @property
@@ -68,7 +68,7 @@ class SweepRun:
         return _for_files(self.subject, *self.group.split(" "), str(self.seed))
 
     def command(self, out: Path) -> list[str]:
-        """The words that run it, after `jaxrod`."""
+        """Words of the command that trains it, after `jaxrod`."""
         words = ["train", self.task, "--algorithm", self.algorithm, *self.options]
         words += ["--steps", str(self.steps), "--seed", str(self.seed)]
         if self.devices is not None:
@@ -89,23 +89,24 @@ def plan(
     sets: Sequence[str] = (),
     cores: int | None = None,
 ) -> list[SweepRun]:
-    """Lays out a sweep, in the order in which it is run: all runs of a seed first.
+    """Plans a sweep in the order of execution: all runs of a seed first.
 
     Args:
         tasks: Names or import paths of tasks.
         algorithms: Names or import paths of learners.
         seeds: Seeds of every combination.
-        steps: Control steps of every run.
-        variant: Of the tasks, None for their own.
-        options: Of the tasks, as NAME=VALUE.
-        sets: Settings as NAME=VALUE,VALUE,..., of one algorithm as
-            ALGORITHM.NAME=VALUE; several of a name are alternatives, too, and of what
-            is a tuple the only way to have any.
-        cores: Cores of every run; None for those that its process finds.
+        steps: Number of control steps of every run.
+        variant: Variant of the tasks, None for their own defaults.
+        options: Options of the tasks, as NAME=VALUE.
+        sets: Settings as NAME=VALUE,VALUE,..., for one algorithm as
+            ALGORITHM.NAME=VALUE. Several entries of one name are alternatives, too. For
+            a
+            tuple this is the only way to give alternatives.
+        cores: Number of cores of every run; None for those that its process finds.
 
     Raises:
-        ValueError: Something is not known or makes no sense.
-        ImportError: A task or a learner of one's own cannot be imported.
+        ValueError: A name is unknown or a value is invalid.
+        ImportError: A user's own task or learner cannot be imported.
     """
     check_count("steps", steps, 1)
     seeds = [check_seed(seed, "seeds") for seed in dict.fromkeys(seeds)]
@@ -153,7 +154,7 @@ def _env(task: str, options: Mapping[str, Any]) -> Environment:
 def _configurations(
     name: str, sets: Sequence[str], steps: int, cores: int | None
 ) -> list[tuple[dict[str, str], Any, int | None]]:
-    """What is chosen, the settings that come of it, and the devices, of a learner."""
+    """Chosen words, resulting settings and number of devices, for one learner."""
     learner, defaults = resolve(name, None)
     found: list[tuple[dict[str, str], Any, int | None]] = []
     try:
@@ -173,7 +174,7 @@ def _configurations(
 
 
 def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[str]:
-    """The settings of one algorithm: those of all, and its own without its name."""
+    """Settings for one algorithm: the common ones, and its own without its name."""
     found = []
     for word in sets:
         owner, dot, _ = word.partition("=")[0].rpartition(".")
@@ -185,11 +186,11 @@ def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[st
 
 
 def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, None]]:
-    """The values of every setting that is given, as words, each once."""
+    """Distinct values of every given setting, as words."""
     values: dict[str, dict[str, None]] = {}
     for word in sets:
         setting, equals, text = word.partition("=")
-        # The commas of a tuple are its own.
+        # The commas of a tuple separate its entries.
         whole = isinstance(getattr(defaults, setting, None), tuple)
         for part in [text] if whole or not equals else text.split(","):
             one = f"{setting}{equals}{part}"
@@ -200,7 +201,7 @@ def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, Non
 
 
 def _check_names(found: Sequence[SweepRun]) -> None:
-    """Raises ValueError unless every run has a folder of its own."""
+    """Raises ValueError unless every run has its own folder."""
     for name, count in Counter(run.name for run in found).items():
         if count > 1:
             raise ValueError(f"{count} of the runs would have the same folder, {name}")
@@ -209,5 +210,5 @@ def _check_names(found: Sequence[SweepRun]) -> None:
 
 
 def _for_files(*words: str) -> str:
-    """Words as one name that every file system takes."""
+    """Words joined to one name that is valid on every file system."""
     return re.sub(r"[^\w.=,+-]", "-", "-".join(words))

@@ -1,4 +1,4 @@
-"""What is known of a run before it is trained."""
+"""The properties of a run that are known before it is trained."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from jaxrod.training import RunFolder
 from jaxrod.training.runs.folder import differences
 
 _UNASKED = ("score_window",)
-"""What follows from the task, and is no part of what was asked for."""
+"""Entries that follow from the task and are not part of the request."""
 
 
 class Planned(Protocol):
-    """A run as it is planned."""
+    """A planned run."""
 
     @property
     def name(self) -> str:
@@ -22,29 +22,29 @@ class Planned(Protocol):
 
     @property
     def steps(self) -> int:
-        """Control steps."""
+        """Number of control steps."""
 
     @property
     def config(self) -> dict[str, Any]:
-        """What decides how it ends, as in `config.json`."""
+        """Configuration that determines the result, as in `config.json`."""
 
     @property
     def beside(self) -> str:
-        """What its score is shown beside, after a separator; empty for nothing."""
+        """Text to show after its score, with a separator; empty for none."""
 
     def command(self, out: Path) -> list[str]:
-        """The words that run it, after `jaxrod`."""
+        """Words of the command that trains it, after `jaxrod`."""
 
 
 def differs(
     planned: Planned, folder: RunFolder, stored: Mapping[str, Any] | None = None
 ) -> list[str]:
-    """How a run that was begun differs from what is planned, one phrase per entry.
+    """Differences between a started run and its plan, one phrase per entry.
 
     Args:
-        planned: The run.
-        folder: Where it was begun, if it was.
-        stored: Its configuration, if that of the folder is not to be read.
+        planned: The planned run.
+        folder: Folder in which it was started, if it was.
+        stored: Its configuration, if it is not to be read from the folder.
     """
     if stored is None:
         stored = folder.config() if folder.exists else planned.config

@@ -1,8 +1,8 @@
-"""Training one run in a process of its own, watched from here.
+"""Training of one run in its own process, watched from here.
 
-A process per run, because what JAX compiled and holds for one run is of no use to
-the next and is given back only by the end of a process; and because a run that runs
-out of memory then takes nothing else with it.
+There is one process per run. The programs and memory that JAX holds for one run are of
+no use to the next, and only the end of a process frees them. Also, a run that exhausts
+its memory then does not take others with it.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from jaxrod.training.runs.lock import FolderInUseError
 
 POLL_SECONDS = 0.5
 WAIT_SECONDS = 300.0
-"""How long to wait for runs whose sweep was killed to save and stop [s]."""
+"""Longest wait for runs of a killed sweep to save and stop [s]."""
 
 LAUNCHER = (sys.executable, "-P", str(Path(__file__).with_name("child.py")))
 
 
 @dataclasses.dataclass(frozen=True)
 class Ended:
-    """How a process ended."""
+    """Outcome of a process."""
 
     code: int
     """Its exit code, negative for a signal."""
     said: str
-    """The last line that it said, or what killed it."""
+    """Last line of its output, or the signal that killed it."""
 
 
 def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
-    """Waits until nobody trains in any of the folders.
+    """Waits until no process trains in any of the folders.
 
     Raises:
-        FolderInUseError: Somebody still does after `WAIT_SECONDS`.
+        FolderInUseError: A process still does after `WAIT_SECONDS`.
     """
     until = time.monotonic() + WAIT_SECONDS
     for folder in folders:
@@ -63,9 +63,9 @@ def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
 
 @contextlib.contextmanager
 def _on(cores: Collection[int]) -> Iterator[None]:
-    """Processes that are started here have these cores from their first moment on.
+    """Binds processes that are started in the context to these cores.
 
-    Set after their start, they might have counted their cores before.
+    If the binding came after their start, they might already have counted the cores.
     """
     if not cores:
         yield
@@ -79,7 +79,7 @@ def _on(cores: Collection[int]) -> Iterator[None]:
 
 
 class Child:
-    """`jaxrod train` of one run in a process of its own, beside others."""
+    """`jaxrod train` of one run in its own process, in parallel with others."""
 
     begun = True
     """Whether it has started."""
@@ -93,14 +93,14 @@ class Child:
         cwd: str | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        """Starts it; it goes on with what there is in the folder.
+        """Starts the process; it continues from the content of the folder.
 
         Args:
             words: The command, after `jaxrod`.
-            folder: Of the run.
-            cores: The processor's cores it may use; all if empty.
-            cwd: Folder in which it runs, None for this one.
-            environment: Its variables, None for those of this process.
+            folder: Folder of the run.
+            cores: Processor cores that it may use; all if empty.
+            cwd: Folder in which it runs, None for the current one.
+            environment: Its environment variables, None for those of this process.
         """
         self.cores = tuple(cores)
         self._log = log_of(folder)
@@ -108,7 +108,7 @@ class Child:
         with open_log(self._log) as said:
             said.write(f"$ jaxrod {shlex.join(words)}\n")
             said.flush()
-            # A session of its own: the terminal's Ctrl-C must come from here, once.
+            # Its own session: the terminal's Ctrl-C must reach it only once, from here.
             with _on(cores):
                 self._process = subprocess.Popen(
                     [*LAUNCHER, *words],
@@ -121,7 +121,7 @@ class Child:
                 )
 
     def ended(self) -> Ended | None:
-        """How it ended; None while it runs."""
+        """Its outcome; None while it runs."""
         code = self._process.poll()
         if code is None:
             return None
@@ -129,12 +129,12 @@ class Child:
         return Ended(code, said)
 
     def stop(self) -> None:
-        """Lets it save and stop."""
+        """Asks the run to save and stop."""
         assert self._process.stdin is not None
         self._process.stdin.close()
 
     def end(self) -> None:
-        """Ends it at once, if it has not ended; waits until it has."""
+        """Ends the process at once, if it has not ended; waits until it has."""
         if self._process.poll() is None:
             self._process.kill()
         self.stop()
@@ -142,16 +142,16 @@ class Child:
 
 
 class ThisMachine:
-    """Trains a few runs side by side, each on its share of the cores."""
+    """Trains several runs in parallel, each on its share of the cores."""
 
     def __init__(self, jobs: int) -> None:
-        """Deals out the cores.
+        """Divides the cores.
 
         Args:
-            jobs: How many runs are trained side by side.
+            jobs: Number of runs that are trained in parallel.
 
         Raises:
-            ValueError: There is no room for any.
+            ValueError: `jobs` is below 1.
         """
         if jobs < 1:
             raise ValueError(f"jobs must be at least 1, got {jobs}")
@@ -164,7 +164,7 @@ class ThisMachine:
         return bool(self._idle)
 
     def start(self, words: Sequence[str], folder: RunFolder) -> Child:
-        """Starts a run, or goes on with it from wherever it is."""
+        """Starts a run, or continues it."""
         return Child(words, folder, self._idle.pop(0))
 
     def leave(self, child: Child) -> None:
@@ -173,10 +173,10 @@ class ThisMachine:
 
 
 def _shares(jobs: int) -> list[tuple[int, ...]]:
-    """The cores of this process, dealt out to so many jobs.
+    """The cores of this process, divided among `jobs` jobs.
 
-    One job has them all without being told; so has every job where the system
-    does not let processes be bound, or where there are fewer cores than jobs.
+    A single job gets all cores without binding. So does every job if the system cannot
+    bind processes, or if there are fewer cores than jobs.
     """
     if jobs == 1 or not hasattr(os, "sched_setaffinity"):
         return [()] * jobs
@@ -186,25 +186,25 @@ def _shares(jobs: int) -> list[tuple[int, ...]]:
 
 
 def log_of(folder: RunFolder) -> Path:
-    """What the process of a run said, beside its folder."""
+    """Log of a run's process, next to its folder."""
     # Not `with_suffix`: names hold numbers such as 0.001.
     return folder.path.parent / f"{folder.path.name}.log"
 
 
 def open_log(log: Path) -> TextIO:
-    """Opens a log to be added to."""
+    """Opens a log for appending."""
     handle = open_to_write(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     return os.fdopen(handle, "a", encoding="utf-8")
 
 
 def last_words(log: Path) -> str:
-    """The last line that a process said."""
+    """Last line of a process's output."""
     lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
 def last_row(folder: RunFolder) -> dict[str, str] | None:
-    """The last row of a run's progress.csv, None before any."""
+    """Last row of a run's progress.csv, None if there is none."""
     try:
         rows = folder.progress.read()
     except FileNotFoundError:  # Taken away by a run that begins anew.

@@ -1,4 +1,4 @@
-"""What a sweep leaves beside its run folders: results.csv, and a picture per task."""
+"""Results of a sweep next to its run folders: results.csv, and a picture per task."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _MEASURED = (
 
 
 class Results:
-    """A row for every run: what was chosen, and what came of it.
+    """A row for every run: its choices and its results.
 
-    The state is `finished`, `failed` (in this call; `error` says why), `unfinished` or
-    `waiting`. A score that there is not is nan, so that no mean can hide it.
+    The state is `finished`, `failed` (in this call; `error` gives the reason),
+    `unfinished` or `waiting`. A missing score is nan, so that no mean can hide it.
     """
 
     def __init__(self, runs: Sequence[SweepRun], out: Path) -> None:
-        """Reads what the folders hold.
+        """Reads the content of the folders.
 
         Raises:
             ValueError: A file in them is damaged.
@@ -49,7 +49,7 @@ class Results:
         return list(self._rows.values())
 
     def update(self, run: SweepRun, error: str = "") -> dict[str, Any]:
-        """Reads again what the folder of a run holds, and writes results.csv."""
+        """Reads the folder of a run again and writes results.csv."""
         self._rows[run.name] = self._row(run, error)
         self.write()
         return self._rows[run.name]

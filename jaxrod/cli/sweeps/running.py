@@ -1,4 +1,4 @@
-"""Runs trained side by side, wherever there is room, to their ends or to a stop."""
+"""Parallel training of runs, wherever there is room, until they end or are stopped."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from jaxrod.training.runs.interruption import Interruption
 
 
 class Work(Protocol):
-    """A run that was handed over to be trained."""
+    """A run that was submitted for training."""
 
     @property
     def begun(self) -> bool:
-        """Whether a process trains it by now."""
+        """Whether a process trains it already."""
 
     def ended(self) -> Ended | None:
-        """How it ended; None while it has not."""
+        """Its outcome; None while it has not ended."""
 
     def stop(self) -> None:
-        """Lets it save and stop."""
+        """Asks the run to save and stop."""
 
     def end(self) -> None:
         """Ends it at once, if it has not ended."""
@@ -36,26 +36,26 @@ PlannedT = TypeVar("PlannedT", bound=Planned)
 
 
 class Place(Protocol[WorkT]):
-    """Where runs are trained."""
+    """A machine or cluster that trains runs."""
 
     @property
     def poll_seconds(self) -> float:
-        """How often to look at what is under way [s]."""
+        """Time between two looks at the running work [s]."""
 
     @property
     def room(self) -> bool:
-        """Whether it takes another run."""
+        """Whether it accepts another run."""
 
     def start(self, words: Sequence[str], folder: RunFolder) -> WorkT:
-        """Takes a run: the words of its command, and its folder."""
+        """Starts a run, given the words of its command and its folder."""
 
     def leave(self, work: WorkT) -> None:
-        """A run has ended."""
+        """Frees the resources of a run that has ended."""
 
 
 @dataclasses.dataclass
 class _Running(Generic[PlannedT, WorkT]):
-    """A run that is under way."""
+    """A run in progress."""
 
     run: PlannedT
     folder: RunFolder
@@ -71,18 +71,19 @@ def train_all(
     interruption: Interruption,
     more: Sequence[str] = (),
 ) -> Iterator[tuple[PlannedT, Ended]]:
-    """Trains runs to their ends; yields each, and how its process ended.
+    """Trains runs to their ends; yields each with its outcome.
 
-    When an interruption is asked for, those that are under way save and stop, and no
-    other starts.
+    If an interruption is requested, the running ones save and stop, and no other run
+    starts.
 
     Args:
-        runs: In the order in which they start.
-        folder_of: Where each is trained. What is there is gone on with.
-        place: Where the processes are.
-        view: Shows how far they are.
-        interruption: May ask to stop.
-        more: Words that all the commands get.
+        runs: The runs, in the order in which they start.
+        folder_of: Function that returns a run's folder. A run continues from its
+            content.
+        place: Machine or cluster that trains the runs.
+        view: View that shows their progress.
+        interruption: Request to stop.
+        more: Words that are added to all commands.
     """
     waiting, told = list(runs), False
     running: list[_Running[PlannedT, WorkT]] = []
@@ -113,7 +114,7 @@ def train_all(
 
 
 def _show(one: _Running[PlannedT, WorkT], view: RunsView) -> None:
-    """Shows how far a run is."""
+    """Shows the progress of a run."""
     row = last_row(one.folder) if one.work.begun else None
     if not one.shown and one.work.begun:
         one.shown = True

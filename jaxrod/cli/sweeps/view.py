@@ -1,4 +1,4 @@
-"""The progress of many runs: a table with a line for each."""
+"""The progress of many runs: a table with one line per run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STATES = ("done", "running", "stopped", "waiting", "failed")
 
 @dataclasses.dataclass
 class _Line:
-    """What is shown of a run."""
+    """Displayed values of a run."""
 
     state: str = "waiting"
     done: int = 0
@@ -25,21 +25,21 @@ class _Line:
     rate: str = ""
     text: str = ""
     tenth: int = -1
-    """Tenths of the run that were told of in a log."""
+    """Tenths of the run that a log has already reported."""
     began: tuple[float, int] = (0.0, 0)
-    """When it started, and from which step."""
+    """Time at which it started, and its control steps then."""
 
 
 class RunsView:
     """Shows every run: its state, control steps, score, and control steps per second.
 
-    On a terminal the lines are redrawn in place; where there are more runs than
-    lines, those around the one that changed last are shown. Elsewhere (a log file) a
-    line is printed for every change, and for every tenth of a run.
+    On a terminal the lines are redrawn in place. If there are more runs than lines,
+    those around the last changed one are shown. Elsewhere (a log file) a line is
+    printed for every change, and for every tenth of a run.
     """
 
     def __init__(self, runs: Sequence[Planned], stream: TextIO) -> None:
-        """Shows nothing yet; all runs wait."""
+        """Starts with all runs waiting, and shows nothing yet."""
         self._stream = stream
         self._live = stream.isatty()
         self._runs = list(runs)
@@ -49,14 +49,14 @@ class RunsView:
         self._drawn = self._at = 0
 
     def start(self, run: Planned, done: int) -> None:
-        """A run starts, or goes on where it has `done` control steps."""
+        """Shows that a run starts, or continues at `done` control steps."""
         line = self._line(run)
         line.began = time.monotonic(), done
         line.done, line.tenth = done, 10 * done // run.steps
         self._set(run, "running", f"from {done:,} steps" if done else "")
 
     def running(self, run: Planned, done: int, score: str) -> None:
-        """A run has done so many control steps, with so good a score."""
+        """Shows a run's number of control steps and its score."""
         line = self._line(run)
         line.done, line.score, text = done, score, ""
         began, before = line.began
@@ -70,7 +70,7 @@ class RunsView:
         self._set(run, "running", text, quiet)
 
     def done(self, run: Planned, result: Mapping[str, Any], quiet: bool) -> None:
-        """A run has come to its end, with this summary; `quiet` where it had before."""
+        """Shows that a run has finished; `quiet` if it had before this call."""
         line = self._line(run)
         line.done = result["env_steps"]
         line.score = score_in_words(result["final_score"])
@@ -78,16 +78,16 @@ class RunsView:
         self._set(run, "done", duration(result["wall_s"]), quiet)
 
     def failed(self, run: Planned, reason: str, quiet: bool = False) -> None:
-        """A run has failed."""
+        """Shows that a run has failed."""
         self._set(run, "failed", reason, quiet)
 
     def stopped(self, run: Planned, done: int) -> None:
-        """A run was interrupted."""
+        """Shows that a run was interrupted."""
         self._line(run).done = done
         self._set(run, "stopped", f"after {done:,} steps")
 
     def say(self, text: str) -> None:
-        """Says something on a line of its own, above the table."""
+        """Prints a message on a line of its own, above the table."""
         if self._live and self._drawn:
             self._stream.write(f"\x1b[{self._drawn}A\x1b[J")
             self._drawn = 0
@@ -144,7 +144,7 @@ class RunsView:
 
 
 def reached(row: Mapping[str, str]) -> str:
-    """What a row of progress has reached: until an episode ends, the rewards."""
+    """Result so far from a row of progress: rewards until the first episode ends."""
     if row["episode_return_mean"]:
         return score_in_words(float(row["episode_return_mean"]))
     if row.get("reward_mean"):
@@ -153,7 +153,7 @@ def reached(row: Mapping[str, str]) -> str:
 
 
 def score_in_words(score: float | None) -> str:
-    """A score in whole numbers where it is large, else in three digits."""
+    """A score as a whole number if it is large, otherwise with three digits."""
     if score is None:
         return "-"
     return f"{score:,.0f}" if abs(score) >= 100 else f"{score:.3g}"
