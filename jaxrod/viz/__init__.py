@@ -1,7 +1,7 @@
-"""Looking at rods: an offline 3-D player, stills, films, learning curves.
+"""Visualisation of rods: an offline 3-D player, stills, films, learning curves.
 
-Imports NumPy only. matplotlib, which brings Pillow, is imported by the functions that
-draw with them, JAX by those that ask a scene or a system.
+It imports NumPy only. The functions that draw with matplotlib, which brings Pillow,
+import it themselves. Those that evaluate a scene or a system import JAX.
 """
 
 from typing import Any
@@ -44,7 +44,7 @@ _MEASURES = ("bending", "speed", "stretch", "twist_rate")
 
 
 def __getattr__(name: str) -> Any:
-    """Functions of a scene and a state, which need JAX, when they are first used."""
+    """Functions of a scene and a state, imported on first use because they need JAX."""
     if name in _MEASURES:
         from jaxrod.viz import measures
 

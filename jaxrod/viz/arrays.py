@@ -1,4 +1,4 @@
-"""Numbers that come from outside, made into arrays or refused in plain words."""
+"""Conversion of user input to arrays, with clear errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 
 def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
-    """An array of float64 that nobody else holds, or an error in words."""
+    """A private copy as a float64 array, or a clear error."""
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -19,7 +19,7 @@ def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
 def require_finite(
     name: str, values: np.ndarray, unit: str, times: np.ndarray | None = None
 ) -> None:
-    """Refuses NaN and infinity, and says where and when the first one is."""
+    """Raises for NaN or infinity, with the place and time of the first one."""
     finite = np.isfinite(values)
     if finite.all():
         return
@@ -31,7 +31,7 @@ def require_finite(
 
 
 def checked_times(times: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Times of frames [s], one for each, or an error in words."""
+    """Times of frames [s], one per frame, or a clear error."""
     clock = numbers("times", times, "s")
     if clock.shape != shape:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Arrows in a replay: forces, velocities."""
+"""Arrows in a replay, such as forces or velocities."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jaxrod.viz.arrays import numbers, require_finite
 from jaxrod.viz.rods import checked_colour
 
 MOST = 400
-"""Arrows of one kind that are drawn; of more, those that are longest."""
+"""Largest number of arrows of one kind; of more, the longest are drawn."""
 _SHORTEST = 0.02
-"""Of the longest arrow; shorter ones are not drawn."""
+"""Smallest length of a drawn arrow, relative to the longest [1]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,18 +22,18 @@ class Arrows:
     """A arrows over T frames."""
 
     origins: Float[np.ndarray, "num_frames a 3"]
-    """Where they begin [m], shape (T, A, 3)."""
+    """Starting points [m], shape (T, A, 3)."""
     vectors: Float[np.ndarray, "num_frames a 3"]
-    """What they show, for example forces [N], shape (T, A, 3)."""
+    """Vectors to show, for example forces [N], shape (T, A, 3)."""
     name: str = "force [N]"
     """Name and unit in the legend."""
     length: float | None = None
-    """Length of the longest arrow [m]; `None`: a seventh of the scene."""
+    """Length of the longest arrow [m]; `None` for a seventh of the scene."""
     colour: str = "#d62f5b"
     """Colour as "#rrggbb"."""
 
     def at_frames(self, keep: Any) -> Arrows:
-        """With some of the frames."""
+        """A copy with some of the frames."""
         return dataclasses.replace(
             self, origins=self.origins[keep], vectors=self.vectors[keep]
         )
@@ -44,7 +44,7 @@ class Arrows:
         return float(np.linalg.norm(self.vectors, axis=-1).max(initial=0.0))
 
     def drawn(self, size: float) -> tuple[np.ndarray, float]:
-        """The vectors as lengths [m], those too short to see made zero; their scale.
+        """The vectors as lengths [m], invisibly short ones as zero, and the scale.
 
         Args:
             size: Size of the scene [m].
@@ -56,7 +56,7 @@ class Arrows:
 
 
 def checked_arrows(index: int, arrows: Arrows, times: np.ndarray) -> Arrows:
-    """A checked copy of arrows, without those that are never there."""
+    """A checked copy of arrows, without those that are always too short."""
     name = f"arrows[{index}]"
     vectors = numbers(f"{name}.vectors", arrows.vectors, "-")
     origins = numbers(f"{name}.origins", arrows.origins, "m")

@@ -1,4 +1,4 @@
-"""Triangles of the bodies that rods touch and that move with them."""
+"""Triangles of the bodies that rods touch and of moving rigid bodies."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _DOUBLINGS = 6
 def mesh_of(bodies: RigidBodies) -> Triangles:
     """The surface of rigid bodies in their own frame.
 
-    Of a body that is given by its signed distance alone, it is looked for in a cube
-    about the ellipsoid with its mass and inertia, and in larger ones until it fits.
+    If only the signed distance of a body is known, its surface is searched in a cube
+    around the ellipsoid with its mass and inertia, and in larger cubes until it fits.
 
     Raises:
         ValueError: No surface is found.
@@ -44,7 +44,7 @@ def mesh_of(bodies: RigidBodies) -> Triangles:
 
 
 def _touches(shape: Body, half: float) -> bool:
-    """Whether a cube's faces are somewhere inside a body."""
+    """Whether any face of a cube intersects a body."""
     side = np.linspace(-half, half, 41)
     u, v = (x.ravel() for x in np.meshgrid(side, side))
     w = np.full_like(u, half)
@@ -56,7 +56,7 @@ def _touches(shape: Body, half: float) -> bool:
 
 
 def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
-    """A fixed body where it is; of an unbounded one what lies in a box."""
+    """A fixed body at its position; of an unbounded one, the part near a box."""
     known = _centred(body)
     if known is not None:
         solid = solid_of(body)
@@ -70,7 +70,7 @@ def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
 
 
 def leaning_plane(body: Plane, low: np.ndarray, high: np.ndarray) -> Mesh | None:
-    """What lies in a box of a plane that is not level; `None` if nothing does."""
+    """The part in a box of a plane that is not level; `None` if there is none."""
     normal = np.asarray(body.normal, float)
     normal = normal / np.linalg.norm(normal)
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
@@ -105,7 +105,7 @@ def _cut(
 
 
 def _centred(shape: Body) -> Triangles | None:
-    """Triangles about the centre of mass of a shape whose geometry is known."""
+    """Triangles around the centre of mass of a shape with a known geometry."""
     solid: Any = None
     if isinstance(shape, Sphere | Capsule | Cylinder | Box):
         solid = solid_of(shape).shape
@@ -121,7 +121,7 @@ def _centred(shape: Body) -> Triangles | None:
 
 
 def _surface(body: Body) -> Any:
-    """Distance and normals at points (N, 3)."""
+    """Function that returns distance and normals at points (N, 3)."""
 
     def at(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, y, z = jnp.asarray(points).T

@@ -1,4 +1,4 @@
-"""Words on a picture: title, time, what the colours mean."""
+"""Captions of a picture: title, time, legend of the colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which colour means what: of rods, bodies and fields; the legend."""
+"""Colours of rods, bodies and fields, and the legend."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from jaxrod.viz.replay import Replay
 
 RAMP = ("#3b4cc0", "#3fa0c8", "#5ec27a", "#f2c14e", "#d1402f")
-"""From the lowest to the highest number of a field."""
+"""Colours from the lowest to the highest number of a field."""
 RODS = (
     "#2f7fd6",
     "#e0653a",
@@ -25,17 +25,17 @@ RODS = (
 SPHERES = ("#f59e0b", "#10a37f", "#d64570", "#7c5cd6")
 BODIES = ("#e8b04a", "#8a97a8", "#7fa88f", "#b08968")
 FIXED = "#9aa3b0"
-"""Cylinders and other bodies at rest."""
+"""Colour of cylinders and other bodies at rest."""
 
 Entry = tuple[str, str, str]
-"""Of a legend: a CSS fill, words, and "ramp" or nothing."""
+"""Entry of a legend: a CSS fill, words, and "ramp" or an empty string."""
 
 
 def rod_colours(replay: Replay) -> list[str]:
     """A colour as "#rrggbb" for every rod, in order.
 
-    Rods of one kind alone get a colour each, or a range of hues where there are many;
-    of several kinds each kind has its own.
+    If there is only one kind of rods, each rod has its own colour, or a hue from a
+    range if there are many. With several kinds, each kind has its own colour.
     """
     colours: list[str] = []
     free = 0
@@ -66,7 +66,7 @@ def mesh_colours(replay: Replay) -> list[str]:
 
 
 def rod_legend(replay: Replay) -> list[Entry]:
-    """What the rods' colours mean, while they are not coloured by a field."""
+    """Legend of the rods' colours, when no field colours them."""
     colours = rod_colours(replay)
     if not replay.rods:
         return []
@@ -91,7 +91,7 @@ def rod_legend(replay: Replay) -> list[Entry]:
 
 
 def other_legend(replay: Replay) -> list[Entry]:
-    """What the colours of everything but rods mean."""
+    """Legend of the colours of everything but rods."""
     entries = [
         (SPHERES[k % len(SPHERES)], sphere.name, "")
         for k, sphere in enumerate(replay.spheres)
@@ -117,12 +117,12 @@ def other_legend(replay: Replay) -> list[Entry]:
 
 
 def linear(colour: str) -> np.ndarray:
-    """Linear light of "#rrggbb", 0 to 1."""
+    """Linear light of "#rrggbb", from 0 to 1."""
     return (np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255) ** 2.2
 
 
 def ramp(levels: np.ndarray) -> np.ndarray:
-    """Linear light of levels from 0 to 1 along the ramp."""
+    """Linear light along the ramp, for levels from 0 to 1."""
     stops = np.array([linear(colour) for colour in RAMP])
     place = np.clip(levels, 0, 1) * (len(RAMP) - 1)
     first = np.minimum(place.astype(int), len(RAMP) - 2)

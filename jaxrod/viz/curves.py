@@ -1,4 +1,4 @@
-"""Learning curves: the return of training runs over time, beside the paper's."""
+"""Learning curves: the return of training runs over time, next to the paper's."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ FilePath = str | os.PathLike[str]
 
 
 class Curve(NamedTuple):
-    """A run: return of episodes over control steps and wall-clock time [s]."""
+    """Learning curve of a run: episode returns over control steps and wall time [s]."""
 
     steps: np.ndarray
     wall: np.ndarray
     returns: np.ndarray
     quantity: str = RETURN
-    """The returns, or before any episode has ended the mean rewards."""
+    """Quantity in `returns`: returns, or mean rewards if no episode has ended yet."""
 
 
 def learning_curve(
@@ -42,16 +42,16 @@ def learning_curve(
 ) -> None:
     """Draws the episode return of one or more training runs into a PNG file.
 
-    Return over control steps below, wall-clock time of the run above, and the
-    paper's final score with its spread over seeds and its wall-clock hours beside
-    it. Several runs are drawn thin, with their mean on top. Of runs in which no episode
-    has ended the mean reward of an action is drawn instead. The file appears whole
-    or not at all.
+    The lower axis is control steps, the upper axis the wall-clock time of the run. The
+    paper's final score is drawn with its spread over seeds and its wall-clock hours.
+    Several runs are drawn as thin lines, with their mean on top. If no episode has
+    ended in the runs, the mean reward of an action is drawn instead. The file appears
+    complete or not at all.
 
     Args:
-        progress: Progress.csv of each run, with the columns env_steps, wall_s [s]
-            and episode_return_mean; rows without a return yet are skipped. Without
-            any, reward_mean is drawn.
+        progress: File progress.csv of each run, with the columns env_steps, wall_s [s]
+            and episode_return_mean; rows without a return are skipped. If there are no
+            returns at all, reward_mean is drawn.
         out: The PNG file to write; its folder must exist.
         paper: (algorithm, case) of the result to compare with, for example
             ("PPO", "Case1"), or the result itself.
@@ -59,9 +59,9 @@ def learning_curve(
         label: Name of the runs in the legend.
 
     Raises:
-        ValueError: A file lacks the columns, has neither a finished episode nor
-            rewards, or not all runs have the same of the two; or the paper has no such
-            result.
+        ValueError: A file lacks the columns, or has neither a finished episode nor
+            rewards; the runs do not all have the same of the two; or the paper has no
+            such result.
     """
     paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
     if not paths:
@@ -78,13 +78,13 @@ def learning_curve(
 
 
 def read_curve(path: Path) -> Curve:
-    """Reads a progress.csv; rows without a return yet are skipped.
+    """Reads a progress.csv; rows without a return are skipped.
 
-    Where no row has one it is the curve of the mean rewards.
+    If no row has a return, this is the curve of the mean rewards.
 
     Raises:
         DamagedFileError: The file is no table, or lacks the columns.
-        ValueError: It has neither finished episodes nor rewards.
+        ValueError: The file has neither finished episodes nor rewards.
     """
     columns, rows = read_csv(path)
     with reading(path):
@@ -100,7 +100,7 @@ def read_curve(path: Path) -> Curve:
         values, quantity = _finite(every[:, [0, 1, 3]]), REWARD
     if not len(values):
         raise ValueError(f"{path} must hold an episode_return_mean, got none")
-    # A resumed run may repeat rows: the last word counts.
+    # A resumed run may repeat rows: the last one counts.
     steps, last = np.unique(values[::-1, 0], return_index=True)
     _, wall, returns = values[::-1][last].T
     return Curve(steps, wall, returns, quantity)
@@ -174,11 +174,11 @@ def _draw(
 
 
 def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
-    """Adds the axis on top: wall-clock time of the run, mean over the runs."""
+    """Adds the upper axis: wall-clock time of the run, mean over the runs."""
     from matplotlib.ticker import MaxNLocator
 
     steps = np.linspace(0, last_step, 400)
-    # Runs start at step 0, time 0; a run that stopped early goes on at its own pace.
+    # Runs start at step 0, time 0; a run that stopped early is extrapolated.
     pace = [np.interp(steps, [0, *r.steps], [0, *r.wall]) for r in runs]
     for run, wall in zip(runs, pace, strict=True):
         beyond = steps > run.steps[-1]
@@ -200,7 +200,7 @@ def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
 
 
 def common_steps(runs: list[Curve]) -> np.ndarray:
-    """Control steps that all runs have done, shape (400,)."""
+    """Control steps that all runs have reached, shape (400,)."""
     first = max(run.steps[0] for run in runs)
     last = min(run.steps[-1] for run in runs)
     return np.linspace(first, max(first, last), 400)
@@ -217,7 +217,7 @@ def _run_label(label: str, runs: list[Curve]) -> str:
 
 
 def _shown(runs: list[Curve], value: float) -> str:
-    """A return in whole numbers, a reward in three digits."""
+    """A return as a whole number, or a reward with three digits."""
     return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:.3g}"
 
 

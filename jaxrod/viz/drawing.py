@@ -41,11 +41,11 @@ def frame(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Draws one frame of a replay as an RGB picture.
 
-    The view holds everything in every frame, so that pictures follow each other.
+    The view contains everything in every frame, so that successive pictures match.
 
     Args:
         replay: The replay to draw.
-        index: Which frame, 0 to T-1; negative counts from the end.
+        index: Index of the frame, 0 to T-1; negative counts from the end.
         width: Width of the picture [pixels].
         height: Height of the picture [pixels].
         azimuth: Angle of the view around the upward axis [degrees].
@@ -75,22 +75,22 @@ def picture(
 ) -> None:
     """Writes a still of one frame, or of several in one, as a PNG file.
 
-    The view holds what is drawn. The file appears whole or not at all.
+    The view contains everything drawn. The file appears complete or not at all.
 
     Args:
         replay: The replay to draw.
-        frame: Which frame, 0 to T-1, negative from the end; of several the last is
-            drawn in full, those before it paler.
+        frame: Index of the frame, 0 to T-1, negative from the end. With several frames
+            the last is drawn in full colour, the earlier ones paler.
         path: The file to write; its folder must exist.
         width: Width of the picture [pixels].
         height: Height of the picture [pixels].
         azimuth: Angle of the view around the upward axis [degrees].
         elevation: Angle of the view above the floor [degrees].
-        zoom: Above one, nearer than what holds everything.
-        field: Label of the field that colours the rods; `None`: their own colours.
+        zoom: Zoom factor; above one, closer than the view that contains everything.
+        field: Label of the field that colours the rods; `None` for their own colours.
         captions: Whether to write title, time and legend on it.
-        small: Whether to keep 256 colours only, which makes the file less than half
-            as large.
+        small: Whether to keep only 256 colours, which makes the file less than half as
+            large.
 
     Raises:
         ValueError: A number is not positive, or there is no such field.
@@ -117,25 +117,25 @@ def film(
     field: str | None = None,
     captions: bool = True,
 ) -> None:
-    """Writes the motion as a GIF, or as an MP4 where ffmpeg is installed.
+    """Writes the motion as a GIF, or as an MP4 if ffmpeg is installed.
 
     Args:
         replay: The replay to draw.
         path: The file to write, ending in .gif or .mp4; its folder must exist.
-        frames_per_second: Pictures per second of the film [Hz]. Frames of the replay
-            that lie closer are left out, none are made up.
+        frames_per_second: Pictures per second of the film [Hz]. Closer frames of the
+            replay are left out; none are interpolated.
         speed: Seconds of the replay per second of the film [1].
         width: Width of the picture [pixels]; even for MP4.
         height: Height of the picture [pixels]; even for MP4.
         azimuth: Angle of the view around the upward axis [degrees].
         elevation: Angle of the view above the floor [degrees].
-        zoom: Above one, nearer than what holds everything.
-        field: Label of the field that colours the rods; `None`: their own colours.
+        zoom: Zoom factor; above one, closer than the view that contains everything.
+        field: Label of the field that colours the rods; `None` for their own colours.
         captions: Whether to write title, time and legend on it.
 
     Raises:
-        ValueError: The ending is another one, or a number is not positive.
-        FileNotFoundError: An MP4 is asked for and there is no ffmpeg.
+        ValueError: The file has another ending, or a number is not positive.
+        FileNotFoundError: An MP4 is requested, but ffmpeg is not installed.
     """
     ending = Path(path).suffix.lower()
     if ending not in (".gif", ".mp4"):
@@ -147,7 +147,7 @@ def film(
         thin, (width, height), azimuth, elevation, zoom, field, None, captions
     )
     pictures = (painter.paint([k]) for k in range(thin.num_frames))
-    # Of frames recorded more seldom each is shown for longer.
+    # If the recorded frames are sparser, each is shown for longer.
     span = float(thin.times[-1] - thin.times[0]) / speed
     rate = (thin.num_frames - 1) / span if span else frames_per_second
     save = _save_gif if ending == ".gif" else _save_mp4
@@ -165,7 +165,7 @@ def animation(
 ) -> FuncAnimation:
     """Returns a matplotlib animation, for `to_jshtml`, `save` and the like.
 
-    For looking at a motion prefer `html`: it is smaller, smoother and turns.
+    For viewing a motion prefer `html`: it is smaller and smoother, and can be rotated.
 
     Args:
         replay: The replay to draw; frames beyond `frames_per_second` are thinned out.
@@ -206,7 +206,7 @@ def animation(
 
 
 class _Painter:
-    """Paints frames of a replay, all from the same place."""
+    """Painter of a replay's frames, all from the same viewpoint."""
 
     def __init__(
         self,
@@ -251,7 +251,7 @@ class _Painter:
         self.fine = fine
 
     def paint(self, frames: Sequence[int]) -> UInt8[np.ndarray, "height width 3"]:
-        """Paints frames into one picture, the last one in full."""
+        """Paints frames into one picture, the last one in full colour."""
         parts = []
         for order, index in enumerate(frames):
             part = self.shapes.at(index)
@@ -267,7 +267,7 @@ class _Painter:
 
 
 def _round_step(x: float) -> float:
-    """The nearest of 1, 2, 5 times a power of ten that is not below x."""
+    """The smallest of 1, 2, 5 times a power of ten that is not below x."""
     power = 10.0 ** np.floor(np.log10(max(x, 1e-12)))
     return float(next(m * power for m in (1, 2, 5, 10) if m * power >= 0.999 * x))
 
@@ -284,7 +284,7 @@ def _save_png(pixels: np.ndarray, path: Any, small: bool) -> None:
 
 
 def _colourful(pixels: np.ndarray) -> np.ndarray:
-    """Pixels to choose a palette from: fewer greys, of which most pictures are full."""
+    """Pixels for choosing a palette: with fewer greys, which fill most pictures."""
     flat = pixels.reshape(-1, 3)
     grey = np.ptp(flat.astype(int), axis=1) <= 24
     chosen = np.concatenate([flat[~grey], flat[grey][::6]])
@@ -295,8 +295,8 @@ def _colourful(pixels: np.ndarray) -> np.ndarray:
 def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     from PIL import Image
 
-    # No colour is far from its own: of those that most pixels have, a small target's
-    # would be left out.
+    # Maximum coverage: every colour stays close to its own. A palette of the most
+    # frequent colours would drop that of a small target.
     first, *others = (
         Image.fromarray(pixels).quantize(
             160, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
@@ -325,7 +325,7 @@ def _save_mp4(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate:g} -i -"
     coded = "-c:v libx264 -pix_fmt yuv420p -crf 20"
     command = [program, "-y", "-loglevel", "error", *source.split(), *coded.split()]
-    # A folder of its own, where no link can lie in the place of half a film.
+    # Its own folder, so that no link can take the place of the unfinished film.
     with tempfile.TemporaryDirectory(dir=Path(path).parent) as folder:
         half = Path(folder) / "half.mp4"
         with subprocess.Popen([*command, half], stdin=subprocess.PIPE) as process:

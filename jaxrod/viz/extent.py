@@ -1,4 +1,4 @@
-"""The box that holds what a replay shows."""
+"""The bounding box of a replay."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxrod.viz.rods import Rods
 from jaxrod.viz.shapes import Cylinder, Sphere
 
 _EVERY = 8
-"""Of the frames of bodies that turn, those that are looked at."""
+"""Stride of the frames at which turning bodies are checked."""
 
 
 def extent(
@@ -21,7 +21,7 @@ def extent(
     spheres: Sequence[Sphere] = (),
     cylinders: Sequence[Cylinder] = (),
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Corners of the box that holds everything in every frame [m]."""
+    """Corners of the box that contains everything in every frame [m]."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for some in rods:
         margin = float(some.radii.max())

@@ -24,25 +24,25 @@ if TYPE_CHECKING:
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000
-"""Of all rods; with more they are drawn with fewer."""
+"""Largest number of tube segments of all rods; more rods get coarser tubes."""
 
 
 class Triangles(NamedTuple):
-    """Triangles as they are drawn."""
+    """Triangles for drawing."""
 
     corners: np.ndarray
-    """World frame [m], (M, 3, 3)."""
+    """Corners in the world frame [m], (M, 3, 3)."""
     normals: np.ndarray
-    """At the corners, (M, 3, 3)."""
+    """Normals at the corners, (M, 3, 3)."""
     colours: np.ndarray
     """Linear light at the corners, (M, 3, 3)."""
 
 
 class Shapes:
-    """What a replay shows, prepared once and posed at any frame."""
+    """The shapes of a replay, prepared once and posed at any frame."""
 
     def __init__(self, replay: Replay, field: str | None = None) -> None:
-        """Keeps the surfaces of bodies; `field` is what colours the rods."""
+        """Prepares the surfaces of bodies; the field `field` colours the rods."""
         self.replay = replay
         self.field = field
         self.range = replay.field_range(field) if field else (0.0, 1.0)
@@ -129,11 +129,11 @@ def _alike(corners: np.ndarray, normals: np.ndarray, colour: str) -> Triangles:
 
 
 def refined(nodes: np.ndarray, pieces: int) -> np.ndarray:
-    """Rows with more between them: a Catmull-Rom curve for places, lines for the rest.
+    """Interpolates rows: positions by a Catmull-Rom curve, other columns linearly.
 
     Args:
         nodes: Rows of x, y, z [m] and other numbers, (n+1, 3+k).
-        pieces: Pieces per element.
+        pieces: Number of pieces per element.
     """
     if pieces == 1:
         return nodes
@@ -169,7 +169,7 @@ def _tube(
         tangents = np.where(size > 0, tangents / np.maximum(size, 1e-300), [0, 0, 1.0])
     else:
         tangents = np.broadcast_to(direction, nodes.shape)
-    # Carry one normal along the line without turning it about the tangent.
+    # Carries one normal along the line without rotating it about the tangent.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     across = np.empty_like(nodes)
     for node, tangent in enumerate(tangents):

@@ -1,4 +1,4 @@
-"""Learning curves of groups of runs: means and spreads, beside the paper's."""
+"""Learning curves of groups of runs: means and spreads, next to the paper's."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ def grid_curves(
 ) -> None:
     """Draws groups of runs of a task into a PNG file: return against steps and time.
 
-    Left, return over control steps: the mean over seeds and, shaded, its standard
-    deviation; across it, dashed, the paper's final scores in bands of their spread over
-    its seeds. Right, the same over wall-clock time, with the paper's at their hours.
+    Left: return over control steps, as the mean over seeds with its standard deviation
+    shaded. The paper's final scores are dashed lines, in bands of their spread over its
+    seeds. Right: the same over wall-clock time, with the paper's scores at their hours.
 
     Args:
-        curves: For every group, such as "PPO", the curve of every seed: a CSV file
-            with the columns env_steps, wall_s [s] and episode_return_mean.
-        papers: The paper's result with it; None or missing where nothing compares.
+        curves: For every group, such as "PPO", the curve of every seed: a CSV file with
+            the
+            columns env_steps, wall_s [s] and episode_return_mean.
+        papers: The paper's result for each group; None or missing if nothing compares.
         out: The PNG file to write; its folder must exist.
         title: Heading of the picture.
 

@@ -1,4 +1,4 @@
-"""Light on a frame: the camera, shadows, shading, the ground."""
+"""Lighting of a frame: the camera, shadows, shading, the ground."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from jaxrod.viz.geometry import Triangles
 from jaxrod.viz.raster import nearest, shares_at
 
 _LENS = np.tan(np.radians(14.0))
-"""Half the height of the picture over the distance."""
+"""Half the picture's height divided by the viewing distance."""
 _TAPS = 16
-"""Looks at that map for the soft edge of a shadow."""
+"""Samples of the shadow map for the soft edge of a shadow."""
 _SKY, _GROUND = linear("#f8fafc"), linear("#dfe5ee")
 _GRID = linear("#8b98ab")
 _SHADE = np.array([0.95, 0.88, 0.74], np.float32)
-"""What a full shadow takes of red, green and blue, over one half."""
+"""Twice the shares of red, green and blue that a full shadow removes [1]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Where the reader stands."""
+    """Position and orientation of the camera."""
 
     right: np.ndarray
     above: np.ndarray
     backward: np.ndarray
     eye: np.ndarray
     up: int
-    """The upward axis, 0 to 2."""
+    """Index of the upward axis, 0 to 2."""
 
     @property
     def frame(self) -> np.ndarray:
-        """The three directions as rows."""
+        """The camera's three directions as rows."""
         return np.stack([self.right, self.above, self.backward])
 
     def seen(self, points: np.ndarray) -> np.ndarray:
-        """Points to the right, above and in front of the reader [m]."""
+        """Coordinates of points to the right, above and in front of the camera [m]."""
         own = (points - self.eye) @ self.frame.T
         return own * np.array([1, 1, -1])
 
     @property
     def lamp(self) -> np.ndarray:
-        """Direction towards the lamp, over the reader's left shoulder."""
+        """Direction towards the lamp, over the camera's left shoulder."""
         up = np.eye(3)[self.up]
         way = 0.95 * up - 0.5 * self.right + 0.42 * self.backward
         return way / np.linalg.norm(way)
@@ -57,15 +57,15 @@ def view_of(
     shape: tuple[float, float],
     zoom: float,
 ) -> View:
-    """A view that holds all points.
+    """A view that contains all points.
 
     Args:
-        points: To be seen [m], (N, 3).
-        up: The upward axis.
-        azimuth: Around it [degrees].
-        elevation: Above the ground [degrees].
-        shape: Shares of the height that may be used to either side and up or down.
-        zoom: Above one, nearer.
+        points: Points to contain [m], (N, 3).
+        up: Index of the upward axis.
+        azimuth: Angle around the upward axis [degrees].
+        elevation: Angle above the ground [degrees].
+        shape: Usable width and height of the picture, in picture heights [1].
+        zoom: Zoom factor; above one, closer.
     """
     a, e = np.radians([azimuth, elevation])
     axes = np.roll(np.eye(3), -(up + 1), axis=0)  # first x second = up
@@ -78,7 +78,7 @@ def view_of(
     wide, tall = _LENS * np.array(shape)
     low, high = own.min(axis=0), own.max(axis=0)
     middle = (low + high) / 2
-    # Nearer parts look larger: a few rounds put what is seen into the middle.
+    # Nearer parts look larger: a few iterations centre the picture.
     for _ in range(6):
         x, y, z = (own - middle).T
         distance = np.max(z + np.maximum(np.abs(x) / wide, np.abs(y) / tall)) + 1e-9
@@ -95,8 +95,8 @@ def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
     """Linear light of a picture, (height, width, 3).
 
     Args:
-        triangles: What is there.
-        ground: What is behind and below it, and where the reader stands.
+        triangles: Triangles of the scene.
+        ground: Ground and sky behind them, with the camera's view.
         fine: 2 draws solids at twice the size and averages, which smooths their edges
             and darkens crevices; 1 does not, and takes a third of the time.
     """
@@ -130,7 +130,7 @@ def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
 
 
 def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Corners in pixels, with minus the nearness as depth; NaN behind the reader."""
+    """Corners in pixels, with -1/distance as depth; NaN behind the camera."""
     width, height = size
     focal = 0.5 * height / _LENS
     right, above, ahead = np.moveaxis(view.seen(corners), -1, 0)
@@ -143,7 +143,7 @@ def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.nda
 
 
 def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Ways through pixels in the reader's own directions, one ahead, (N, 3)."""
+    """Rays through pixels in camera coordinates, of unit depth, (N, 3)."""
     width, height = size
     focal = 0.5 * height / _LENS
     x, y = np.asarray(spots, np.float32).T
@@ -152,14 +152,14 @@ def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _ground_distance(view: View, floor: float, rays: np.ndarray) -> np.ndarray:
-    """How far ahead the ground is [m], infinite where it is not."""
+    """Distance to the ground along the camera's axis [m], infinite if it misses."""
     with np.errstate(divide="ignore"):
         away = (floor - view.eye[view.up]) / rays
     return np.where(away > 0, away, np.inf)
 
 
 class Ground:
-    """The sky and the ground with its lines, the same in all frames but for shadows."""
+    """The sky and the ground with its lines; only the shadows change between frames."""
 
     def __init__(
         self,
@@ -170,15 +170,15 @@ class Ground:
         centre: np.ndarray,
         span: float,
     ) -> None:
-        """Draws it without shadows.
+        """Draws the ground and the sky without shadows.
 
         Args:
-            view: Where the reader stands.
+            view: View of the camera.
             floor: Height of the ground [m].
-            step: Distance of the lines on it [m].
+            step: Distance between the lines on it [m].
             size: Width and height of the picture [pixels].
-            centre: Where the lines are clearest [m], (3,).
-            span: How far around they are [m].
+            centre: Point around which the lines are clearest [m], (3,).
+            span: Size of the region with lines [m].
         """
         self.view, self.floor, self.size = view, floor, size
         width, height = size
@@ -205,7 +205,7 @@ class Ground:
         self.picture[self.seen] += strength * (_GRID - self.picture[self.seen])
 
     def light(self, lamp: _Lamp) -> np.ndarray:
-        """With shadows, (height, width, 3)."""
+        """The picture with shadows, (height, width, 3)."""
         picture = self.picture.copy()
         dark = 0.50 * (1 - lamp.reaches(self.places, 0.012 * lamp.span))
         some = np.flatnonzero(dark)
@@ -214,10 +214,10 @@ class Ground:
 
 
 class _Lamp:
-    """What the lamp sees, which is all that is not in shadow."""
+    """Shadow map: the distances of all points that the lamp can see."""
 
     def __init__(self, corners: np.ndarray, view: View, side: int) -> None:
-        """Draws a map of it, `side` pixels wide and high."""
+        """Draws the map, `side` pixels wide and high."""
         lamp = view.lamp
         first = np.cross(lamp, np.eye(3)[np.argmin(np.abs(lamp))])
         first /= np.linalg.norm(first)
@@ -236,7 +236,7 @@ class _Lamp:
         self.span = span
 
     def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
-        """Share of the lamp's light that reaches places, its edge `blur` wide [m]."""
+        """Share of the lamp's light that reaches points; edges are `blur` wide [m]."""
         own = places @ self.frame.T.astype(places.dtype)
         spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side
         reach = blur * self.scale
@@ -270,7 +270,7 @@ def _lit(
     lamp: _Lamp,
 ) -> np.ndarray:
     shares = shares_at(screen[front], pixels + 0.5)
-    # Straight on the screen is not straight in space: weights by nearness.
+    # Linear on the screen is not linear in space: weights by inverse distance.
     shares = shares * -screen[front][:, :, 2]
     shares = (shares / shares.sum(axis=1, keepdims=True))[..., None]
     blend = lambda table: np.sum(table[front] * shares, axis=1)
@@ -294,10 +294,10 @@ def _lit(
 
 
 def _crevices(near: np.ndarray) -> np.ndarray:
-    """Share of light where nearer things are around: dark in crevices and contacts.
+    """Share of light where nearer surfaces surround a pixel: crevices are darker.
 
     Args:
-        near: A depth that is smaller in front, NaN where nothing is.
+        near: Depth, smaller in front, NaN where there is no surface.
     """
     reach = max(2, near.shape[0] // 70)
     there = np.isfinite(near)

@@ -1,4 +1,4 @@
-"""The message where matplotlib is not installed."""
+"""The error message for a missing matplotlib."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ def need_matplotlib() -> None:
     """Raises, with the command that installs it, if matplotlib is missing.
 
     Raises:
-        ModuleNotFoundError: It is.
+        ModuleNotFoundError: Matplotlib is missing.
     """
     try:
-        # Only to see whether it is there.
+        # Imported only to check that it is installed.
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as missing:
         if missing.name != "matplotlib":

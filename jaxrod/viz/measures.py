@@ -1,4 +1,4 @@
-"""Numbers along a rod to colour it by; see `fields` of `Replay.from_states`."""
+"""Quantities along a rod for colouring it; see `fields` of `Replay.from_states`."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def stretch(scene: Any, state: RodState) -> Float[Array, " n"]:
 
 
 def twist_rate(scene: Any, state: RodState) -> Float[Array, " n-1"]:
-    """Twist per rest length at the joints, less that at rest [rad/m]."""
+    """Twist per rest length at the joints, relative to the rest state [rad/m]."""
     return (strains(scene.rod, state)[1] - scene.rod.rest_curvatures)[2]
 
 
 def bending(scene: Any, state: RodState) -> Float[Array, " n-1"]:
-    """Curvature at the joints, less that at rest [1/m]."""
+    """Curvature at the joints, relative to the rest state [1/m]."""
     first, second, _ = strains(scene.rod, state)[1] - scene.rod.rest_curvatures
     return jnp.hypot(first, second)

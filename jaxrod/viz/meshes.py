@@ -1,4 +1,4 @@
-"""Rigid bodies in a replay: a surface of triangles that moves and turns."""
+"""Rigid bodies in a replay: surfaces of triangles that move and rotate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxrod.viz.arrays import numbers, require_finite
 from jaxrod.viz.rods import checked_colour
 
 _CREASE = np.cos(np.radians(35.0))
-"""Faces that meet at a smaller angle look like one smooth surface."""
+"""Cosine of the largest angle at which adjacent faces are shaded as smooth."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,11 +26,12 @@ class Mesh:
     positions: Any = (0.0, 0.0, 0.0)
     """Origins of the bodies [m]: (3,) at rest, (T, 3), or (T, K, 3) for several."""
     orientations: Any = (1.0, 0.0, 0.0, 0.0)
-    """Unit quaternions (w, x, y, z), body to world, shapes as of the positions."""
+    """Unit quaternions (w, x, y, z), body to world, of the same shapes as the
+    positions."""
     name: str = "body"
     """Name in the legend."""
     colour: str = ""
-    """Colour as "#rrggbb"; empty: one that is easy to tell from the others."""
+    """Colour as "#rrggbb"; empty for one that differs from the others."""
 
     @property
     def count(self) -> int:
@@ -38,7 +39,7 @@ class Mesh:
         return int(self.positions.shape[1])
 
     def at_frames(self, keep: Any) -> Mesh:
-        """With some of the frames."""
+        """A copy with some of the frames."""
         return dataclasses.replace(
             self, positions=self.positions[keep], orientations=self.orientations[keep]
         )
@@ -50,7 +51,7 @@ class Mesh:
 
 
 def checked_mesh(index: int, mesh: Mesh, times: np.ndarray) -> Mesh:
-    """A checked copy of a mesh, with a place and an orientation per body and frame."""
+    """A checked copy of a mesh, with a position and orientation per body and frame."""
     name = f"meshes[{index}]"
     vertices = numbers(f"{name}.vertices", mesh.vertices, "m")
     if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3:
@@ -77,7 +78,7 @@ def checked_mesh(index: int, mesh: Mesh, times: np.ndarray) -> Mesh:
     if sizes.min() < 1e-6:
         raise ValueError(f"{name}.orientations must be unit quaternions, got a zero")
     turns /= sizes
-    # q and -q are one turn: the one nearer to that of the frame before.
+    # q and -q are the same rotation: choose the sign nearer to the previous frame.
     for k in range(1, frames):
         turns[k] *= np.where(
             np.sum(turns[k] * turns[k - 1], axis=-1, keepdims=True) < 0, -1, 1
@@ -114,7 +115,7 @@ def _per_body(
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Matrix that turns body vectors to the world, shape (3, 3)."""
+    """Rotation matrix from body to world vectors, shape (3, 3)."""
     w, x, y, z = quaternion
     return np.array(
         [
@@ -128,8 +129,8 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 def shaded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Corners and normals of every triangle, (F, 3, 3) each; creases stay sharp.
 
-    At each corner the normals of those faces are averaged, weighted by their angles
-    there, that meet this one at less than 35 degrees.
+    At each corner the normals of the adjacent faces that meet this face at less than 35
+    degrees are averaged, weighted by their angles there.
     """
     corners = mesh.vertices[mesh.faces]
     along = np.roll(corners, -1, axis=1) - corners

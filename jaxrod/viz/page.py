@@ -1,12 +1,12 @@
 """The replay as one HTML page that plays anywhere, without a network.
 
 The page holds its data and its program: about 70 kB of program, and two bytes per
-coordinate before compression. Coordinates are rounded to 65536 steps of the range
-each axis covers, that is to within range / 131070 (8 micrometres for 1 m).
+coordinate before compression. Coordinates are rounded to 65536 levels of each axis's
+range, that is to within range / 131070 (8 micrometres for 1 m).
 
-The program is the project's own. The libraries there are draw what it draws, but the
-smallest bundle of three.js with orbit controls is 572 kB in every page, and bends no
-tube between nodes: that and reading the recording would be our own program still.
+The program is the project's own. Existing libraries can draw the same, but the smallest
+bundle of three.js with orbit controls is 572 kB in every page, and it does not bend
+tubes between nodes. That, and reading the recording, would still be our own program.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from jaxrod.viz.rods import at_nodes
 if TYPE_CHECKING:
     from jaxrod.viz.replay import Replay
 
-# In this order, because later ones use what earlier ones define.
+# The order matters, because later scripts use the definitions of earlier ones.
 _SCRIPTS = (
     "vectors",
     "recording",
@@ -53,13 +53,15 @@ def html(
 
     Args:
         replay: The replay to show.
-        frames_per_second: Frames recorded more often than this [Hz] are thinned out;
-            the page interpolates between frames.
-        autoplay: Start playing on opening, unless the reader asked their system for
-            less motion.
+        frames_per_second: Largest frame rate [Hz]; more frequent frames are thinned
+            out.
+            The page interpolates between frames.
+        autoplay: Whether to start playing on opening, unless the reader's system
+            requests
+            reduced motion.
 
     Raises:
-        ValueError: Frames_per_second is not positive.
+        ValueError: `frames_per_second` is not positive.
     """
     header, data = encode(replay.thinned(frames_per_second))
     header["autoplay"] = bool(autoplay)
@@ -67,7 +69,8 @@ def html(
     parts = {
         "TITLE": markup.escape(replay.title or "Rod replay"),
         "STYLE": _asset("page.css"),
-        # "</script" would end the surrounding element, "<!--<script" hide its end.
+        # "</script" would end the surrounding element, and "<!--<script" would hide its
+        # end.
         "HEADER": json.dumps(header).replace("<", "\\u003c"),
         "DATA": base64.b64encode(data).decode("ascii"),
         "PROGRAM": f'(() => {{\n"use strict";\n{program}\n}})();',
@@ -82,7 +85,7 @@ def save_html(
     frames_per_second: float = 60.0,
     autoplay: bool = True,
 ) -> None:
-    """Writes the page of `html` to a file, which appears whole or not at all.
+    """Writes the page of `html` to a file, which appears complete or not at all.
 
     Args:
         replay: The replay to show.
@@ -97,13 +100,16 @@ def save_html(
 def encode(replay: Replay) -> tuple[dict[str, Any], bytes]:
     """Packs a replay into a JSON header and compressed bytes.
 
-    The bytes are zlib over, in order, little-endian float32: times since the first
-    frame (T), radii of the nodes of all rods, readouts (K, T), and place and normal of
-    the corners of every triangle of every mesh (3 F, 6); then series of unsigned 16-bit
-    levels over time, as zigzag differences, low bytes first, then high bytes: the
-    coordinates of all points (P, 3, T), which are nodes, centres of spheres, origins
-    of bodies and of arrows, orientations of bodies (B, 4, T), and arrows (A, 3, T);
-    then fields at all nodes (F, N, T) as differences of 8-bit levels, 255 for none.
+    The bytes are zlib-compressed. They hold, in this order:
+
+    - little-endian float32: times since the first frame (T), radii of the nodes of all
+      rods, readouts (K, T), and position and normal of the corners of every triangle of
+      every mesh (3 F, 6);
+    - series of unsigned 16-bit levels over time, as zigzag differences, first all low
+      bytes, then all high bytes: the coordinates of all points (P, 3, T), which are
+      nodes, centres of spheres, origins of bodies and of arrows; orientations of bodies
+      (B, 4, T); and arrows (A, 3, T);
+    - fields at all nodes (F, N, T) as differences of 8-bit levels, 255 for none.
     """
     series, scales, count = _series(replay)
     change = np.diff(series, axis=-1, prepend=0)
@@ -170,7 +176,7 @@ def encode(replay: Replay) -> tuple[dict[str, Any], bytes]:
 
 
 def _series(replay: Replay) -> tuple[np.ndarray, list[Any], int]:
-    """Levels of everything that moves (S, T); lows and steps; the number of points."""
+    """Levels of all moving things (S, T), their scales, and the number of points."""
     frames = replay.num_frames
     points = [r.positions.reshape(frames, -1, 3) for r in replay.rods]
     points += [sphere.positions[:, None] for sphere in replay.spheres]

@@ -1,4 +1,4 @@
-"""The published results that learning curves are drawn against."""
+"""The published results for comparison with learning curves."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ class PaperResult:
     """
 
     case: str
-    """The paper's name of the case, "Case1" to "Case4"."""
+    """Name of the case in the paper, "Case1" to "Case4"."""
     algorithm: str
-    """The paper's name of the algorithm, for example "PPO"."""
+    """Name of the algorithm in the paper, for example "PPO"."""
     configuration: str
-    """The setting that the paper varied, for example "batch=32000"."""
+    """Setting that the paper varied, for example "batch=32000"."""
     in_figure: bool
     """Whether the paper's figures show this configuration."""
     seeds: int
     """Number of independent runs."""
     timesteps: int
-    """Control steps per run."""
+    """Number of control steps per run."""
     final_mean: float
     """Final episode return, mean over seeds."""
     final_std: float
@@ -46,12 +46,12 @@ class PaperResult:
 def paper_result(
     case: str, algorithm: str, configuration: str | None = None
 ) -> PaperResult:
-    """Returns a result of the paper, by default the one its figures show.
+    """Returns a result of the paper, by default the one in its figures.
 
     Args:
         case: "Case1" to "Case4" (or a variant such as "Case3-ctrlpts").
-        algorithm: "PPO", "TRPO", "SAC", "TD3" or "DDPG"; capitals do not matter.
-        configuration: One of the settings the paper varied.
+        algorithm: "PPO", "TRPO", "SAC", "TD3" or "DDPG", in upper or lower case.
+        configuration: One of the settings that the paper varied.
 
     Raises:
         ValueError: The paper has no such result, or several.

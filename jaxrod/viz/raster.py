@@ -1,4 +1,4 @@
-"""Which triangle is in front at each pixel, with NumPy alone."""
+"""Rasteriser in NumPy that finds the front triangle at each pixel."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _AT_ONCE = 3_000_000
-"""Pixels that are tried at once."""
+"""Largest number of pixels that are tested at once."""
 
 
 def nearest(
     corners: Float[np.ndarray, "m 3 3"], width: int, height: int
 ) -> tuple[Int[np.ndarray, "pixels"], Float[np.ndarray, "pixels"]]:
-    """The triangle nearest to the reader at every pixel.
+    """The triangle nearest to the camera at every pixel.
 
-    Triangles of like size are tried together, each at all pixels of a square that
-    holds it.
+    Triangles of similar size are tested together, each at all pixels of a square around
+    it.
 
     Args:
-        corners: Of the triangles, x to the right and y down in pixels, and a depth
-            that is linear on the screen, smaller in front.
-        width: Of the picture [pixels].
-        height: Of the picture [pixels].
+        corners: Corners of the triangles: x to the right and y down in pixels, and a
+            depth that is linear on the screen, smaller in front.
+        width: Width of the picture [pixels].
+        height: Height of the picture [pixels].
 
     Returns:
-        Number of the triangle, -1 where there is none, and depth, both row by row.
+        Index of the triangle, -1 where there is none, and depth, both row by row.
     """
     depth = np.full(width * height, np.inf, np.float32)
     front = np.full(width * height, -1, np.int32)
@@ -53,7 +53,7 @@ def _paint(
     depth: np.ndarray,
     front: np.ndarray,
 ) -> None:
-    """Puts triangles in front of what is there."""
+    """Draws triangles in front of the existing picture."""
     width, height = size
     steps, half = np.arange(side, dtype=np.float32), np.float32(0.5)
     x, y = (low[:, k : k + 1].astype(np.float32) + steps + half for k in (0, 1))
@@ -80,7 +80,7 @@ def _paint(
 def _shares(
     corners: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Areas towards the first and the second corner, and of the whole."""
+    """Areas opposite the first and the second corner, and of the whole triangle."""
     at = lambda c, axis: corners[:, c, axis].astype(np.float32)[:, None, None]
     ax, ay, bx, by, cx, cy = (at(c, k) for c in range(3) for k in range(2))
     u = (bx - x) * (cy - y) - (cx - x) * (by - y)
@@ -92,7 +92,7 @@ def _shares(
 def shares_at(
     corners: Float[np.ndarray, "k 3 3"], places: Float[np.ndarray, "k 2"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Shares of the three corners at one place of each triangle [1]."""
+    """Barycentric coordinates of one point in each triangle [1]."""
     u, v, area = (
         part[:, 0, 0]
         for part in _shares(

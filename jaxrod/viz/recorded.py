@@ -1,4 +1,4 @@
-"""A replay of a scene or a system: what its states look like."""
+"""Conversion of the states of a scene or a system to the shapes of a replay."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _ONLY = "rod"
 
 
 class Recorded(NamedTuple):
-    """What there is to see of a scene or a system."""
+    """Shapes of a scene or a system for drawing."""
 
     rods: tuple[Rods, ...]
     meshes: tuple[Mesh, ...]
     arrows: tuple[Arrows, ...]
     floor: float | None
-    """Height of a level plane which a rod may touch [m]."""
+    """Height of a level plane that a rod may touch [m]."""
 
 
 def recorded(
@@ -48,16 +48,16 @@ def recorded(
     colours: Mapping[str, str],
     up: str,
 ) -> Recorded:
-    """Members of a scene or a system as they are drawn; see `Replay.from_states`.
+    """Shapes of the members of a scene or a system; see `Replay.from_states`.
 
     Raises:
         ValueError: An argument has the wrong shape or an impossible value.
-        TypeError: `model` is neither.
+        TypeError: `model` is neither a scene nor a system.
     """
     if isinstance(model, Scene):
         system, by_member = System({_ONLY: model}), {_ONLY: states}
     elif isinstance(model, System):
-        # What a run notes of its lists is no member.
+        # The record of a run's neighbour lists is not a member.
         members = {name: own for name, own in states.items() if name != RECORD}
         system, by_member = model, members
         if set(by_member) != set(system.members):
@@ -107,7 +107,7 @@ def _of_bodies(name: str, bodies: RigidBodies, states: Any, colour: str) -> Mesh
 def _field_values(
     system: System, states: dict[str, Any], times: np.ndarray, fields: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
-    """Of each member and label numbers by frame, rod and place along it."""
+    """Numbers by member and label, for each frame, rod and place along it."""
     rods = {k: m for k, m in system.members.items() if isinstance(m, Scene)}
     values: dict[str, dict[str, Any]] = {name: {} for name in rods}
     for label, given in fields.items():
@@ -142,14 +142,14 @@ def _measured(
 
     clock = jnp.asarray(times, system.dtype)
     measured = np.asarray(_over_frames(at_frame, system, (states, clock)))
-    # One number for all of a rod.
+    # One number for a whole rod.
     return measured[..., None] if measured.ndim == 1 + group else measured
 
 
 def _ground(
     system: System, low: np.ndarray, high: np.ndarray, up: str
 ) -> tuple[list[Mesh], float | None]:
-    """The fixed bodies that rods may touch; of a level plane its height [m]."""
+    """The fixed bodies that rods may touch, and the height of a level plane [m]."""
     fixed: dict[Any, Body] = {}
     for member in system.members.values():
         if isinstance(member, Scene):
@@ -176,7 +176,7 @@ def _ground(
 
 
 def _single(body: Body, count: int | None, group: bool) -> list[Body]:
-    """Bodies one by one, of one rod or of equal rods."""
+    """Single bodies, from those of one rod or of equal rods."""
     axes = int(group) + int(count is not None)
     bodies = [body]
     for _ in range(axes):
@@ -191,7 +191,7 @@ def _single(body: Body, count: int | None, group: bool) -> list[Body]:
 def _contact_forces(
     system: System, states: dict[str, Any], times: np.ndarray
 ) -> tuple[Arrows, ...]:
-    """Forces of contact at the nodes of all rods [N]."""
+    """Contact forces at the nodes of all rods [N]."""
     rods = [k for k, m in system.members.items() if isinstance(m, Scene)]
 
     def at_frame(given: System, frame: tuple[Any, Any]) -> list[dict[str, Any]]:
@@ -217,8 +217,8 @@ def _contact_forces(
 
     clock = jnp.asarray(times, system.dtype)
     total = {name: np.zeros_like(states[name].positions) for name in rods}
-    # Added up here: in one program with what is stacked and added, XLA works out a
-    # contact anew for every number of its forces.
+    # Added up here: in one program with the stacking and adding, XLA recomputes a
+    # contact for every component of its forces.
     for one in _over_frames(at_frame, system, (states, clock)):
         for name, forces in one.items():
             row = np.stack([np.asarray(part) for part in forces], axis=-2)
@@ -234,9 +234,9 @@ def _contact_forces(
 
 
 def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -> Any:
-    """What a function of a model and a frame gives at every frame.
+    """Results of a function of a model and a frame, at every frame.
 
-    The model is an argument of the program, as in runs, and no constant in it.
+    The model is an argument of the program, as in runs, not a constant in it.
     """
     return jax.jit(lambda m, x: jax.lax.map(lambda one: at_frame(m, one), x))(
         model, frames
@@ -244,7 +244,7 @@ def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -
 
 
 def _on_rod(scene: Scene, state: Any) -> list[Any]:
-    """Forces of contact with fixed bodies on a rod's nodes, of each effect."""
+    """Contact forces of fixed bodies on a rod's nodes, for each effect."""
     found = [
         effect.loads(scene.rod, motion_of(state)).forces
         for effect in scene.effects

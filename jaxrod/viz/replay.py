@@ -1,4 +1,4 @@
-"""A recorded motion of rods and bodies, ready to be looked at."""
+"""A recorded motion of rods and bodies, ready for viewing."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class Replay:
 
     Make one with `Replay.from_states` (a scene or a system and its states),
     `Replay.from_rollout` (component-first arrays) or `Replay.from_nodes` (one xyz
-    triple per node): they check and convert; `together` puts several beside each
-    other. In a notebook a replay shows itself as a 3-D player; `picture` and `film`
-    write files.
+    triple per node): they check and convert. `together` combines several in one view.
+    In a notebook a replay shows itself as a 3-D player; `picture` and `film` write
+    files.
     """
 
     times: Float[np.ndarray, "num_frames"]
     """Time of each frame [s], increasing, shape (T,)."""
     rods: tuple[Rods, ...] = ()
-    """Rods, those with as many elements together."""
+    """Rods, grouped by their number of elements."""
     spheres: tuple[Sphere, ...] = ()
     """Spheres shown with the rods, their positions of shape (T, 3)."""
     cylinders: tuple[Cylinder, ...] = ()
@@ -43,17 +43,17 @@ class Replay:
     meshes: tuple[Mesh, ...] = ()
     """Rigid bodies shown with the rods."""
     arrows: tuple[Arrows, ...] = ()
-    """Arrows: forces and the like."""
+    """Arrows, such as forces."""
     readouts: Mapping[str, Float[np.ndarray, "num_frames"]] = dataclasses.field(
         default_factory=dict
     )
-    """Name -> one number per frame, shape (T,), for example the reward."""
+    """Map from names to one number per frame, shape (T,), for example the reward."""
     title: str = ""
     """Heading of the player."""
     up: Axis = "z"
-    """The world axis drawn upwards."""
+    """World axis that is drawn upwards."""
     floor: float | None = None
-    """Height of the ground along the upward axis [m]; `None`: below everything."""
+    """Height of the ground along the upward axis [m]; `None` for below everything."""
 
     @classmethod
     def from_rollout(
@@ -109,16 +109,18 @@ class Replay:
             spheres: Spheres to show; positions (3,) or (T, 3).
             cylinders: Cylinders to show.
             meshes: Rigid bodies to show.
-            arrows: Forces and the like to show.
-            readouts: Name -> one number per frame, shape (T,).
-            fields: Label with a unit -> numbers to colour the rods by, broadcastable
+            arrows: Arrows to show, such as forces.
+            readouts: Map from names to one number per frame, shape (T,).
+            fields: Map from labels with units to numbers that colour the rods,
+                broadcastable
                 to (T, R, n) with n for elements, n+1 for nodes or n-1 for joints.
             rod_names: Names of the rods in the legend; empty, or R names.
-            name: What the rods are called together.
-            colour: Of all rods, as "#rrggbb"; empty: one of its own for each.
+            name: Common name of the rods.
+            colour: Colour of all rods, as "#rrggbb"; empty for a different one for
+                each.
             title: Heading of the player.
-            up: The world axis drawn upwards: "x", "y" or "z".
-            floor: Height of the ground along it [m]; `None`: below everything.
+            up: World axis that is drawn upwards: "x", "y" or "z".
+            floor: Height of the ground along it [m]; `None` for below everything.
 
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.
@@ -162,18 +164,18 @@ class Replay:
         up: Axis = "z",
         floor: float | None = None,
     ) -> Replay:
-        """Makes a replay of rods that are checked already and of what is with them.
+        """Makes a replay of rods that are already checked, and of other shapes.
 
         Args:
             times: Time of each frame [s], increasing, shape (T,).
-            rods: Rods, those with as many elements together.
-            spheres: As in `from_nodes`, and so are the others.
+            rods: Rods, grouped by their number of elements.
+            spheres: Spheres to show; this and the others as in `from_nodes`.
             cylinders: Cylinders to show.
             meshes: Rigid bodies to show.
-            arrows: Forces and the like to show.
-            readouts: Name -> one number per frame, shape (T,).
+            arrows: Arrows to show, such as forces.
+            readouts: Map from names to one number per frame, shape (T,).
             title: Heading of the player.
-            up: The world axis drawn upwards.
+            up: World axis that is drawn upwards.
             floor: Height of the ground along it [m].
 
         Raises:
@@ -220,34 +222,40 @@ class Replay:
     ) -> Replay:
         """Makes a replay of a scene or a system from the states of a rollout.
 
-        Rods, rigid bodies and the fixed bodies that rods may touch are shown, each
-        member under its name.
+        Rods, rigid bodies and the fixed bodies that rods may touch are shown. Each
+        member is labelled with its name.
 
         Args:
             model: The scene or the system.
             states: Its states with a leading axis of T, as `jaxrod.rollout` returns
-                them; of a system, a dict by member.
+                them; for a system, a dict by member.
             times: Time of each frame [s], shape (T,).
-            fields: Label with a unit -> what to colour rods by: a function of a scene
-                (as it is at the time of the frame) and a state of its rod that gives a
-                number for each of n elements, n+1 nodes or n-1 joints, or one for all;
-                or such numbers, with leading axes for frames and equal rods; or a dict
-                of either by member, for some members. `jaxrod.viz.speed`, `stretch`,
+            fields: Map from labels with units to what colours the rods. This is either
+                a
+                function of a scene (at the time of the frame) and a state of its rod,
+                which
+                returns a number for each of n elements, n+1 nodes or n-1 joints, or one
+                for the
+                whole rod; or such numbers, with leading axes for frames and equal rods;
+                or a
+                dict of either by member, for some members. `jaxrod.viz.speed`,
+                `stretch`,
                 `bending` and `twist_rate` are such functions.
-            forces: Whether to show the contact forces on rods as arrows, those at each
-                node added up.
-            colours: Member -> "#rrggbb".
+            forces: Whether to show the contact forces on rods as arrows, summed at each
+                node.
+            colours: Map from members to "#rrggbb".
             spheres: Spheres to show, such as targets.
             cylinders: Cylinders to show.
-            readouts: Name -> one number per frame, shape (T,).
+            readouts: Map from names to one number per frame, shape (T,).
             title: Heading of the player.
-            up: The world axis drawn upwards.
+            up: World axis that is drawn upwards.
             floor: Height of the ground along it [m]; by default that of a level plane
-                which a rod may touch.
+                that a
+                rod may touch.
 
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.
-            TypeError: `model` is neither.
+            TypeError: `model` is neither a scene nor a system.
         """
         from jaxrod.viz.recorded import recorded
 
@@ -267,7 +275,7 @@ class Replay:
         )
 
     def together(self, *others: Replay) -> Replay:
-        """This replay and others with the same times, in one.
+        """Combines this replay and others with the same times.
 
         Raises:
             ValueError: Their times or their upward axes differ.
@@ -290,17 +298,17 @@ class Replay:
 
     @property
     def positions(self) -> Float[np.ndarray, "num_frames num_rods num_nodes 3"]:
-        """Node positions [m], shape (T, R, n+1, 3), of rods that are all alike."""
+        """Node positions [m], shape (T, R, n+1, 3), if all rods are alike."""
         return self._alike().positions
 
     @property
     def radii(self) -> Float[np.ndarray, "num_rods num_elements"]:
-        """Element radii [m], shape (R, n), of rods that are all alike."""
+        """Element radii [m], shape (R, n), if all rods are alike."""
         return self._alike().radii
 
     @property
     def rod_names(self) -> tuple[str, ...]:
-        """Names of the rods, of rods that are all alike; empty, or R names."""
+        """Names of the rods, if all rods are alike; empty, or R names."""
         return self._alike().names
 
     def _alike(self) -> Rods:
@@ -322,16 +330,16 @@ class Replay:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Labels of what the rods can be coloured by."""
+        """Labels of the fields that can colour the rods."""
         return tuple(
             dict.fromkeys(label for rods in self.rods for label in rods.fields)
         )
 
     def field_range(self, label: str) -> tuple[float, float]:
-        """Lowest and highest number of a field that has a colour of its own.
+        """Range of a field that the colours resolve.
 
-        All but the highest 0.5 %; from zero on where that is near, and as far below
-        zero as above where both signs are.
+        It excludes the lowest and the highest 0.5 %. It starts at zero if zero is near,
+        and is symmetric about zero if both signs occur.
         """
         every = [rods.fields[label] for rods in self.rods if label in rods.fields]
         values = np.concatenate([np.ravel(numbers) for numbers in every])
@@ -348,10 +356,10 @@ class Replay:
     def thinned(self, frames_per_second: float) -> Replay:
         """Drops frames so that at most `frames_per_second` [Hz] remain.
 
-        The first and the last frame are kept; kept frames are not altered.
+        The first and the last frame are kept. Kept frames are unchanged.
 
         Raises:
-            ValueError: Frames_per_second is not positive.
+            ValueError: `frames_per_second` is not positive.
         """
         if not frames_per_second > 0:
             raise ValueError(
@@ -377,7 +385,7 @@ class Replay:
         )
 
     def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Corners of the box that holds everything in every frame [m]."""
+        """Corners of the box that contains everything in every frame [m]."""
         low, high = extent(self.rods, self.meshes, self.spheres, self.cylinders)
         if self.floor is not None:
             axis = "xyz".index(self.up)
@@ -388,28 +396,28 @@ class Replay:
         """Writes a still of one frame, or of several in one, as a PNG file.
 
         Args:
-            frame: Which frame, 0 to T-1, negative from the end; of several the last
-                is drawn in full, those before it paler.
+            frame: Index of the frame, 0 to T-1, negative from the end. With several
+                frames the last is drawn in full colour, the earlier ones paler.
             path: The file to write; its folder must exist.
-            **look: As in `jaxrod.viz.picture`.
+            **look: Options of `jaxrod.viz.picture`.
         """
         from jaxrod.viz.drawing import picture
 
         picture(self, frame, path, **look)
 
     def film(self, path: str | os.PathLike[str], **look: Any) -> None:
-        """Writes the motion as a GIF, or as an MP4 where ffmpeg is installed.
+        """Writes the motion as a GIF, or as an MP4 if ffmpeg is installed.
 
         Args:
             path: The file to write, ending in .gif or .mp4; its folder must exist.
-            **look: As in `jaxrod.viz.film`.
+            **look: Options of `jaxrod.viz.film`.
         """
         from jaxrod.viz.drawing import film
 
         film(self, path, **look)
 
     def __repr__(self) -> str:
-        """One line on what was recorded, without the numbers."""
+        """One line that describes the recording, without the numbers."""
         duration = float(self.times[-1] - self.times[0])
         return (
             f"Replay({self.title!r}: {self.num_rods} rods, {self.num_frames} frames, "
@@ -417,7 +425,7 @@ class Replay:
         )
 
     def _repr_html_(self) -> str:
-        """The 3-D player in a frame of its own, for notebooks."""
+        """The 3-D player in its own frame, for notebooks."""
         from jaxrod.viz.page import html
 
         page = markup.escape(html(self), quote=True)

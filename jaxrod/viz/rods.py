@@ -1,4 +1,4 @@
-"""Rods of one kind in a replay: as many as there are, all with as many elements."""
+"""Rods of one kind in a replay: any number, all with the same number of elements."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class Rods:
     radii: Float[np.ndarray, "num_rods num_elements"]
     """Element radii [m], shape (R, n)."""
     name: str = ""
-    """What they are called together."""
+    """Common name of the rods."""
     names: tuple[str, ...] = ()
-    """Names of the single ones; empty, or R names."""
+    """Names of the individual rods; empty, or R names."""
     colour: str = ""
-    """Colour as "#rrggbb"; empty: one that is easy to tell from the others."""
+    """Colour as "#rrggbb"; empty for one that differs from the others."""
     fields: Mapping[str, Float[np.ndarray, "num_frames num_rods num_nodes"]] = (
         dataclasses.field(default_factory=dict)
     )
-    """Label -> a number at every node and frame, shape (T, R, n+1)."""
+    """Map from labels to a number at every node and frame, shape (T, R, n+1)."""
 
     @property
     def num_rods(self) -> int:
@@ -39,11 +39,11 @@ class Rods:
 
     @property
     def num_nodes(self) -> int:
-        """Number of nodes of each, n+1."""
+        """Number of nodes of each rod, n+1."""
         return self.positions.shape[2]
 
     def at_frames(self, keep: Any) -> Rods:
-        """With some of the frames."""
+        """A copy with some of the frames."""
         return dataclasses.replace(
             self,
             positions=self.positions[keep],
@@ -61,7 +61,7 @@ def checked_rods(
     colour: str = "",
     fields: Mapping[str, Any] | None = None,
 ) -> Rods:
-    """Rods from arrays that come from outside, or an error in words."""
+    """Rods from the user's arrays, or a clear error."""
     nodes = numbers("positions", positions, "m")
     if nodes.ndim == 3:
         nodes = nodes[:, None]
@@ -98,7 +98,7 @@ def checked_rods(
 
 
 def checked_radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
-    """Radii of shape (R, n), or an error in words."""
+    """Radii of shape (R, n), or a clear error."""
     values = numbers("radii", radii, "m")
     if values.shape not in ((), (num_elements,), (num_rods, num_elements)):
         raise ValueError(
@@ -112,13 +112,14 @@ def checked_radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
 
 
 def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.ndarray:
-    """A number at every node and frame, or an error in words.
+    """A number at every node and frame, or a clear error.
 
     Args:
-        label: Its name.
-        values: Broadcastable to frames, rods and nodes, elements or inner joints; or
-            one number per rod.
-        shape: Frames, rods, nodes.
+        label: Name of the field.
+        values: Numbers that are broadcastable to frames, rods and nodes, elements or
+            inner
+            joints; or one number per rod.
+        shape: Numbers of frames, rods and nodes.
     """
     frames, rods, nodes = shape
     given = numbers(f"fields[{label!r}]", values, "-")
@@ -145,7 +146,7 @@ def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.nd
 
 
 def at_nodes(of_elements: np.ndarray) -> np.ndarray:
-    """Means of neighbouring elements along the last axis, n to n+1."""
+    """Means of adjacent elements along the last axis, from n to n+1 numbers."""
     padded = np.concatenate(
         [of_elements[..., :1], of_elements, of_elements[..., -1:]], -1
     )
@@ -153,7 +154,7 @@ def at_nodes(of_elements: np.ndarray) -> np.ndarray:
 
 
 def checked_colour(colour: str) -> str:
-    """A colour as "#rrggbb" or nothing, or an error in words."""
+    """A colour as "#rrggbb" or an empty string, or a clear error."""
     if colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", str(colour)):
         raise ValueError(f'colour must be "#rrggbb", got {colour!r}')
     return str(colour)

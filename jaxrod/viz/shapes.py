@@ -1,4 +1,4 @@
-"""Spheres and cylinders shown beside the rods."""
+"""Spheres and cylinders that are shown with the rods."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A motion shown in one call: in the notebook, or in a file beside the script."""
+"""A motion shown in one call: in the notebook, or in a file next to the script."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ def show(
 ) -> Replay:
     """Shows the states of a rollout with all the bodies of their scene or system.
 
-    In a notebook the replay is returned, and one that ends a cell shows the player. In
-    a script the player is written to `replay.html`, and the name printed.
+    In a notebook the replay is returned; as the last value of a cell it shows the
+    player. In a script the player is written to `replay.html`, and the name is printed.
 
     Args:
         model: The scene or the system.
         states: Its states, as `jaxrod.rollout` returns them.
         times: Time of each record [s], as `jaxrod.rollout_times` returns them; or the
             time between records.
-        path: The file to write, in a notebook as well.
+        path: File to write, also in a notebook.
         **more: The remaining arguments of `Replay.from_states`.
 
     Raises:
         ValueError: An argument has the wrong shape or an impossible value.
-        TypeError: `model` is neither.
+        TypeError: `model` is neither a scene nor a system.
         OSError: The file cannot be written.
     """
     import jax
@@ -52,7 +52,7 @@ def show(
 
 
 def _in_notebook() -> bool:
-    """Whether what a cell ends with is shown, as a browser shows it."""
+    """Whether the last value of a cell is displayed as HTML."""
     interactive = sys.modules.get("IPython")
     shell = interactive.get_ipython() if interactive else None
     return hasattr(shell, "kernel")

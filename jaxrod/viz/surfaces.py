@@ -1,4 +1,4 @@
-"""Surfaces of bodies as triangles: balls, capsules, cylinders, boxes, any distance."""
+"""Triangulated surfaces of balls, capsules, cylinders, boxes, signed distances."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Triangles = tuple[np.ndarray, np.ndarray]
 
 
 def ball(radius: float) -> Triangles:
-    """A ball about the origin."""
+    """A ball around the origin."""
     polar = np.linspace(0, np.pi, _AROUND // 2 + 1)
     return turned(radius * np.sin(polar), -radius * np.cos(polar))
 
 
 def capsule(half: float, radius: float) -> Triangles:
-    """A capsule about the origin along z, of a line from -half to half."""
+    """A capsule around the origin, whose axis runs from z = -half to z = half."""
     polar = np.linspace(0, np.pi / 2, _AROUND // 4 + 1)
     across = radius * np.sin(polar)
     up = half + radius * np.cos(polar)
@@ -28,14 +28,14 @@ def capsule(half: float, radius: float) -> Triangles:
 
 
 def cylinder(half: float, radius: float) -> Triangles:
-    """A cylinder with flat ends about the origin along z."""
+    """A cylinder along z around the origin, with flat ends."""
     return turned(
         np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half])
     )
 
 
 def box(half_lengths: np.ndarray) -> Triangles:
-    """A block about the origin."""
+    """A block around the origin."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)]
     quads.append((1, 5, 7, 3))
@@ -44,7 +44,7 @@ def box(half_lengths: np.ndarray) -> Triangles:
 
 
 def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
-    """The surface that a line in the plane of z sweeps as it turns about z.
+    """Surface of revolution about z of a line in a plane through z.
 
     Args:
         across: Distances from the axis [m], from the lowest point to the highest.
@@ -66,7 +66,7 @@ def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
 
 
 def _merged(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """Corners at one place made one; faces that lost their area left out."""
+    """Merges coincident corners, and drops faces without area."""
     size = np.ptp(vertices, axis=0).max()
     _, first, where = np.unique(
         np.round(vertices / (1e-7 * size)).astype(np.int64),
@@ -87,14 +87,14 @@ def of_distance(
 ) -> Triangles:
     """The surface where a signed distance is zero, by surface nets.
 
-    Every cell of a grid that the surface crosses gets a corner, moved onto the surface
-    along the normal; cells around an edge that it crosses make a face.
+    Every grid cell that the surface crosses gets a vertex, which is moved onto the
+    surface along the normal. The cells around a crossed edge make a face.
 
     Args:
-        surface: Distance [m] and outward normal at points (N, 3).
-        low: Lowest corner of the box to look in [m].
-        high: Its highest corner [m].
-        cells: Cells along its longest side.
+        surface: Function that returns distance [m] and outward normal at points (N, 3).
+        low: Lower corner of the box to search [m].
+        high: Upper corner of the box [m].
+        cells: Number of cells along its longest side.
 
     Raises:
         ValueError: The surface does not cross the box.
