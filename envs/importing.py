@@ -33,8 +33,7 @@ def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..
         where: `package.module:callable`, or `folder/file.py:callable` for a file that
             imports nothing from its own folder. One plain name follows the colon.
         trust: Trusted modules if a file names the path, see `check_trusted`; None if
-            the
-            user names it.
+            the user names it.
 
     Raises:
         ValueError: There is no such module, file or callable; it belongs to Python's

@@ -90,15 +90,13 @@ class Environment(Protocol):
             params: Traced parameters.
 
         Returns:
-            `(observation, state, reward, terminated, truncated, info)`.
-            `terminated`: the task itself ended; the value of the final
-            observation is 0. `truncated`: the episode was cut short (time
-            limit, numerical health); the final observation has a value, to be
-            estimated from it. `info` maps fixed names to scalars. Under
-            `"flagged"` an environment may report that a numerical health flag
-            rose; the step is then also truncated or terminated. What the
-            tasks then report about the arm (`"distance"`) comes from its last sound
-            state.
+            `(observation, state, reward, terminated, truncated, info)`. `terminated`:
+            the task itself ended; the value of the final observation is 0. `truncated`:
+            the episode was cut short (time limit, numerical health); the final
+            observation has a value, to be estimated from it. `info` maps fixed names to
+            scalars. Under `"flagged"` an environment may report that a numerical health
+            flag rose; the step is then also truncated or terminated. What the tasks
+            then report about the arm (`"distance"`) comes from its last sound state.
         """
 
 

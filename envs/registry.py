@@ -45,8 +45,7 @@ def make(task: str, /, **options: Any) -> Environment:
 
     Args:
         task: One of `names()`, or the import path of a callable of your own that
-            returns an
-            `Environment`: `"mypackage.mymodule:make_task"`, or
+            returns an `Environment`: `"mypackage.mymodule:make_task"`, or
             `"folder/file.py:make_task"` for a file that imports nothing from its own
             folder.
         **options: Passed to the task's callable, for example `variant="paper"` for
@@ -117,7 +116,7 @@ def _chosen(
     """
     try:
         known = inspect.signature(build).parameters
-    except (TypeError, ValueError):  # Written in C: it says itself what it takes.
+    except (TypeError, ValueError):  # Written in C: it checks its own arguments.
         return dict(options)
     any_name = any(one.kind is one.VAR_KEYWORD for one in known.values())
     named = {

@@ -98,11 +98,10 @@ class StableBaselinesVecEnv(VecEnv):
         """Advances all environments by one control step.
 
         Returns:
-            Observations (num_envs, observation_size); rewards and ends (num_envs,);
-            and one dictionary for each environment. The dictionary is empty unless the
+            Observations (num_envs, observation_size); rewards and ends (num_envs,); and
+            one dictionary for each environment. The dictionary is empty unless the
             episode ended. Then it holds the last observation of that episode, whether
-            the
-            episode was cut short, and the environment's scalars.
+            the episode was cut short, and the environment's scalars.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.

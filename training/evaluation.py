@@ -66,8 +66,7 @@ def evaluate(
         env: The environment.
         policy: Function from observations (episodes, observation_size) to actions: a
             `Policy`, whose actions are held for its `action_repeat` control steps; or
-            any
-            other such function, called at every control step. Or a
+            any other such function, called at every control step. Or a
             `jaxrod.envs.MemoryPolicy`, which has a memory and sees the states.
         episodes: Number of episodes.
         seed: Seed of the random numbers.

@@ -103,10 +103,9 @@ def make_network(
 
     Args:
         config: Configuration of a learner. Its `network` makes the module; None stands
-            for
-            a multilayer perceptron with its `hidden_sizes`. In a policy the output of
-            the
-            perceptron starts near 0 (gain 0.01), so that learning begins undecided.
+            for a multilayer perceptron with its `hidden_sizes`. In a policy the output
+            of the perceptron starts near 0 (gain 0.01), so that learning begins
+            undecided.
         role: "policy" or "critic".
         output_size: Number of outputs of the network.
         activation: Activation function of the perceptron.

@@ -25,8 +25,7 @@ def restart_phase(
     Args:
         env: The environment.
         config: Configuration with the numbers `short_length`, the control steps of a
-            short
-            episode, and `short_steps`, the control steps until which episodes are
+            short episode, and `short_steps`, the control steps until which episodes are
             short.
         updates: Number of updates of the run so far.
     """

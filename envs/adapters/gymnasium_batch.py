@@ -119,8 +119,7 @@ class Batch:
         Args:
             actions: Shape (num_envs, action_size).
             waiting: Mask of environments that stay as they are: they earn nothing and
-                do not
-                end.
+                do not end.
         """
         packed = self.packed()
         actions = np.asarray(actions)

@@ -76,8 +76,8 @@ class GymnasiumVectorEnv(
         Args:
             seed: Seed; equal seeds give equal episodes. None for fresh ones.
             options: `reset_mask`, in the mode `DISABLED`: booleans of shape
-                (num_envs,), true
-                for the environments that start an episode; the others go on.
+                (num_envs,), true for the environments that start an episode; the others
+                go on.
 
         Returns:
             First observations, shape (num_envs, observation_size), and an empty

@@ -154,13 +154,11 @@ def clean_arm(
         axis: Axis along the arm: "y" (Cases 1, 2) or "z" (Cases 3, 4).
         spline: Spline through the control points, in rest arc length.
         published_elements: Number of elements of the published arm, each with a couple
-            of
-            75 N m: their sum is spread over the length.
+            of 75 N m: their sum is spread over the length.
         largest_rate: Largest rate of a control value [1/s].
         obstacles: Contact with the obstacles.
         nearest: Number of nearest obstacles that each contact point considers in a
-            control
-            step.
+            control step.
         smallest_stretch: Stretch below which an arm is flagged [1].
         largest_stretch: Stretch above which an arm is flagged [1].
         plane: Plane of motion, if any.

@@ -94,8 +94,7 @@ class GripperBody:
         Args:
             state: Fingers and ball.
             before: Displacement of the wrist from its start [m], and control values of
-                the
-                chambers [1], at the beginning.
+                the chambers [1], at the beginning.
             after: The same at the end; linear in time in between.
             dt: Time step [s].
             n_steps: Number of steps, at least 1.

@@ -211,7 +211,7 @@ class Following(CostOfResiduals):
         params: FollowingParams,
         width: float = COST_WIDTH,
     ) -> Float[Array, "3"]:
-        """Residuals for planners: the tip's offset from the target, rescaled."""
+        """Residuals for planners, from the tip's offset; see `tip_residuals`."""
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width

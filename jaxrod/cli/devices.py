@@ -39,8 +39,7 @@ def devices_that_fit(num_envs: int, asked: int | None, available: int | None) ->
         num_envs: Number of environments to spread.
         asked: Value of --devices.
         available: Number of existing devices; None before JAX has started, for the
-            number
-            of cores.
+            number of cores.
     """
     if available is None:
         from jaxrod.installation.backend import available_cores

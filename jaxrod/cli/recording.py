@@ -44,8 +44,8 @@ def record(
     Args:
         env: The environment.
         policy: Function observation -> action, a pytree, or a
-            `jaxrod.envs.MemoryPolicy`;
-            its actions are held for its `action_repeat` control steps, if it has one.
+            `jaxrod.envs.MemoryPolicy`; its actions are held for its `action_repeat`
+            control steps, if it has one.
         seconds: Length of the recording [s]; None for a whole episode. The end of the
             episode always ends the recording.
         seed: Seed of the episode.

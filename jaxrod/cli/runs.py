@@ -187,11 +187,9 @@ def make_task(
     Args:
         task: Task, as for `jaxrod.envs.make`.
         options: Options of the task. Lists, JSON's only sequences, become tuples,
-            because
-            an environment has to be hashable.
+            because an environment has to be hashable.
         trust: Trusted modules if a file names the task, see `open_run`; None if the
-            user
-            names it.
+            user names it.
 
     Raises:
         ValueError: There is no such task, or it does not take these options.

@@ -135,9 +135,9 @@ def listing(defaults: Any) -> str:
 def count(text: str) -> int:
     """Reads a count such as 300, 500k, 10M or 1e7.
 
-    argparse.ArgumentTypeError: It is not a count. Argparse shows the message of this
-    error type only.
-            argparse passes on.
+    Raises:
+        argparse.ArgumentTypeError: It is not a count. Argparse shows only the messages
+            of this error type.
     """
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
     number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)

@@ -37,8 +37,7 @@ def grid_curves(
 
     Args:
         curves: For every group, such as "PPO", the curve of every seed: a CSV file with
-            the
-            columns env_steps, wall_s [s] and episode_return_mean.
+            the columns env_steps, wall_s [s] and episode_return_mean.
         papers: The paper's result for each group; None or missing if nothing compares.
         out: The PNG file to write; its folder must exist.
         title: Heading of the picture.

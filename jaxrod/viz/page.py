@@ -54,11 +54,9 @@ def html(
     Args:
         replay: The replay to show.
         frames_per_second: Largest frame rate [Hz]; more frequent frames are thinned
-            out.
-            The page interpolates between frames.
+            out. The page interpolates between frames.
         autoplay: Whether to start playing on opening, unless the reader's system
-            requests
-            reduced motion.
+            requests reduced motion.
 
     Raises:
         ValueError: `frames_per_second` is not positive.

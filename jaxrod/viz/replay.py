@@ -112,8 +112,8 @@ class Replay:
             arrows: Arrows to show, such as forces.
             readouts: Map from names to one number per frame, shape (T,).
             fields: Map from labels with units to numbers that colour the rods,
-                broadcastable
-                to (T, R, n) with n for elements, n+1 for nodes or n-1 for joints.
+                broadcastable to (T, R, n) with n for elements, n+1 for nodes or n-1 for
+                joints.
             rod_names: Names of the rods in the legend; empty, or R names.
             name: Common name of the rods.
             colour: Colour of all rods, as "#rrggbb"; empty for a different one for
@@ -231,16 +231,12 @@ class Replay:
                 them; for a system, a dict by member.
             times: Time of each frame [s], shape (T,).
             fields: Map from labels with units to what colours the rods. This is either
-                a
-                function of a scene (at the time of the frame) and a state of its rod,
-                which
-                returns a number for each of n elements, n+1 nodes or n-1 joints, or one
-                for the
-                whole rod; or such numbers, with leading axes for frames and equal rods;
-                or a
-                dict of either by member, for some members. `jaxrod.viz.speed`,
-                `stretch`,
-                `bending` and `twist_rate` are such functions.
+                a function of a scene (at the time of the frame) and a state of its rod,
+                which returns a number for each of n elements, n+1 nodes or n-1 joints,
+                or one for the whole rod; or such numbers, with leading axes for frames
+                and equal rods; or a dict of either by member, for some members.
+                `jaxrod.viz.speed`, `stretch`, `bending` and `twist_rate` are such
+                functions.
             forces: Whether to show the contact forces on rods as arrows, summed at each
                 node.
             colours: Map from members to "#rrggbb".
@@ -250,8 +246,7 @@ class Replay:
             title: Heading of the player.
             up: World axis that is drawn upwards.
             floor: Height of the ground along it [m]; by default that of a level plane
-                that a
-                rod may touch.
+                that a rod may touch.
 
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.

@@ -117,8 +117,7 @@ def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.nd
     Args:
         label: Name of the field.
         values: Numbers that are broadcastable to frames, rods and nodes, elements or
-            inner
-            joints; or one number per rod.
+            inner joints; or one number per rod.
         shape: Numbers of frames, rods and nodes.
     """
     frames, rods, nodes = shape

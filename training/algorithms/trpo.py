@@ -124,8 +124,7 @@ def init(
         config: Settings; their numbers can be vmapped, too.
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the bound on the change goes from its
-            first to
-            its last value.
+            first to its last value.
     """
     updates = -(-total_steps // steps_per_update(config))
     return start(key, env, config, env_params, updates, _value_optimiser())

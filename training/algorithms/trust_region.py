@@ -27,8 +27,7 @@ def fisher_product(
 
     Args:
         outputs: Function from the parameters to the mean, shape (samples, actions), and
-            the
-            log std, shape (actions,).
+            the log std, shape (actions,).
         parameters: Point at which the matrix is evaluated.
 
     Source: Schulman et al., "Trust region policy optimization", 2015, appendix C.

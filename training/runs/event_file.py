@@ -56,8 +56,7 @@ class EventFile:
 
         Args:
             folder: Folder of the file; created if missing. Other files of the same kind
-                in
-                it are removed.
+                in it are removed.
             rows: Rows of the progress table, as numbers or as text from the table.
             wall_s: Time that the run has taken so far [s].
 

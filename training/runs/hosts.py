@@ -93,8 +93,7 @@ class Hosts:
             tree: Tree whose leaves are split over the mesh or replicated on it.
             mesh: Mesh of all devices of the run.
             at_all: Whether every process needs the tree; if False, all but the writer
-                get
-                None.
+                get None.
         """
         if not self.several:
             return jax.device_get(tree) if at_all else tree

@@ -55,9 +55,8 @@ def train(
 
     Args:
         env: The environment. If `jaxrod.envs.make` made it, the run records the recipe,
-            so
-            that `jaxrod evaluate` and `jaxrod render` can make it again. For any other
-            environment these commands report that they cannot.
+            so that `jaxrod evaluate` and `jaxrod render` can make it again. For any
+            other environment these commands report that they cannot.
         algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
         steps: Number of control steps, rounded up to whole updates.
         seed: Seed of all random numbers.
@@ -79,15 +78,13 @@ def train(
             algorithm without a `partition`.
         progress: Whether to show a progress bar on stderr.
         log: Function called with every row of the progress table; or "tensorboard",
-            which
-            writes them to an event file in `out` (`docs/learning.md`).
+            which writes them to an event file in `out` (`docs/learning.md`).
 
     Raises:
         ModuleNotFoundError: A package that `log` needs is not installed.
-        ValueError: An argument or a setting is invalid; `out` holds a run
-            and neither `resume` nor `overwrite` was set, or it holds files that are
-            not of a run; another process trains there; or the run to be resumed is
-            damaged.
+        ValueError: An argument or a setting is invalid; `out` holds a run and neither
+            `resume` nor `overwrite` was set, or it holds files that are not of a run;
+            another process trains there; or the run to be resumed is damaged.
         OSError: A file cannot be written; the message has its name.
         FloatingPointError: Learning diverged; the checkpoints are from before.
     """

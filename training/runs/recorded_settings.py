@@ -87,8 +87,7 @@ def find_function(name: str, path: Any, trust: Collection[str] | None = None) ->
         name: Name of the setting.
         path: Its import path; None returns None.
         trust: Trusted modules if a file holds the path, see `restored`; None if the
-            user
-            gives the path.
+            user gives the path.
 
     Raises:
         ValueError: It is no import path, or its object is not a function.

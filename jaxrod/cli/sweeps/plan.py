@@ -100,8 +100,7 @@ def plan(
         options: Options of the tasks, as NAME=VALUE.
         sets: Settings as NAME=VALUE,VALUE,..., for one algorithm as
             ALGORITHM.NAME=VALUE. Several entries of one name are alternatives, too. For
-            a
-            tuple this is the only way to give alternatives.
+            a tuple this is the only way to give alternatives.
         cores: Number of cores of every run; None for those that its process finds.
 
     Raises:

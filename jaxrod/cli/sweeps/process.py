@@ -207,6 +207,6 @@ def last_row(folder: RunFolder) -> dict[str, str] | None:
     """Last row of a run's progress.csv, None if there is none."""
     try:
         rows = folder.progress.read()
-    except FileNotFoundError:  # Taken away by a run that begins anew.
+    except FileNotFoundError:  # Removed by a run that starts over.
         return None
     return rows[-1] if rows else None
