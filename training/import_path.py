@@ -44,7 +44,7 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
 
 
 def import_path(value: Any) -> str | None:
-    """Import path of a function or class, None if it has none.
+    """Import path of a function or class, None if no path leads to it.
 
     A module that is run as a script is named after its file.
     """

@@ -25,7 +25,7 @@ Settings = Any
 
 @pytree
 class LearnerConfig:
-    """Settings common to all learners. Numbers are traced, so changes are cheap.
+    """Settings common to all learners. Traced numbers change without recompiling.
 
     Learners have their own defaults for some of these.
     """

@@ -122,7 +122,7 @@ def check_variant(variant: str, variants: Sequence[str]) -> None:
 
 
 def check_sizes(n_elements: int, substeps: int, episode_length: int) -> None:
-    """Raises a ValueError unless an arm can have these numbers."""
+    """Raises a ValueError unless elements, substeps and episode length are valid."""
     check_count("n_elements", n_elements, OBSERVED_NODES - 1)
     if n_elements % (OBSERVED_NODES - 1):
         raise ValueError(f"n_elements must be a multiple of 10, got {n_elements}")

@@ -53,8 +53,8 @@ class StructuredObstacles(ObstacleTask):
     """The task; see the module docstring. Make one with `structured_obstacles`."""
 
     controls: int | None = None
-    """Number of equidistant control points; `None` for the paper's two chosen
-    points."""
+    """Number of equidistant control points; `None` for the two that the paper placed by
+    hand."""
 
     n_directions = 1
     n_obstacles = len(AXES)

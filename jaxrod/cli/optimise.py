@@ -1,6 +1,6 @@
 """Find actuation by gradients through the simulation.
 
-Takes the arm of a task, straight and at rest, and looks for muscle activity that
+Takes the arm of a task, straight and at rest, and finds muscle activity that
 brings its tip to a target at the end of a given time. The whole simulation is
 differentiated with respect to control values at knots in time. Levenberg-Marquardt
 needs a handful of iterations, of the derivatives of the tip's place and velocity; Adam

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000
-"""Largest number of tube segments of all rods; more rods get coarser tubes."""
+"""Largest number of tube segments of all rods; with more, tubes are coarser."""
 
 
 class Triangles(NamedTuple):

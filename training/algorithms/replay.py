@@ -39,7 +39,7 @@ class Replay:
     """The last transitions of every environment, or other records of time steps."""
 
     transitions: Any
-    """Pytree of arrays of shape (slots, num_envs, ...), by default a `Transition`."""
+    """Pytree of arrays of shape (slots, num_envs, ...), such as a `Transition`."""
     written: Int[Array, ""]
     """Number of time steps written so far."""
 

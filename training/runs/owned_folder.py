@@ -90,7 +90,7 @@ class OwnedFolder:
         return f"jaxrod {self.kind} 1"
 
     def check_replaceable(self) -> None:
-        """Raises ValueError if writing here could destroy files of others."""
+        """Raises ValueError if writing could destroy files that are not jaxrod's."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{self.path} is a file, not a folder")
         for name in self._folders:
