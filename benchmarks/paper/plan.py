@@ -5,14 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from benchmarks.paper.published import CASES, PaperResult, result_of_run
 from benchmarks.paper.settings import GRID, planned
-from jaxrod.cli.runs import PAPER_CASES, paper_result
 from jaxrod.cli.settings import word_of
-
-if TYPE_CHECKING:
-    from jaxrod.viz import PaperResult
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +34,7 @@ class Cell:
     @property
     def case(self) -> str:
         """The paper's name of the case; the task's own where it is not the paper's."""
-        return PAPER_CASES.get(self.task, self.task)
+        return CASES.get(self.task, self.task)
 
     @property
     def name(self) -> str:
@@ -61,7 +58,7 @@ class Cell:
     @property
     def paper(self) -> PaperResult | None:
         """What the paper reached; None where scores do not compare."""
-        return paper_result(self.config)
+        return result_of_run(self.config)
 
     @property
     def beside(self) -> str:
@@ -104,7 +101,7 @@ def plan(
     """
     from jaxrod.validation import check_seed
 
-    tasks = _unique([_task(case) for case in cases] or list(PAPER_CASES))
+    tasks = _unique([_task(case) for case in cases] or list(CASES))
     known = [*GRID["tracking"]]
     chosen = _unique([word.lower() for word in algorithms] or known)
     for word in chosen:
@@ -170,10 +167,10 @@ def _cell(
 
 def _task(word: str) -> str:
     """The task of that name, its own or the paper's."""
-    papers = {case.lower(): task for task, case in PAPER_CASES.items()}
+    papers = {case.lower(): task for task, case in CASES.items()}
     task = papers.get(word.lower(), word)
     if task not in GRID:
-        known = ", ".join((*GRID, *PAPER_CASES.values()))
+        known = ", ".join((*GRID, *CASES.values()))
         raise ValueError(f"case must be one of {known}; got {word!r}")
     return task
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
+from benchmarks.paper.published import result_of_run
 from benchmarks.paper.records import Record
-from jaxrod.cli.runs import paper_result
 from jaxrod.cli.sweeps.view import duration
 from jaxrod.files import write_atomically
 
@@ -80,7 +80,7 @@ def _line(group: Sequence[Record]) -> tuple[str, ...]:
     failed = any(record["status"] == "failed" for record in group)
     mean = None if None in scores else fmean(scores)
     wall = fmean(record["wall_s"] for record in group)
-    paper = paper_result(group[0]["config"])
+    paper = result_of_run(group[0]["config"])
     return (
         _name(group[0]),
         " / ".join(sorted({f"{record['env_steps']:,}" for record in group})),

@@ -59,7 +59,6 @@ def run(args: argparse.Namespace) -> int:
         result = {
             "run": str(stored.path),
             "task": stored.config["task"],
-            "case": stored.config["task"],
             "variant": stored.config.get("variant"),
             "algorithm": stored.config["algorithm"],
             "episodes": args.episodes,
@@ -77,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     print(
         f"return    {found.mean:,.1f} ± {found.standard_deviation:,.1f} "
         f"({found.returns.min():,.1f} to {found.returns.max():,.1f})"
-        f"{runs.paper_sentence(stored.config)}"
     )
     print(f"flagged   {found.flagged_fraction:.1%} of the episodes")
     print(f"took      {wall:.1f} s, compiling included")

@@ -26,7 +26,6 @@ def draw_learning_curve(path: Path, config: Mapping[str, Any]) -> Path | None:
         viz.learning_curve(
             path / "progress.csv",
             out,
-            paper=runs.paper_result(config),
             title=runs.describe(config),
         )
     except ModuleNotFoundError as missing:

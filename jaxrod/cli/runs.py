@@ -16,19 +16,9 @@ from jaxrod.files import UntrustedError, read_json, reading
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
     from jaxrod.training import Policy
-    from jaxrod.viz import PaperResult
-
-PAPER_CASES = {
-    "tracking": "Case1",
-    "reaching": "Case2",
-    "structured": "Case3",
-    "unstructured": "Case4",
-}
-"""The paper's names of the tasks."""
 
 _SCORE_WINDOWS = {"structured": 10, "unstructured": 10}
 _SCORE_WINDOW = 50
-_COMPARABLE = ("variant", "controls")
 
 
 def score_window(task: str) -> int:
@@ -217,46 +207,7 @@ def describe(config: Mapping[str, Any]) -> str:
     """Short description of a run, such as "tracking (paper), ppo, seed 0"."""
     options = config.get("env_options") or {}
     what = [config["variant"]] if config.get("variant") else []
-    if options.get("controls") is not None:
-        what.append(f"{options['controls']} control points")
-    if options.get("nest") is not None:
-        what.append(f"nest {options['nest']}")
+    chosen = {k: v for k, v in options.items() if k != "variant" and v is not None}
+    what += [f"{name} = {value}" for name, value in chosen.items()]
     task = config["task"] + (f" ({', '.join(what)})" if what else "")
     return printable(f"{task}, {config['algorithm']}, seed {config['seed']}")
-
-
-def paper_result(config: Mapping[str, Any]) -> PaperResult | None:
-    """The paper's result for the same task; None if scores do not compare.
-
-    Args:
-        config: Configuration, as in `config.json`.
-    """
-    from jaxrod import viz
-
-    options = config["env_options"] or {}
-    options = {name: value for name, value in options.items() if value is not None}
-    if config.get("variant") != "paper" or config["task"] not in PAPER_CASES:
-        return None
-    if not set(options) <= set(_COMPARABLE):
-        return None
-    case, configuration = PAPER_CASES[config["task"]], None
-    if "controls" in options:
-        case, configuration = (
-            f"{case}-ctrlpts",
-            f"batch=16000,n_ctrl={options['controls']}",
-        )
-    try:
-        return viz.paper_result(case, config["algorithm"], configuration)
-    except ValueError:
-        return None
-
-
-def paper_sentence(config: Mapping[str, Any]) -> str:
-    """The paper's score in words, after a separator; empty if there is none."""
-    paper = paper_result(config)
-    if paper is None:
-        return ""
-    return (
-        f"; the paper's {paper.algorithm}: {paper.final_mean:,.0f} "
-        f"after {paper.wall_hours:.1f} h"
-    )

@@ -31,7 +31,7 @@ from typing import Any
 
 from jaxrod.cli import runs, settings
 from jaxrod.cli.devices import devices_that_fit, first_of_each
-from jaxrod.cli.train_arguments import EXAMPLES, PUBLISHED, STEPS, add_arguments
+from jaxrod.cli.train_arguments import EXAMPLES, STEPS, add_arguments
 from jaxrod.files import reading
 from jaxrod.installation import program_cache
 
@@ -109,10 +109,6 @@ def run(args: argparse.Namespace) -> int:
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
-    if args.controls is not None:
-        options["controls"] = args.controls
-    if args.nest is not None:
-        options["nest"] = None if args.nest == PUBLISHED else args.nest
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     out = _folder(args, getattr(env, "variant", None))
@@ -259,7 +255,7 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{runs.describe(config)}: {summary['env_steps']:,} control steps in "
         f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s",
-        f"final score   {score}{runs.paper_sentence(config)}",
+        f"final score   {score}",
     ]
     if "evaluation_score" in summary:
         lines.append(
@@ -286,10 +282,8 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
         words[1] = args.variant
     elif args.resume and variant is None:
         words[1] = args.variant or _default_variant(args.task)
-    if args.controls is not None:
-        words.insert(2, f"{args.controls}-controls")
-    if args.nest not in (None, PUBLISHED):
-        words.insert(2, f"nest-{args.nest}")
+    chosen = settings.options(args.option)
+    words[2:2] = [f"{k}-{v}" for k, v in chosen.items() if isinstance(v, int | float)]
     return Path("runs") / "-".join(word for word in words if word)
 
 

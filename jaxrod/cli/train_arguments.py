@@ -9,9 +9,6 @@ from jaxrod.cli import runs, settings
 STEPS = 10_000_000
 """Default number of control steps: the published budget."""
 
-PUBLISHED = "published"
-"""Value of --nest for the paper's nest; other nests are given by their seeds."""
-
 EXAMPLES = """\
 examples:
   jaxrod train tracking                                    the paper's, a few minutes
@@ -21,8 +18,8 @@ examples:
   jaxrod train trivial --steps 200k --num-envs 32 --set rollout_steps=64
   jaxrod train tracking --set learning_rate=3e-4 --set hidden_sizes=128,128
   jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
-  jaxrod train structured --algorithm trpo --steps 500k --controls 4 --num-envs 16
-  jaxrod train unstructured --nest 7 --steps 1M --num-envs 16
+  jaxrod train structured --algorithm trpo --steps 500k --option controls=4
+  jaxrod train unstructured --option nest=7 --steps 1M
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
@@ -48,20 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="an option of the task, such as n_elements=20; may be given several times",
     )
     parser.add_argument("--variant", help="paper or clean (default: the first it has)")
-    parser.add_argument(
-        "--controls",
-        type=int,
-        metavar="N",
-        help="structured: equidistant control points, 2, 4, 6 or 8 in the paper "
-        "(default: the two that it placed by hand)",
-    )
-    parser.add_argument(
-        "--nest",
-        type=_nest,
-        metavar="NEST",
-        help=f"unstructured: {PUBLISHED}, or the seed of a random nest "
-        f"(default: {PUBLISHED})",
-    )
     parser.add_argument(
         "--algorithm",
         metavar="NAME",
@@ -166,13 +149,3 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print summary.json instead of text"
     )
-
-
-def _nest(text: str) -> int | str:
-    """Reads the value of --nest: the published nest, or the seed of another."""
-    try:
-        return text if text == PUBLISHED else int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"must be {PUBLISHED} or a seed, got {text!r}"
-        ) from None

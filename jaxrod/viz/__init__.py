@@ -7,11 +7,10 @@ import it themselves. Those that evaluate a scene or a system import JAX.
 from typing import Any
 
 from jaxrod.viz.arrows import Arrows
-from jaxrod.viz.curves import learning_curve
+from jaxrod.viz.curves import ReferenceScore, learning_curve
 from jaxrod.viz.drawing import animation, film, frame, picture
 from jaxrod.viz.meshes import Mesh
 from jaxrod.viz.page import html, save_html
-from jaxrod.viz.paper import PaperResult, paper_result
 from jaxrod.viz.replay import Replay
 from jaxrod.viz.rods import Rods
 from jaxrod.viz.shapes import Cylinder, Sphere
@@ -21,7 +20,7 @@ __all__ = [
     "Arrows",
     "Cylinder",
     "Mesh",
-    "PaperResult",
+    "ReferenceScore",
     "Replay",
     "Rods",
     "Sphere",
@@ -31,7 +30,6 @@ __all__ = [
     "frame",
     "html",
     "learning_curve",
-    "paper_result",
     "picture",
     "save_html",
     "show",

@@ -1,7 +1,8 @@
-"""Learning curves: the return of training runs over time, next to the paper's."""
+"""Learning curves: the return of training runs over time."""
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import os
 from collections.abc import Sequence
@@ -12,12 +13,11 @@ import numpy as np
 
 from jaxrod.files import read_csv, reading, write_atomically
 from jaxrod.viz.matplotlib_needed import need_matplotlib
-from jaxrod.viz.paper import PaperResult, paper_result
 
 _COLUMNS = ("env_steps", "wall_s", "episode_return_mean")
 RETURN = "episode return"
 REWARD = "mean reward of an action (no episode has ended)"
-_RUN_COLOUR, _PAPER_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
+_RUN_COLOUR, _REFERENCE_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
 
 FilePath = str | os.PathLike[str]
 
@@ -32,49 +32,58 @@ class Curve(NamedTuple):
     """Quantity in `returns`: returns, or mean rewards if no episode has ended yet."""
 
 
+@dataclasses.dataclass(frozen=True)
+class ReferenceScore:
+    """A score to compare learning curves with."""
+
+    label: str
+    """Name in the legend."""
+    mean: float
+    """Final episode return, mean over seeds."""
+    spread: float = 0.0
+    """Standard deviation over seeds."""
+    wall_hours: float | None = None
+    """Duration of a run, if it is known [h]."""
+
+
 def learning_curve(
     progress: FilePath | Sequence[FilePath],
     out: FilePath,
     *,
-    paper: tuple[str, str] | PaperResult | None = None,
+    reference: ReferenceScore | None = None,
     title: str = "",
     label: str = "jaxrod",
 ) -> None:
     """Draws the episode return of one or more training runs into a PNG file.
 
-    The lower axis is control steps, the upper axis the wall-clock time of the run. The
-    paper's final score is drawn with its spread over seeds and its wall-clock hours.
-    Several runs are drawn as thin lines, with their mean on top. If no episode has
-    ended in the runs, the mean reward of an action is drawn instead. The file appears
-    complete or not at all.
+    The lower axis is control steps, the upper axis the wall-clock time of the run. A
+    reference score is a dashed line, in a band of its spread over seeds. Several runs
+    are drawn as thin lines, with their mean on top. If no episode has ended in the
+    runs, the mean reward of an action is drawn instead. The file appears complete or
+    not at all.
 
     Args:
         progress: File progress.csv of each run, with the columns env_steps, wall_s [s]
             and episode_return_mean; rows without a return are skipped. If there are no
             returns at all, reward_mean is drawn.
         out: The PNG file to write; its folder must exist.
-        paper: (algorithm, case) of the result to compare with, for example
-            ("PPO", "Case1"), or the result itself.
+        reference: A score to compare with.
         title: Heading of the picture.
         label: Name of the runs in the legend.
 
     Raises:
         ValueError: A file lacks the columns, or has neither a finished episode nor
-            rewards; the runs do not all have the same of the two; or the paper has no
-            such result.
+            rewards; or the runs do not all have the same of the two.
     """
     paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
     if not paths:
         raise ValueError("progress must name at least one progress.csv, got none")
     runs = [read_curve(Path(path)) for path in paths]
-    if paper is not None and not isinstance(paper, PaperResult):
-        algorithm, case = paper
-        paper = paper_result(case, algorithm)
     if len({run.quantity for run in runs}) > 1:
         raise ValueError("progress must be of runs with finished episodes, or without")
     if runs[0].quantity == REWARD:
-        paper = None  # Its scores are returns.
-    write_atomically(out, _draw(runs, paper, title, label))
+        reference = None  # It is a return.
+    write_atomically(out, _draw(runs, reference, title, label))
 
 
 def read_curve(path: Path) -> Curve:
@@ -115,7 +124,7 @@ def _number(text: str) -> float:
 
 
 def _draw(
-    runs: list[Curve], paper: PaperResult | None, title: str, label: str
+    runs: list[Curve], reference: ReferenceScore | None, title: str, label: str
 ) -> bytes:
     need_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -127,15 +136,15 @@ def _draw(
     axes: Any = figure.add_subplot()
     last_step = max(run.steps[-1] for run in runs)
 
-    if paper is not None:
-        low, high = (paper.final_mean + s * paper.final_std for s in (-1, 1))
-        axes.axhspan(low, high, color=_PAPER_COLOUR, alpha=0.13, linewidth=0)
+    if reference is not None:
+        low, high = (reference.mean + s * reference.spread for s in (-1, 1))
+        axes.axhspan(low, high, color=_REFERENCE_COLOUR, alpha=0.13, linewidth=0)
         axes.axhline(
-            paper.final_mean,
-            color=_PAPER_COLOUR,
+            reference.mean,
+            color=_REFERENCE_COLOUR,
             linewidth=1.4,
             linestyle=(0, (5, 2)),
-            label=_paper_label(paper),
+            label=_reference_label(reference),
         )
     several = len(runs) > 1
     for run in runs:
@@ -169,7 +178,9 @@ def _draw(
     if title:
         figure.suptitle(title, fontsize=12, fontweight="bold")
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Description": _alt(runs, paper)})
+    figure.savefig(
+        picture, format="png", metadata={"Description": _alt(runs, reference)}
+    )
     return picture.getvalue()
 
 
@@ -221,13 +232,12 @@ def _shown(runs: list[Curve], value: float) -> str:
     return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:.3g}"
 
 
-def _paper_label(paper: PaperResult) -> str:
-    return (
-        f"paper, {paper.algorithm}: {paper.final_mean:,.0f} ± {paper.final_std:,.0f} "
-        f"after {paper.wall_hours:.1f} h ({paper.timesteps / 1e6:.3g} M steps)"
-    )
+def _reference_label(reference: ReferenceScore) -> str:
+    text = f"{reference.label}: {reference.mean:,.0f} ± {reference.spread:,.0f}"
+    hours = reference.wall_hours
+    return text if hours is None else f"{text} after {hours:.1f} h"
 
 
-def _alt(runs: list[Curve], paper: PaperResult | None) -> str:
-    parts = [_run_label("run", runs)] + ([_paper_label(paper)] if paper else [])
-    return "; ".join(parts)
+def _alt(runs: list[Curve], reference: ReferenceScore | None) -> str:
+    parts = [_run_label("run", runs)]
+    return "; ".join(parts + ([_reference_label(reference)] if reference else []))

@@ -1,4 +1,4 @@
-"""Learning curves of groups of runs: means and spreads, next to the paper's."""
+"""Learning curves of groups of runs: means and spreads."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxrod.files import write_atomically
-from jaxrod.viz.curves import FilePath, common_steps, read_curve
+from jaxrod.viz.curves import FilePath, ReferenceScore, common_steps, read_curve
 from jaxrod.viz.matplotlib_needed import need_matplotlib
-from jaxrod.viz.paper import PaperResult
 
 _COLOURS = {
     "PPO": "#2563c9",
@@ -24,7 +23,7 @@ _COLOURS = {
 
 def grid_curves(
     curves: Mapping[str, Sequence[FilePath]],
-    papers: Mapping[str, PaperResult | None],
+    references: Mapping[str, ReferenceScore | None],
     out: FilePath,
     *,
     title: str = "",
@@ -32,13 +31,13 @@ def grid_curves(
     """Draws groups of runs of a task into a PNG file: return against steps and time.
 
     Left: return over control steps, as the mean over seeds with its standard deviation
-    shaded. The paper's final scores are dashed lines, in bands of their spread over its
-    seeds. Right: the same over wall-clock time, with the paper's scores at their hours.
+    shaded. Reference scores are dashed lines, in bands of their spread over seeds.
+    Right: the same over wall-clock time, with the references at their hours.
 
     Args:
         curves: For every group, such as "PPO", the curve of every seed: a CSV file with
             the columns env_steps, wall_s [s] and episode_return_mean.
-        papers: The paper's result for each group; None or missing if nothing compares.
+        references: Score to compare each group with; None or missing if there is none.
         out: The PNG file to write; its folder must exist.
         title: Heading of the picture.
 
@@ -75,16 +74,18 @@ def grid_curves(
             axes.fill_between(
                 across, mean - spread, mean + spread, color=colour, alpha=0.18, lw=0
             )
-        paper = papers.get(name)
-        if paper is not None:
-            score, error = paper.final_mean, paper.final_std
+        reference = references.get(name)
+        if reference is not None:
+            score, error = reference.mean, reference.spread
             steps_axes.axhspan(score - error, score + error, color=colour, alpha=0.08)
             steps_axes.axhline(score, color=colour, linewidth=1, linestyle="--")
-            clock_axes.errorbar(
-                paper.wall_hours, score, error, color=colour, marker="D", capsize=3
-            )
+            if reference.wall_hours is not None:
+                hours = reference.wall_hours
+                clock_axes.errorbar(
+                    hours, score, error, color=colour, marker="D", capsize=3
+                )
     steps_axes.set_xlim(0, last)
-    dashed = " (dashed: the paper's final scores)" if any(papers.values()) else ""
+    dashed = " (dashed: references)" if any(references.values()) else ""
     steps_axes.set_xlabel(f"control steps{dashed}")
     steps_axes.set_ylabel("episode return")
     steps_axes.xaxis.set_major_formatter(EngFormatter(sep=" "))

@@ -3,8 +3,8 @@
 import pytest
 
 from benchmarks.paper.plan import plan
+from benchmarks.paper.published import CASES
 from benchmarks.paper.settings import CLEAN, GRID
-from jaxrod.cli import runs
 from jaxrod.training import algorithm_names
 
 
@@ -34,7 +34,7 @@ def test_cases_have_the_tasks_names_and_the_papers():
     (clean,) = plan(["Case4"], ["sac"], [2], variant="clean")
     assert clean.name == "Case4-SAC-clean-2"
     assert clean.paper is None
-    assert list(runs.PAPER_CASES.values()) == ["Case1", "Case2", "Case3", "Case4"]
+    assert list(CASES.values()) == ["Case1", "Case2", "Case3", "Case4"]
 
 
 def test_a_share_of_the_steps_is_rounded_down_to_whole_updates():

@@ -144,7 +144,7 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
     code, _, err = run("train", task, "--resume", "--option", "length=8")
     assert code == 2 and "env_options.length was 7, now 8" in err
     ended = run_json("train", task, "--resume", "--json")
-    assert (ended["status"], ended["task"], ended["case"]) == ("finished", task, task)
+    assert (ended["status"], ended["task"]) == ("finished", task)
     # What has changed since is told.
     file = mine / "package_of_mine" / "tasks.py"
     file.write_text(MODULE.replace("length=5, *, name", "size=5, *, name"))

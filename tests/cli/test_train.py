@@ -27,7 +27,6 @@ CONTRACT = {
     "seed",
     "variant",
     "algorithm",
-    "case",
 }
 TINY = ["--steps", "2k", "--num-envs", "8", "--set", "rollout_steps=32"]
 
@@ -44,7 +43,7 @@ def test_the_summary_keeps_the_contract_and_is_what_json_prints(trained):
     summary = json.loads((folder / "summary.json").read_text())
     assert set(summary) >= CONTRACT
     assert json.loads(out) == summary | {"run": str(folder)}
-    assert summary["task"] == summary["case"] == "trivial"
+    assert summary["task"] == "trivial"
     assert summary["variant"] is None
     assert summary["algorithm"] == "ppo"
     assert summary["seed"] == 3

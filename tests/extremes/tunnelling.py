@@ -42,7 +42,8 @@ FIXED = {
     "cylinder": lambda: jaxrod.cylinder((0, -0.05, -1), (0, -0.05, 1), 0.05),
     "box": lambda: jaxrod.box((0.0, -0.05, 0.0), (0.4, 0.1, 0.4)),
 }
-MOVING = ("rod_contact", "crossing_contact", "crossing_contact, lists", "body_contact")
+RODS = ("rod_contact", "crossing_contact", "crossing_contact, lists")
+MOVING = (*RODS, "body_contact")
 
 
 def thrown(speed: float, angle: float, youngs_modulus: float) -> tuple[Any, Any]:
@@ -66,13 +67,21 @@ def thrown(speed: float, angle: float, youngs_modulus: float) -> tuple[Any, Any]
 
 @partial(jax.jit, static_argnames="steps")
 def flight(model: Any, state: Any, dt: Any, steps: int) -> tuple[Any, Any]:
-    """The rod's height and whether it is flagged, at every step."""
+    """The rod's height, how near it is to another rod, and flags, at every step."""
 
     def forward(state: Any, k: Any) -> Any:
         state = jaxrod.advance(model, state, dt, 1, first=k)
         report = jaxrod.health(model, state, dt)
         own = state["a"] if isinstance(state, dict) else state
-        return state, (jnp.mean(own.positions[1]), report.flagged)
+        near = jnp.inf
+        if isinstance(state, dict) and isinstance(state["b"], jaxrod.RodState):
+            # The other is across the plane of the flight.
+            nodes = own.positions[:2]
+            middles = 0.5 * (nodes[:, 1:] + nodes[:, :-1])
+            points = jnp.concatenate([nodes, middles], axis=1)
+            axis = jnp.mean(state["b"].positions[:2], axis=1, keepdims=True)
+            near = jnp.min(jnp.linalg.norm(points - axis, axis=0))
+        return state, (jnp.mean(own.positions[1]), near, report.flagged)
 
     return jax.lax.scan(forward, state, jnp.arange(steps))[1]
 
@@ -140,10 +149,14 @@ def shot(
     # The time in which it would fly through, and half as much again.
     steps = int(1.5 * (depth + LENGTH * np.sin(WAYS[way])) / (speed * dt))
     steps = 100 * max(1, min(steps, 40_000) // 100 + 1)
-    heights, flags = flight(model, state, dt, steps)
+    heights, near, flags = flight(model, state, dt, steps)
     heights = np.asarray(heights)
     back = (heights[-1] - heights[-10]) / (9 * dt) / speed
-    return float(back), bool(heights[-1] < -depth), bool(np.any(flags))
+    beyond = bool(heights[-1] < -depth)
+    if target in RODS:
+        # It may bend round the other, or slide off it: through is over its axis.
+        beyond = beyond and bool(np.min(near) < 0.5 * R)
+    return float(back), beyond, bool(np.any(flags))
 
 
 def main() -> int:
@@ -160,7 +173,8 @@ def main() -> int:
         note = ""
         if beyond and not flag:
             note = "   THROUGH, no flag"
-        if way == "parallel" and share == max(SHARES) and not back > 0.1:
+        bounces = way == "parallel" and share == max(SHARES) and target not in RODS
+        if bounces and not back > 0.1:
             note = "   DOES NOT TURN ROUND"
         through, flagged, wrong = through + beyond, flagged + flag, wrong + bool(note)
         print(

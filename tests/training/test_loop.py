@@ -223,10 +223,9 @@ def test_folder_holds_what_scripts_rely_on(whole_run):
         "seed",
         "variant",
         "algorithm",
-        "case",
     } <= set(summary)
     assert summary["env_steps"] == STEPS
-    assert (summary["case"], summary["algorithm"]) == ("trivial", "ppo")
+    assert (summary["task"], summary["algorithm"]) == ("trivial", "ppo")
     with (folder.path / "progress.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0])[:2] == ["env_steps", "wall_s"]

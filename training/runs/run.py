@@ -321,7 +321,6 @@ class Run:
     def _summary(self) -> dict[str, Any]:
         names = ("task", "variant", "algorithm", "seed", "score_window")
         return {name: self.asked[name] for name in names} | {
-            "case": self.asked["task"],  # What scripts know the task by.
             "final_score": self.episodes.recent(self.asked["score_window"]),
             "env_steps": self.env_steps,
             "wall_s": self.wall_s,

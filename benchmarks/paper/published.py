@@ -1,11 +1,27 @@
-"""The published results for comparison with learning curves."""
+"""The published results, and what of them a run compares with."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+from collections.abc import Mapping
 from functools import cache
-from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jaxrod.viz import ReferenceScore
+
+CASES = {
+    "tracking": "Case1",
+    "reaching": "Case2",
+    "structured": "Case3",
+    "unstructured": "Case4",
+}
+"""The paper's names of the tasks."""
+
+_FILE = Path(__file__).with_name("published.csv")
+_COMPARABLE = ("variant", "controls")
+"""Options of a task with which its scores compare with the paper's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,7 +30,7 @@ class PaperResult:
 
     The paper is "Elastica: A compliant mechanics environment for soft robotic
     control" (Naughton et al. 2021); the numbers were recomputed from its published
-    training logs, see jaxrod/data/README.md.
+    training logs, see benchmarks/paper/README.md.
     """
 
     case: str
@@ -41,6 +57,13 @@ class PaperResult:
     """Mean duration of a run [h]."""
     steps_per_s: float
     """Control steps per second of a run [1/s]."""
+
+    @property
+    def reference(self) -> ReferenceScore:
+        """The score, to draw learning curves against."""
+        return ReferenceScore(
+            f"paper, {self.algorithm}", self.final_mean, self.final_std, self.wall_hours
+        )
 
 
 def paper_result(
@@ -75,8 +98,7 @@ def paper_result(
 
 @cache
 def _results() -> tuple[PaperResult, ...]:
-    file = resources.files("jaxrod.data").joinpath("paper_results.csv")
-    rows = csv.DictReader(file.read_text("utf-8").splitlines())
+    rows = csv.DictReader(_FILE.read_text("utf-8").splitlines())
     return tuple(
         PaperResult(
             case=row["case"],
@@ -94,3 +116,25 @@ def _results() -> tuple[PaperResult, ...]:
         )
         for row in rows
     )
+
+
+def result_of_run(config: Mapping[str, Any]) -> PaperResult | None:
+    """The paper's result for the task of a run; None if scores do not compare.
+
+    Args:
+        config: Configuration, as in `config.json`.
+    """
+    options = config["env_options"] or {}
+    options = {name: value for name, value in options.items() if value is not None}
+    if config.get("variant") != "paper" or config["task"] not in CASES:
+        return None
+    if not set(options) <= set(_COMPARABLE):
+        return None
+    case, configuration = CASES[config["task"]], None
+    if "controls" in options:
+        case = f"{case}-ctrlpts"
+        configuration = f"batch=16000,n_ctrl={options['controls']}"
+    try:
+        return paper_result(case, config["algorithm"], configuration)
+    except ValueError:
+        return None
