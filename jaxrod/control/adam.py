@@ -31,32 +31,32 @@ def adam(
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Solution:
-    """Controls, linear in time between knots, by following the gradient of the cost.
+    """Finds controls, linear in time between knots, by following the cost's gradient.
 
-    For problems with many residuals, or where the cost is no smooth valley;
-    `levenberg_marquardt` needs far fewer iterations where there are few residuals.
-    Knots are counted in half widths of their bounds, and kept within by projection.
-    Ctrl-C ends it with the best so far. Needs optax.
+    Meant for problems with many residuals, or whose cost is not a smooth valley.
+    `levenberg_marquardt` needs far fewer iterations if there are few residuals.
+    Knots are scaled by the half widths of their bounds, and projected onto the bounds.
+    Ctrl-C stops the search and returns the best point so far. Needs optax.
 
     Args:
         problem: The problem.
         n_knots: Knots in time, equally spaced.
-        iterations: Gradients, at most.
-        learning_rate: Of Adam, per step, decaying along a cosine to a tenth [1].
-        max_gradient_norm: Gradients by scaled knots are shortened to this norm.
+        iterations: Largest number of gradient evaluations.
+        learning_rate: Step size of Adam; it decays along a cosine to a tenth [1].
+        max_gradient_norm: Norm to which gradients by the scaled knots are clipped.
         optimiser: An `optax.GradientTransformation` to use instead.
-        enough: Cost at which it ends.
-        initial_knots: Where to begin `(n_knots, n_controls)`; small random ones by
+        enough: Cost at which the search ends.
+        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
             default.
-        seed: Of the small random ones.
+        seed: Seed of the small random knots.
         progress: Called with the iteration and the cost.
 
     Returns:
-        The best that was found, with its motion.
+        The best controls found, with their motion.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
-        TypeError: `problem` is something else.
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
     """
     check_problem(problem)
     iterations = check_count("iterations", iterations, 1)
@@ -123,7 +123,7 @@ def adam(
 
 
 def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
-    """The cost of scaled knots, and its gradient."""
+    """Returns the cost of scaled knots, and its gradient."""
 
     def value(scaled: Array) -> Array:
         knots = scaled * half_widths(problem)[None]
@@ -133,7 +133,7 @@ def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
 
 
 def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array]:
-    """Knots, controls, motion and cost."""
+    """Returns knots, controls, motion and cost."""
     knots = scaled * half_widths(problem)[None]
     controls = over_time(knots, problem.n_intervals)
     return (

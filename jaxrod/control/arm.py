@@ -1,4 +1,4 @@
-"""An arm with muscles: a scene, its initial state, and what controls add to it."""
+"""An arm with muscles: a scene, its initial state, and the muscles' actuation."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ class ActuatedArm:
     """A scene, its initial state, and the muscles that are added to it.
 
     Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
-    couple_density)`, or take the benchmark's with `jaxrod.envs.actuated_arm`.
+    couple_density)`. `jaxrod.envs.actuated_arm` makes the benchmark's arm.
     """
 
     scene: Scene
-    """The rod and everything that acts on it but its muscles."""
+    """The rod and everything that acts on it except its muscles."""
     state: RodState
     """Initial state."""
     spline: ControlSpline | ElementAverages
     """Shape of the muscle couples along the rod, from `control_spline`."""
     couple_density: Float[Array, ""]
-    """Couple per rest length for a control value of one [N m/m]."""
+    """Couple per unit rest length at a control value of one [N m/m]."""
 
     @property
     def control_shape(self) -> tuple[int, int]:
-        """Control values that bend it: two directions, and points along it."""
+        """Shape of the controls that bend the arm: two directions, points along it."""
         return 2, self.spline.n_controls
 
     @property
     def prepared(self) -> ActuatedArm:
-        """The same, its spline averaged over the elements once for all controls."""
+        """The same arm, its spline averaged over the elements once for all controls."""
         if isinstance(self.spline, ElementAverages):
             return self
         averages = self.spline.averaged(self.scene.rod)
         return dataclasses.replace(self, spline=averages)
 
     def with_controls(self, controls: Float[Array, "directions n_controls"]) -> Scene:
-        """The scene with its muscles at work.
+        """Returns the scene with its muscles active.
 
         Args:
             controls: Control values [1] about d1 and d2 and, if there is a third

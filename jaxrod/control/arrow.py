@@ -1,16 +1,18 @@
-r"""The damped Gauss-Newton step where the Jacobian has the shape of an arrow.
+r"""The damped Gauss-Newton step for a Jacobian with an arrow structure.
 
-Part $w$ has residuals $r_w(p, s_w)$: $p$ is shared, $s_w$ its own. A damped step is
-found part by part: with $S_w = \partial r_w / \partial s_w$ and the damping below it,
+Part $w$ has residuals $r_w(p, s_w)$ of shared unknowns $p$ and its own unknowns $s_w$.
+The own unknowns are eliminated part by part (variable projection): with
+$S_w = \partial r_w / \partial s_w$ and the damping in rows below it,
 
 $$\begin{pmatrix} S_w \\ \sqrt{\mu D_w} \end{pmatrix} = Q_w R_w, \qquad
 \min_d \sum_w \Big\| (I - Q_w Q_w^T) \begin{pmatrix} r_w + P_w d \\ 0 \end{pmatrix}
 \Big\|^2 + \mu \| D^{1/2} d \|^2,$$
 
-$P_w = \partial r_w / \partial p$; own unknowns follow from $R_w$. The cost is that of
-one part's unknowns for all parts, not of all unknowns. What is left of $P_w$ after the
-projection (without damping) is the Jacobian of the shared unknowns when the own ones
-always are at their best: its singular values say how surely $p$ is known.
+where $P_w = \partial r_w / \partial p$. The own unknowns follow from $R_w$ by back
+substitution. The cost is that of one small solve per part, not of one solve of all
+unknowns. The projected $P_w$ (without damping) is the Jacobian of the shared unknowns
+if the own ones always take their optimum: its singular values show how well the data
+determine $p$.
 
 Source: G. H. Golub, V. Pereyra, The differentiation of pseudo-inverses and nonlinear
 least squares problems whose variables separate, 1973; B. Triggs et al., Bundle
@@ -29,7 +31,10 @@ from jaxtyping import Array
 
 
 def in_order_of_leaves(like: Any) -> Callable[[Array], Array]:
-    """Makes rows of parts into one, leaf after leaf of what is stacked."""
+    """Returns a function that joins the rows of all parts, leaf after leaf of `like`.
+
+    Its result has the order of a flattened tree whose leaves are stacked by part.
+    """
     sizes = [leaf.size for leaf in jax.tree.leaves(like)]
 
     def ordered(rows: Array) -> Array:
@@ -43,7 +48,10 @@ def in_order_of_leaves(like: Any) -> Callable[[Array], Array]:
 
 
 def projected(slopes: Array, mu: Any, shares: int) -> tuple[Array, Array, Array]:
-    """Shared columns less what own ones make good, and Q and R of those, damped."""
+    """Projects the shared columns orthogonally to a part's own, damped columns.
+
+    Returns the projected columns, and the Q and R factors of the damped own columns.
+    """
     ours, mine = slopes[:, :shares], slopes[:, shares:]
     squares = jnp.sum(mine**2, axis=0)
     none = squares <= jnp.finfo(slopes.dtype).tiny
@@ -56,19 +64,19 @@ def projected(slopes: Array, mu: Any, shares: int) -> tuple[Array, Array, Array]
 def arrow_step(
     jacobian: Array, residuals: Array, mu: Array, point: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """The damped Gauss-Newton step of shared and own unknowns.
+    """Returns the damped Gauss-Newton step of shared and own unknowns.
 
     Args:
-        jacobian: Of every part, `(part, residuals, shared + own)`.
-        residuals: Of every part.
-        mu: The damping, a share of the diagonal [1].
-        point: The shared unknowns.
-        low: Their smallest values.
-        high: Their largest ones.
+        jacobian: Jacobians of all parts, `(part, residuals, shared + own)`.
+        residuals: Residuals of all parts, `(part, residuals)`.
+        mu: Damping, as a fraction of the diagonal [1].
+        point: Shared unknowns.
+        low: Lower bounds of the shared unknowns.
+        high: Upper bounds of the shared unknowns.
 
     Returns:
-        The step of the shared unknowns, zero where a bound holds them, and those of the
-        own ones, stacked in front by part.
+        The step of the shared unknowns, zero where a bound holds them, and the steps of
+        the own unknowns, stacked by part on the leading axis.
     """
     shares, dtype = point.size, jacobian.dtype
 

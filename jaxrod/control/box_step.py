@@ -1,10 +1,10 @@
-r"""Least squares of a few unknowns within a box: projected Newton steps.
+r"""Least squares of a few unknowns within a box, by projected Newton steps.
 
-The least of $|M z + r|^2$ with $l \le z \le u$. Unknowns at a bound towards which the
-cost falls are held, and so are those at a bound across which the Newton step of the
-rest leads. Of that step the best of several ways is taken: the whole of it or a part,
-cut off at the box, or as far as the first bound; or one unknown goes to its own least,
-where the cost falls for sure.
+Minimises $|M z + r|^2$ subject to $l \le z \le u$. An unknown at a bound is held there
+if the cost falls towards the bound, or if the Newton step of the free unknowns crosses
+the bound. Several candidates are then compared, and the best is taken: the whole Newton
+step or a part of it, clipped to the box; the step up to the first bound; or one unknown
+moved to its own minimum, which is sure to lower the cost.
 
 Source: Y. Tassa, N. Mansard, E. Todorov, Control-limited differential dynamic
 programming, ICRA 2014, section IV; D. P. Bertsekas, Projected Newton methods for
@@ -28,13 +28,13 @@ def box_step(
     lower: Float[Array, " unknowns"],
     upper: Float[Array, " unknowns"],
 ) -> tuple[Float[Array, " unknowns"], Bool[Array, " unknowns"]]:
-    """The least within the box, and which unknowns its bounds hold.
+    """Returns the minimum within the box, and which unknowns are held at a bound.
 
     Args:
-        matrix: Of full column rank.
-        right: Residuals where the unknowns are zero.
-        lower: Smallest values.
-        upper: Largest ones.
+        matrix: Matrix $M$ of full column rank.
+        right: Residuals $r$ at zero unknowns.
+        lower: Lower bounds.
+        upper: Upper bounds.
     """
     square = matrix.T @ matrix
     slope_at_zero = matrix.T @ right
@@ -73,8 +73,8 @@ def box_step(
         ways = jnp.clip(
             point[None] + shares[:, None] * step[None], lower[None], upper[None]
         )
-        # Where rounding is all that is left for those which are free, one that should
-        # leave its bound may be held because of them: each moves by itself, too.
+        # Once the free unknowns only move by round-off, they may keep an unknown held
+        # that should leave its bound. So each unknown is also moved by itself.
         alone = jnp.clip(point - slope / jnp.diagonal(square), lower, upper)
         ways = jnp.concatenate([ways, jnp.where(identity > 0, alone, point)])
         costs = jax.vmap(cost)(ways)

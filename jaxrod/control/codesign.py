@@ -1,4 +1,4 @@
-"""A body and its controls, found together."""
+"""Codesign: a body and its controls, optimised together."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jaxrod.control.solution import Solution
 from jaxrod.validation import check_array, check_count
 
 Body = Callable[[Any, Any], Any]
-"""`(data, design) -> data`, the problem's data for a body."""
+"""`(data, design) -> data`: the problem's data for a body."""
 
 
 def codesign(
@@ -36,31 +36,33 @@ def codesign(
     initial_knots: Any = None,
     seed: int = 0,
 ) -> Solution:
-    """Numbers of a body and controls for it that make the sum of squares least.
+    """Finds the design of a body and its controls that minimise the sum of squares.
 
-    `levenberg_marquardt` of both together. The step of the simulation is that of the
-    problem: bounds of the design have to keep the body stable with it.
+    It applies the method of `levenberg_marquardt` to both together. The simulation's
+    time step is that of the problem: the bounds of the design must keep the body stable
+    with it.
 
     Args:
-        problem: The problem; the state it starts from is that of all bodies.
-        body: `(data, design) -> data`, a function of a module; pure and
+        problem: The problem; all bodies start from its initial state.
+        body: `(data, design) -> data`, defined at module level; pure and
             differentiable.
-        design: Where the design begins, any pytree of floats.
+        design: First design, any pytree of floats.
         n_knots: Knots in time, equally spaced.
-        iterations: Iterations, at most.
-        ridge: Cost of the mean squared number of the knots: the effort.
-        lower: Smallest numbers of the design, a number or as `design`.
-        upper: Largest ones.
-        damping: Of the first step, a share of the diagonal [1].
-        initial_knots: Where to begin `(n_knots, n_controls)`.
-        seed: Of the small random ones otherwise.
+        iterations: Largest number of iterations.
+        ridge: Weight of the mean squared knot value: the effort.
+        lower: Lower bounds of the design, a number or a tree like `design`.
+        upper: Upper bounds of the design, a number or a tree like `design`.
+        damping: Damping of the first step, as a fraction of the diagonal [1].
+        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
+            default.
+        seed: Seed of the small random knots.
 
     Returns:
-        The best of both; `design` is the body's, `problem` has its data.
+        The best pair: `design` is the body's design, and `problem` has its data.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
-        TypeError: `problem` is something else.
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
     """
     check_problem(problem)
     knots = first_knots(problem, n_knots, initial_knots, seed)
@@ -107,7 +109,7 @@ def codesign(
 
 
 def _bounds(bound: Any, design: Any, sign: int) -> Any:
-    """Bounds of the design as it is."""
+    """Broadcasts a bound to the tree and shapes of the design; infinite if `None`."""
     if bound is None:
         bound = sign * jnp.inf
     kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, design)]
@@ -129,7 +131,7 @@ def _solved(
     body: Body,
     iterations: int,
 ) -> tuple[LeastSquares, Array, Any, Any]:
-    """The solution, its controls, its motion, and the data of its body."""
+    """Returns the solution, its controls, its motion, and the data of its body."""
     shape = start["knots"].shape
     low, high = (
         {"design": bound, "knots": jnp.broadcast_to(limit, shape)}
@@ -139,7 +141,7 @@ def _solved(
     def of_body(design: Any) -> Problem:
         return replace(problem, data=body(problem.data, design))
 
-    # The design costs nothing by itself.
+    # The ridge does not act on the design.
     free = jax.tree.map(jnp.zeros_like, start["design"])
     weight = jnp.full(shape, 1 / start["knots"].size, numbers["ridge"].dtype)
     found = least_squares(

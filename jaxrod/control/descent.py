@@ -1,4 +1,4 @@
-"""The loop of solvers that follow a gradient, step by step on the host."""
+"""The loop of gradient-descent solvers, which runs step by step on the host."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ def follow_gradient(
     lower: Any = -1.0,
     upper: Any = 1.0,
 ) -> tuple[Array, Ending]:
-    """Follows a gradient with an optimiser of optax, within bounds by projection.
+    """Follows a gradient with an optax optimiser, projecting onto the bounds.
 
-    Ctrl-C ends it with the best so far.
+    Ctrl-C stops the loop and returns the best point so far.
 
     Args:
-        evaluated: Takes a point, makes its cost, a report and the gradient.
+        evaluated: Takes a point and returns its cost, a report and the gradient.
         seen: Takes the iteration, the cost, the norm of the gradient and the report,
-            and says whether that is good enough.
-        start: Where to begin.
+            and returns whether the point is good enough.
+        start: First point.
         optimiser: An `optax.GradientTransformation`.
-        iterations: Points looked at, at most.
-        lower: Smallest values.
-        upper: Largest ones.
+        iterations: Largest number of points to evaluate.
+        lower: Lower bounds.
+        upper: Upper bounds.
 
     Returns:
-        The best point, or the one that was good enough, and why it ended.
+        The best point, or the point that was good enough, and why the loop ended.
 
     Raises:
-        KeyboardInterrupt: If interrupted before the first evaluation was done.
+        KeyboardInterrupt: It was interrupted before the first evaluation was done.
     """
 
     @jax.jit
     def stepped(point: Array, memory: Any, gradient: Array) -> tuple[Array, Any]:
         change, memory = optimiser.update(gradient, memory, point)
-        # Projection keeps every control value one that actuators can follow.
+        # Projection keeps every control value within the actuators' range.
         moved = jnp.clip(point + change.astype(point.dtype), lower, upper)
         return moved, memory
 
@@ -79,7 +79,7 @@ def follow_gradient(
 def clipped_adam(
     learning_rate: float, max_gradient_norm: float, iterations: int
 ) -> Any:
-    """Adam on shortened gradients, its rate decaying along a cosine to a tenth."""
+    """Adam on clipped gradients, whose learning rate decays along a cosine to 1/10."""
     import optax
 
     schedule = optax.cosine_decay_schedule(learning_rate, iterations, alpha=0.1)

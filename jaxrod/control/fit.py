@@ -1,15 +1,15 @@
-r"""A fit: what data say of parameters, how surely, and of what they say nothing.
+r"""A fit: parameters found from data, their uncertainty, and undetermined directions.
 
 With residuals $r$ in units of their noise and their Jacobian $J$ by the search
-variables (logarithms, or values as shares of where the search began),
+variables (logarithms, or values as fractions of the start),
 
 $$\mathrm{cov} = \sigma^2 (J^T J)^{-1} = \sigma^2 V \mathrm{diag}(s^{-2}) V^T,
 \qquad J = U\, \mathrm{diag}(s)\, V^T,$$
 
-which is the bound of Cramér and Rao where the noise is Gaussian. $\sigma$ is one where
-the noise is given, and the residuals' otherwise. A direction $v_k$ along which
-$\sigma / s_k$ is more than all of a value, or whose $s_k$ is round-off beside the
-largest, is one that the data do not determine.
+which is the Cramér-Rao bound if the noise is Gaussian. $\sigma$ is one if the noise is
+given; otherwise it is estimated from the residuals. The data do not determine a
+direction $v_k$ if $\sigma / s_k$ exceeds 100 % of a value, or if $s_k$ is round-off
+next to the largest.
 
 Source: G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989, sections 2.1 and 3.4.
 """
@@ -29,63 +29,65 @@ from jaxrod.structure import pytree
 from jaxrod.validation import is_traced
 
 VAGUE = 1.0
-"""A direction known to no better than this share of the values is not determined."""
+"""Relative uncertainty above which a direction counts as not determined."""
 NEAR = 0.1
-"""A search has converged if what is left is less than this many standard deviations."""
+"""Largest remaining step of a converged search, in standard deviations."""
 PLAIN = 0.05
-"""Shares of a direction below this are left out of words."""
+"""Components of a direction below this fraction are left out of its description."""
 
 
 @pytree
 class Forecast:
-    """What a fit says of observations that were not made."""
+    """A fit's prediction of observations that were not made."""
 
     value: Any
     """Expected observations."""
     sd: Any
-    """Their standard deviations from those of the parameters, without noise. Along
-    directions that the data do not determine, parameters are taken to be uncertain by
-    all of their values."""
+    """Standard deviations due to the uncertainty of the parameters, without noise.
+    Along directions that the data do not determine, parameters are taken to be
+    uncertain by 100 % of their values."""
 
 
 @pytree
 class Fit:
-    """Parameters found from data, by `identify`; a batch of them under `jax.vmap`.
+    """Parameters found from data by `identify`; a batch of fits under `jax.vmap`.
 
-    `print(fit)` shows a table, and says in words what the data do not determine.
+    `print(fit)` shows a table, and describes in words what the data do not determine.
     """
 
     parameters: Parameters
-    """How the parameters were sought."""
+    """Names, start and scales of the parameters, and the search variables."""
     values: dict[str, Any]
-    """Parameters at the least sum of squares."""
+    """Parameters at the minimum of the sum of squares."""
     standard_deviations: dict[str, Any]
-    """Of the parameters, in their units; infinite where round-off hides them."""
+    """Standard deviations of the parameters, in their units; infinite where round-off
+    hides them."""
     covariance: Float[Array, "p p"]
-    """Of the search variables: logarithms, or shares of where the search began."""
+    """Covariance of the search variables: logarithms, or fractions of the start."""
     singular_values: Float[Array, " p"]
-    """Of the Jacobian, in units of the noise, the largest first."""
+    """Singular values of the Jacobian, in units of the noise, the largest first."""
     directions: Float[Array, "p p"]
-    """Rows: the direction of each singular value among the search variables."""
+    """Right singular vectors as rows: directions in the space of search variables."""
     residual_sd: Any
     """Root mean square of the residuals of each kind of observation, in its units."""
     misfit: Float[Array, ""]
-    """Sum of squares in units of the noise, for each degree of freedom: one if model
-    and noise are right. One by definition where the noise was not given."""
+    """Sum of squares per degree of freedom, in units of the noise: one if model and
+    noise are right. One by definition if the noise was not given."""
     remaining: Float[Array, ""]
     """Gauss-Newton step from here to the minimum, in standard deviations."""
     converged: Bool[Array, ""]
-    """Whether what remains is less than a tenth of a standard deviation."""
+    """Whether the remaining step is less than a tenth of a standard deviation."""
     iterations: Int[Array, ""]
-    """Iterations that were made."""
+    """Number of iterations made."""
     at_bound: Bool[Array, " p"]
-    """Which parameters a bound holds; their standard deviations mean little."""
+    """Whether each parameter is at a bound; its standard deviation then means
+    little."""
     freedoms: Int[Array, ""]
-    """Observations less parameters."""
+    """Degrees of freedom: number of observations less number of unknowns."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the numbers sought, in the order of matrices."""
+        """Names of the numbers sought, in the order of the matrices."""
         return self.parameters.names
 
     @property
@@ -97,7 +99,7 @@ class Fit:
 
     @property
     def vague(self) -> Bool[Array, " p"]:
-        """Which directions, as rows of `directions`, the data do not determine."""
+        """Whether each row of `directions` is one that the data do not determine."""
         return vague_ways(self.singular_values)
 
     @property
@@ -110,7 +112,7 @@ class Fit:
         """Directions that the data do not determine, in words.
 
         Raises:
-            ValueError: It is a batch of fits: take one,
+            ValueError: This is a batch of fits: take one of it,
                 `jax.tree.map(lambda a: a[0], fit)`.
         """
         self._alone("undetermined")
@@ -122,10 +124,10 @@ class Fit:
         )
 
     def z(self, truth: Mapping[str, Any]) -> dict[str, Array]:
-        """Deviations from the truth in standard deviations, by search variables.
+        """Returns the search variables' errors in standard deviations (z-scores).
 
         Args:
-            truth: True parameters, in the order and shapes of `values`.
+            truth: True parameters, with the names and shapes of `values`.
         """
         if self.covariance.ndim > 2:
             return jax.vmap(lambda fit: fit.z(truth))(self)
@@ -134,10 +136,11 @@ class Fit:
         return self.parameters.named(away / sd)
 
     def forecast(self, simulate: Callable[[dict[str, Any]], Any]) -> Forecast:
-        """What another simulation gives, and how surely the data say so.
+        """Predicts the result of another simulation, with its uncertainty.
 
         Args:
-            simulate: Takes parameters, makes any pytree: more time, other loads.
+            simulate: Takes parameters and returns any pytree, for example of a longer
+                time or under other loads.
         """
         if self.covariance.ndim > 2:
             return jax.vmap(lambda fit: fit.forecast(simulate))(self)
@@ -157,7 +160,7 @@ class Fit:
         return Forecast(value, spread)
 
     def __repr__(self) -> str:
-        """A table of the parameters and what there is to say about them."""
+        """Returns a table of the parameters, with remarks on the fit."""
         if is_traced(self) or self.covariance.ndim > 2:
             return f"Fit of {', '.join(self.names)}, {self.covariance.shape[:-2]} fits"
         return "\n".join([*_table(self), *_remarks(self)])
@@ -172,18 +175,18 @@ class Fit:
 
 
 def vague_ways(s: Array) -> Array:
-    """Which singular values are of directions that the data do not determine."""
+    """Whether each singular value has a direction that the data do not determine."""
     hidden = s <= smallest_ratio(s.dtype) * s[..., :1]
     return hidden | (s * VAGUE < 1) | ~jnp.isfinite(s)
 
 
 def smallest_ratio(dtype: Any) -> float:
-    """Singular values below this share of the largest are round-off."""
+    """Ratio to the largest singular value below which one is round-off."""
     return float(jnp.finfo(dtype).eps) ** 0.5
 
 
 def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
-    """A direction in words."""
+    """Describes a direction in words."""
     shares = way / way[np.argmax(np.abs(way))]
     part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
     if len(part) == 1:

@@ -1,15 +1,16 @@
-r"""What windows of a trajectory depend on, followed from one to the next.
+r"""Derivatives of the windows of a trajectory, propagated from window to window.
 
-Window $w$ has residuals $r_w(p, x_w)$ and end $e_w(p, x_w)$ from its initial state
-$x_w$; the first state is made of unknowns $s$, $x_1 = b(p, s)$, later ones are iterates
-that may leave gaps, $g_{w+1} = e_w - x_{w+1}$. To first order
+Window $w$ has residuals $r_w(p, x_w)$ and an end state $e_w(p, x_w)$, both functions of
+its initial state $x_w$. The first state is a function of unknowns $s$,
+$x_1 = b(p, s)$. Later initial states are iterates that may leave gaps,
+$g_{w+1} = e_w - x_{w+1}$. To first order
 
 $$\delta x_{w+1} = \frac{\partial e_w}{\partial x} \delta x_w
 + \frac{\partial e_w}{\partial p} \delta p + g_{w+1}
 = A_{w+1} \begin{pmatrix} \delta p \\ \delta s \end{pmatrix} + c_{w+1},$$
 
-which is carried on by forward mode, a column for each unknown and one for the gaps: the
-cost is that of one run with as many tangents, whatever the size of a state.
+which is propagated in forward mode, with a column for each unknown and one for the
+gaps. The cost is that of one run with as many tangents, whatever the size of a state.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983; J. Albersmeyer, M. Diehl, The lifted Newton method and its application in
@@ -31,7 +32,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class JoinedPoint:
-    """Unknowns, and states at the starts of windows, stacked in front."""
+    """Unknowns, and initial states of windows, stacked on the leading axis."""
 
     shared: Array
     own: Array
@@ -40,22 +41,22 @@ class JoinedPoint:
 
 @pytree
 class JoinedSlopes:
-    """Residuals by window, and what they and states depend on."""
+    """Residuals of each window, and derivatives of residuals and initial states."""
 
     residuals: Array
     jacobian: Array
     closing: Array
-    """What closing the gaps adds to residuals."""
+    """Change of the residuals when all gaps so far are closed, to first order."""
     jump: Array
-    """What the gap at a window's own start adds."""
+    """Change of the residuals due to the gap at the window's own start alone."""
     ways: Array
-    """Of the state at the start of each window, by unknowns."""
+    """Derivatives of each window's initial state by the unknowns."""
     shift: Array
-    """What closing the gaps adds to it."""
+    """Change of each window's initial state when the gaps are closed."""
 
     @property
     def closed(self) -> Array:
-        """Residuals as they are when gaps are closed, to first order."""
+        """Residuals after the gaps are closed, to first order."""
         return self.residuals + self.closing
 
 
@@ -63,17 +64,17 @@ def follow_windows(
     opening: Callable[[Array, Array, Any], Array],
     window: Callable[[Array, Array, Any], tuple[Array, Array]],
 ) -> Callable[[JoinedPoint, Any], tuple[Array, JoinedSlopes]]:
-    """Makes states and slopes of one trajectory, window after window.
+    """Returns a function that evaluates one trajectory, window after window.
 
     Args:
-        opening: Takes shared and own unknowns and what is known of the first window;
-            makes the state there.
-        window: Takes shared unknowns, a state and what is known of the window; makes
-            residuals and the state at the end.
+        opening: Takes shared unknowns, own unknowns and the known data of the first
+            window; returns its initial state.
+        window: Takes shared unknowns, an initial state and the known data of the
+            window; returns the residuals and the state at the end.
 
     Returns:
-        `point, known -> states, slopes`, all stacked in front by window; the states
-        with the first as the unknowns have it.
+        `point, known -> states, slopes`, all stacked by window on the leading axis. The
+        first of the states is the one that follows from the unknowns.
     """
 
     def one(point: JoinedPoint, known: Any) -> tuple[Array, JoinedSlopes]:
@@ -89,7 +90,7 @@ def follow_windows(
             lambda way: jax.jvp(opened, (unknowns,), (way,)), out_axes=(None, 1)
         )(eye)
         states = point.states.at[0].set(state)
-        # Columns: the unknowns, all gaps so far, and the last one alone.
+        # Columns: the unknowns, all gaps so far, and the last gap alone.
         shared_ways = jnp.concatenate(
             [eye[:shares], jnp.zeros((shares, 2), dtype)], axis=1
         )

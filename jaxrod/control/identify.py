@@ -1,11 +1,11 @@
-r"""Identification: parameters of a simulation from observations, and how surely.
+r"""Identification: parameters of a simulation from observations, with uncertainty.
 
 Least squares in units of the noise,
 
 $$\min_p \sum_k \Big(\frac{y_k(p) - \hat y_k}{\sigma_k}\Big)^2,$$
 
 over logarithms of positive parameters, by damped Gauss-Newton steps
-(`least_squares`); what the data say is read off the Jacobian at the end (`Fit`).
+(`least_squares`). The uncertainty follows from the Jacobian at the end (`Fit`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jaxrod.control.parameters import Parameters, make_parameters
 from jaxrod.validation import is_traced
 
 Simulate = Callable[[dict[str, Any]], Any]
-"""`parameters -> observations`, any pytree of floats."""
+"""`parameters -> observations`; observations are any pytree of floats."""
 
 
 def identify(
@@ -42,28 +42,29 @@ def identify(
     tolerance: float | None = None,
     mode: str | None = None,
 ) -> Fit:
-    """Parameters that explain observations best, and what the data say of them.
+    """Finds the parameters that fit observations best, and their uncertainty.
 
     Pure: under `jax.jit` it is one program for all numbers, and `jax.vmap` makes many
     fits at once, of many films or of many draws of the noise. A point whose simulation
-    blows up is not taken; the start must not.
+    blows up is rejected; the simulation at the start must not blow up.
 
     Args:
-        simulate: Takes parameters by name, makes observations.
-        observed: What was observed, a pytree as `simulate` makes. What is not finite
-            was not seen and is left out.
-        start: Where to begin: numbers or arrays by name.
-        sd: Standard deviation of the noise, a number or a tree as `observed` is or
-            begins (one for each kind). If `None` it is that of the residuals.
-        log: Which parameters are positive and sought by their logarithm: all, none, or
+        simulate: Takes parameters by name and returns observations.
+        observed: Observations, a pytree like the result of `simulate`. Values that are
+            not finite count as not observed and are left out.
+        start: First values: numbers or arrays by name.
+        sd: Standard deviation of the noise, a number or a tree prefix of `observed`
+            (one for each kind). If `None`, it is estimated from the residuals.
+        log: Parameters that are positive and sought by their logarithm: all, none, or
             names.
-        lower: Smallest values, of all or some; of those sought by their logarithm, a
-            thousandth of the start by default.
-        upper: Largest values, a thousand times the start by default. An explicit step
-            size must be stable up to them.
-        iterations: Iterations, at most.
-        damping: Of the first step, a share [1]. More of it makes shorter first steps.
-        tolerance: As in `least_squares`.
+        lower: Lower bounds, of all or some parameters. Those sought by their logarithm
+            are bounded by a thousandth of the start by default.
+        upper: Upper bounds; by default a thousand times the start for those sought by
+            their logarithm. An explicit time step must be stable up to them.
+        iterations: Largest number of iterations.
+        damping: Damping of the first step, as a fraction of the diagonal [1]. More
+            damping makes shorter first steps.
+        tolerance: Tolerance, as in `least_squares`.
         mode: `"forward"` or `"reverse"`, as in `least_squares`.
 
     Returns:
@@ -99,19 +100,20 @@ def identify(
 
 
 class Sought(NamedTuple):
-    """What is sought, and from what, in arrays."""
+    """Checked arguments of an identification, as arrays."""
 
     parameters: Parameters
-    """Names and scales."""
+    """Names and scales of the parameters."""
     target: Any
     """Observations; zero where there is none."""
     seen: Any
-    """Which were made."""
+    """Masks: whether each observation was made."""
     noise: Any
-    """Their standard deviations."""
+    """Standard deviations of the observations."""
     low: Array
-    """Bounds of the search variables."""
+    """Lower bounds of the search variables."""
     high: Array
+    """Upper bounds of the search variables."""
     observations: Array
     """Number of observations."""
     noise_is_given: bool
@@ -126,10 +128,10 @@ def make_sought(
     lower: Mapping[str, Any] | None,
     upper: Mapping[str, Any] | None,
 ) -> Sought:
-    """Arguments of `identify`, checked.
+    """Checks the arguments of `identify`.
 
     Raises:
-        ValueError: As `identify` does.
+        ValueError: An argument is invalid, as in `identify`.
     """
     parameters = make_parameters(start, log)
     _check_names("lower", lower, parameters)
@@ -145,12 +147,12 @@ def make_sought(
 
 
 def fit_of(sought: Sought, found: Any, others: int = 0) -> Fit:
-    """What the end of a search says.
+    """Makes a fit from the result of a search.
 
     Args:
-        sought: What was sought.
-        found: `solution`, `residuals`, `jacobian` and `iterations` of the search.
-        others: How many unknowns were sought besides.
+        sought: Checked arguments of the identification.
+        found: Result with `solution`, `residuals`, `jacobian` and `iterations`.
+        others: Number of further unknowns, such as those of initial states.
     """
     parameters, seen, noise = sought.parameters, sought.seen, sought.noise
     given, bounds = sought.noise_is_given, (sought.low, sought.high)
@@ -160,7 +162,7 @@ def fit_of(sought: Sought, found: Any, others: int = 0) -> Fit:
     misfit = squares / jnp.maximum(freedoms, 1)
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)
     safe = jnp.where(unit > 0, unit, 1)
-    # Not finite where no start was: SVD would not end.
+    # If the start was not finite, the Jacobian is not, and the SVD would not end.
     sound = jnp.all(jnp.isfinite(found.jacobian)) & jnp.isfinite(squares)
     jacobian = jnp.where(sound, found.jacobian, 0) / safe
     s, ways = _decomposed(jacobian)
@@ -172,8 +174,8 @@ def fit_of(sought: Sought, found: Any, others: int = 0) -> Fit:
     sds = jnp.abs(parameters.slopes(point)) * jnp.sqrt(jnp.diagonal(covariance))
     low, high = bounds
     at_bound = (point <= low) | (point >= high)
-    # The Gauss-Newton step that is left, in standard deviations, along what the data
-    # determine and no bound holds.
+    # The remaining Gauss-Newton step in standard deviations, along directions that the
+    # data determine, of parameters that no bound holds.
     pull = (found.residuals / safe) @ jacobian
     pull = jnp.where(sound & ~at_bound, pull, 0)
     left = jnp.where(vague_ways(s), 0, (ways @ pull) * inverse)
@@ -196,20 +198,20 @@ def fit_of(sought: Sought, found: Any, others: int = 0) -> Fit:
 
 
 def _decomposed(jacobian: Array) -> tuple[Array, Array]:
-    """Singular values and rows of directions, as many as there are unknowns."""
+    """Returns singular values and right singular vectors (rows), one per unknown."""
     rows, columns = jacobian.shape
     if rows < columns:
-        # What fewer observations than unknowns leave open has value zero.
+        # With fewer observations than unknowns, the missing singular values are zero.
         empty = jnp.zeros((columns - rows, columns), jacobian.dtype)
         jacobian = jnp.concatenate([jacobian, empty])
-    # The triangle of a QR decomposition has the same, and is small.
+    # The triangular factor of a QR decomposition has the same ones, and is small.
     triangle = jnp.linalg.qr(jacobian, mode="r")
     _, s, ways = jnp.linalg.svd(triangle, full_matrices=False)
     return s, ways
 
 
 def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
-    """Root mean square of the residuals of each kind, in its units."""
+    """Returns the root mean square residual of each kind, in its units."""
     leaves, tree = jax.tree.flatten(seen)
     made, at = [], 0
     for mask, unit in zip(leaves, jax.tree.leaves(noise), strict=True):
@@ -220,7 +222,7 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 
 
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
-    """Which observations were made."""
+    """Checks the observations, and returns masks of those that were made."""
     made = jax.eval_shape(simulate, parameters.start)
     wanted: Any = jax.tree.structure(made)
     given: Any = jax.tree.structure(observed)
@@ -246,7 +248,7 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
 
 
 def _noise(sd: Any, observed: Any) -> Any:
-    """Standard deviations of all observations, in arrays or numbers."""
+    """Returns the standard deviations of all observations, as arrays or numbers."""
     leaves, tree = jax.tree.flatten(observed)
     if sd is None:
         if len(leaves) > 1:

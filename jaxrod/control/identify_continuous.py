@@ -1,19 +1,20 @@
-r"""Identification by multiple shooting whose windows end where the next ones begin.
+r"""Identification by multiple shooting with continuity between windows.
 
-Observations of trajectories, each cut into windows, $w = 1 \dots W$, whose states are
-not known. Parameters $p$ and what the first state of each trajectory is made of, $s$,
-are found together,
+The observations are of trajectories, each cut into windows, $w = 1 \dots W$, whose
+states are not known. The parameters $p$, and the unknowns $s$ of the first state of
+each trajectory, are found together,
 
 $$\min_{p, s} \sum_w \sum_k
 \Big(\frac{y_{wk}(p, x_w) - \hat y_{wk}}{\sigma_{wk}}\Big)^2, \qquad
 x_1 = b(p, s), \quad x_{w+1} = e_w(p, x_w).$$
 
-The minimum is that of one long run from $b(p, s)$, and so are its standard deviations:
-the states of later windows are no unknowns of the data. On the way there windows need
-not fit together, so that data are followed across forks, where one long run is lost.
+The minimum, and its standard deviations, are those of one long run from $b(p, s)$: the
+initial states of later windows are not free unknowns. During the search windows may
+leave gaps, so that they follow the data across bifurcations, where a single long run
+would lose them.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
-1983; how it is solved: `joined_least_squares`.
+1983; for the solution method see `joined_least_squares`.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from jaxrod.control.joined_least_squares import joined_least_squares
 from jaxrod.control.shots import check_finite_floats, count_windows
 
 CLOSED = 1.0
-"""Norm of what gaps change in all residuals below which they count as closed: what is
-not in the fit yet is of second order in them."""
+"""Bound on the change of all residuals by closing the gaps (norm), below which the gaps
+count as closed. What the fit does not contain is of second order in the gaps."""
 
 
 def identify_continuous(
@@ -54,46 +55,49 @@ def identify_continuous(
     damping: Any = 1e-2,
     tolerance: Any = None,
 ) -> tuple[Fit, Any, Any]:
-    """Parameters that explain whole trajectories best, followed window by window.
+    """Finds the parameters that fit whole trajectories best, window by window.
 
-    It needs parameters and states near those sought: within a few tens of per cent and
-    as near as observations show them (`identify_shots` finds such parameters from
-    farther off). One evaluation costs about a run of all windows, one after the other,
-    with a tangent for each parameter and each number of a start.
+    It needs first parameters within a few tens of per cent of those sought, and first
+    states as near as the observations show them (`identify_shots` finds such parameters
+    from farther away). One evaluation costs about one run of all windows, one after the
+    other, with a tangent for each parameter and for each unknown of a first state.
 
     Args:
-        run: Takes parameters, the state at the start of a window, and what is known of
-            the window; makes its observations, and the state at which the next begins.
-        begin: Takes parameters, what is sought of the first state of a trajectory, and
-            what is known of its first window; makes that state.
-        observed: What was observed, stacked in front by trajectory and window. What is
-            not finite was not seen and is left out.
-        start: Where to begin: numbers or arrays by name.
-        starts: Where what is sought of first states begins: a pytree of floats, stacked
-            in front by trajectory; `jnp.zeros((trajectories, 0))` if nothing is.
-        states: Where the states at the starts of windows begin: a pytree of finite
-            floats as `begin` makes, stacked in front by trajectory and window. Those of
-            first windows are not looked at.
-        known: What is known of each window and not sought, stacked alike.
-        sd: As in `identify`; a tree as `observed` is or begins, of numbers or arrays
-            that broadcast to what was observed, `(trajectories, windows, ...)`.
-        log: As in `identify`, and so are `lower`, `upper`, `iterations`.
-        lower: Smallest values.
-        upper: Largest values.
-        iterations: Points tried after the first, at most.
-        damping: Of the first step, a share [1]. More of it makes shorter first steps.
-        tolerance: Relative change of the sum of squares below which it is done.
+        run: Takes parameters, the initial state of a window, and the known data of the
+            window; returns its observations, and the initial state of the next window.
+        begin: Takes parameters, the unknowns of a trajectory's first state, and the
+            known data of its first window; returns that state.
+        observed: Observations, stacked by trajectory and window on the leading axes.
+            Values that are not finite count as not observed and are left out.
+        start: First values of the parameters: numbers or arrays by name.
+        starts: First values of the unknowns of first states: a pytree of floats,
+            stacked by trajectory on the leading axis; `jnp.zeros((trajectories, 0))` if
+            there are none.
+        states: First values of the initial states of windows: a pytree of finite floats
+            like the result of `begin`, stacked by trajectory and window on the leading
+            axes. Those of first windows are ignored.
+        known: Known data of each window, stacked the same way.
+        sd: Standard deviation of the noise, as in `identify`; a tree prefix of
+            `observed`, of numbers or arrays that broadcast to the observations,
+            `(trajectories, windows, ...)`.
+        log: Parameters sought by their logarithm, as in `identify`.
+        lower: Lower bounds of the parameters, as in `identify`.
+        upper: Upper bounds of the parameters, as in `identify`.
+        iterations: Largest number of points tried after the first.
+        damping: Damping of the first step, as a fraction of the diagonal [1]. More
+            damping makes shorter first steps.
+        tolerance: Relative change of the sum of squares at which the search ends.
 
     Returns:
-        The fit, whose standard deviations count the starts as unknown; what was sought
-        of first states; the states at the starts of windows. `converged` says too that
-        closing what gaps are left would change the observations by less than a standard
-        deviation, all of them together; `remaining` has counted that change.
+        The fit, whose standard deviations account for the unknown first states; the
+        unknowns of first states; and the initial states of windows. `converged` also
+        means that closing the remaining gaps would change all observations together by
+        less than one standard deviation. `remaining` includes that change.
 
     Raises:
-        ValueError: As `identify`; or trajectories or windows are not equally many
-            everywhere; or a start or a state is not of finite floats, or `run` ends in
-            another kind of state than `begin` makes.
+        ValueError: An argument is invalid, as in `identify`; or trajectories or windows
+            are not equally many everywhere; or a start or a state is not of finite
+            floats; or `run` ends in another kind of state than `begin` returns.
     """
     _check_counts(starts, states, known, observed)
     check_finite_floats("starts", starts)
@@ -147,10 +151,10 @@ def identify_continuous(
 
 
 def _check_counts(starts: Any, states: Any, known: Any, observed: Any) -> None:
-    """Whether trajectories and windows are equally many everywhere.
+    """Checks that the numbers of trajectories and windows agree everywhere.
 
     Raises:
-        ValueError: They are not.
+        ValueError: They do not.
     """
     trajectories = count_windows(starts)
     leaves = jax.tree.leaves((states, known, observed))
@@ -165,10 +169,10 @@ def _check_counts(starts: Any, states: Any, known: Any, observed: Any) -> None:
 def _check_states(
     run: Any, begin: Any, values: Any, starts: Any, states: Any, known: Any
 ) -> None:
-    """Whether states are of one kind.
+    """Checks that all states have the same tree structure and shapes.
 
     Raises:
-        ValueError: They are not.
+        ValueError: They do not.
     """
     own = jax.tree.map(lambda leaf: leaf[0], starts)
     state, knowing = jax.tree.map(lambda leaf: leaf[0, 0], (states, known))

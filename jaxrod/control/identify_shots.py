@@ -1,23 +1,23 @@
-r"""Identification by multiple shooting from starts that nobody has seen.
+r"""Identification by multiple shooting with unknown initial states of windows.
 
-A film shows positions, with noise, and no velocities: where a window starts is an
-unknown of its own. Parameters $p$ and starts $s_w$ of all windows are found together,
+A film shows positions, with noise, and no velocities, so that the initial state of each
+window is unknown. The parameters $p$ and the unknowns $s_w$ of all initial states
+(starts) are found together,
 
 $$\min_{p,\, s_1 \dots s_W} \sum_w \sum_k
 \Big(\frac{y_{wk}(p, s_w) - \hat y_{wk}}{\sigma_{wk}}\Big)^2,$$
 
-so that errors of the starts are no errors of the model, and standard deviations of the
-parameters hold what the starts take from the data. Windows are not tied to each other:
-what continuity would say is left unused, and `identify_continuous` uses it.
+so that errors of the starts do not count as errors of the model, and the standard
+deviations of the parameters account for the unknown starts. There is no continuity
+between windows: `identify_continuous` adds that information.
 
-Where each of many unknowns of a start is seen a few times only, a search may end beside
-the best minimum, where starts make good for wrong parameters. Neither misfit nor
-standard deviations tell of it (docs/identification.md has such a rod). Take what is
-found as where `identify_continuous` begins, or try the fit on films that were
-simulated.
+If a start has many unknowns, each observed only a few times, a search may end in a
+local minimum next to the best, where starts compensate for wrong parameters. Neither
+the misfit nor the standard deviations show it (docs/identification.md has such a rod).
+Use the result as a start for `identify_continuous`, or test the fit on simulated films.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
-1983, without its conditions of continuity.
+1983, without its continuity conditions.
 """
 
 from __future__ import annotations
@@ -51,33 +51,37 @@ def identify_shots(
     damping: Any = 1e-3,
     tolerance: Any = None,
 ) -> tuple[Fit, Any]:
-    """Parameters that explain windows best, each from the start that is best for it.
+    """Finds the parameters that fit windows best, each from its own best start.
 
-    A window must show more than its start takes: with `k` numbers sought in a start it
-    needs more than `k` observations, among them the start's own frame where it was
-    seen. Each observation belongs into one window only, or it counts twice.
+    A window needs more observations than its start has unknowns: more than `k` for a
+    start of `k` numbers. They include the frame of the start itself, if it was
+    observed. Each observation must belong to one window only, or it counts twice.
 
     Args:
-        run: Takes parameters, the start of a window, and what is known of it; makes the
-            observations of the window.
-        observed: What was observed, stacked in front by window (`windows` makes them).
-            What is not finite was not seen and is left out.
-        start: Where to begin: numbers or arrays by name.
-        starts: Where the starts of windows begin: a pytree of floats, stacked in front.
-        known: What is known of each window and not sought, stacked in front.
-        sd: As in `identify`; a tree as `observed` is or begins.
-        log: As in `identify`, and so are `lower`, `upper`, `iterations`, `damping`.
-        lower: Smallest values.
-        upper: Largest values.
-        iterations: Points tried after the first, at most.
-        damping: Of the first step, a share [1].
-        tolerance: Relative change of the sum of squares below which it is done.
+        run: Takes parameters, the start of a window, and the known data of the window;
+            returns the observations of the window.
+        observed: Observations, stacked by window on the leading axis (`windows` makes
+            them). Values that are not finite count as not observed and are left out.
+        start: First values of the parameters: numbers or arrays by name.
+        starts: First values of the windows' starts: a pytree of floats, stacked by
+            window on the leading axis.
+        known: Known data of each window, stacked by window on the leading axis.
+        sd: Standard deviation of the noise, as in `identify`; a tree prefix of
+            `observed`.
+        log: Parameters sought by their logarithm, as in `identify`.
+        lower: Lower bounds of the parameters, as in `identify`.
+        upper: Upper bounds of the parameters, as in `identify`.
+        iterations: Largest number of points tried after the first.
+        damping: Damping of the first step, as a fraction of the diagonal [1].
+        tolerance: Relative change of the sum of squares at which the search ends.
 
     Returns:
-        The fit, whose standard deviations count the starts as unknown, and the starts.
+        The fit, whose standard deviations account for the unknown starts; and the
+        starts that were found.
 
     Raises:
-        ValueError: As `identify`; or windows are not equally many everywhere.
+        ValueError: An argument is invalid, as in `identify`; or windows are not equally
+            many everywhere.
     """
     count = count_windows(starts)
     check_finite_floats("starts", starts)

@@ -1,10 +1,10 @@
 """Trajectories with feedback: iterative linear-quadratic regulation.
 
-Dynamics are linearised along the trajectory, residuals too (Gauss-Newton); the problem
-that this makes is solved backwards in time within the bounds of the controls
-(`riccati.py`); and the controls that it gives, feedback included, are tried on the real
-dynamics with several shares of the step at once. The derivatives of all intervals in
-all directions are one batch of rods.
+Each iteration linearises dynamics and residuals along the trajectory (Gauss-Newton).
+A backward pass solves the linear-quadratic problem within the bounds of the controls
+(`riccati.py`). The new controls, feedback included, are then tried on the nonlinear
+dynamics with several step sizes at once (line search). The derivatives of all intervals
+in all directions are one batch of rods.
 
 Source: W. Li, E. Todorov, Iterative linear quadratic regulator design for nonlinear
 biological movement systems, ICINCO 2004; control limits as in Tassa, Mansard, Todorov,
@@ -38,9 +38,9 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_array, check_count
 
 SHARES = 10
-"""Steps that are tried at once: the whole, a half, a quarter, ..."""
+"""Number of step sizes that are tried at once: 1, 1/2, 1/4, ..."""
 FASTER, SLOWER = 4.0, 8.0
-"""Divisor of the damping after a whole step, and factor where no step is better."""
+"""Divisor of the damping after a full step, and factor if no step lowers the cost."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
 
 
@@ -54,28 +54,29 @@ def ilqr(
     spread: float = 0.1,
     seed: int = 0,
 ) -> Solution:
-    """Controls of every interval that make the sum of squares least, with feedback.
+    """Finds controls of every interval that minimise the sum of squares, with feedback.
 
-    For long motions in which a rod must be kept from falling: the solution's `policy`
-    answers disturbances.
+    Meant for long motions in which a rod must be kept from falling: the solution's
+    `policy` reacts to disturbances.
 
     Args:
         problem: The problem.
-        iterations: Steps tried, at most.
-        damping: Of the first step: cost of changing every control by half of what lies
-            between its bounds, a share of the first cost [1].
-        tolerance: Relative gain below which it is done.
-        initial_controls: Where to begin `(n_intervals, n_controls)`; random ones by
-            default, which a motion like the one that is wanted often beats by far.
-        spread: Of the random ones, a share of half of what lies between the bounds [1].
-        seed: Of the random ones.
+        iterations: Largest number of steps tried.
+        damping: Damping of the first step: cost of changing every control by half the
+            range between its bounds, as a fraction of the first cost [1].
+        tolerance: Relative decrease of the cost at which the search ends.
+        initial_controls: First controls `(n_intervals, n_controls)`; random ones by
+            default. Controls of a motion like the desired one are often much better.
+        spread: Standard deviation of the random controls, as a fraction of half the
+            range between the bounds [1].
+        seed: Seed of the random controls.
 
     Returns:
-        The best that was found, with its motion and the gains about it.
+        The best controls found, with their motion and the feedback gains about it.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
-        TypeError: `problem` is something else.
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
     """
     check_problem(problem)
     iterations = check_count("iterations", iterations, 1)
@@ -146,7 +147,7 @@ def _solved(
     def tried_with(
         search: _Search, changes: Array, gains: Array, share: Array
     ) -> tuple[Array, Array, Array]:
-        """Controls, states and cost of a share of the step."""
+        """Returns controls, states and cost after a fraction of the step."""
 
         def one(state: Array, given: tuple[Array, ...]) -> Any:
             k, control, change, gain, planned = given
@@ -164,7 +165,7 @@ def _solved(
         return controls, jnp.concatenate([first[None], states]), total
 
     def again(search: _Search) -> _Search:
-        # In the last round only the gains are wanted, those about what was found.
+        # The last round only computes the gains about the solution.
         last = search.converged | (search.tried >= iterations)
         last = last | (search.damping > MOST_DAMPING)
         share = jnp.where(last, LEAST_DAMPING, search.damping)
@@ -187,7 +188,7 @@ def _solved(
             one = jnp.sum(jnp.where(mask, ways, 0), axis=0)
             return jnp.where(better, one, old)
 
-        # A short step, if any, says that the model does not reach that far.
+        # If only a short step helps, the linear model is not valid that far.
         change = jnp.where(best == 0, 1 / FASTER, jnp.where(best < 3, 1.0, FASTER))
         mu = search.damping * jnp.where(better, change, SLOWER)
         small = (search.cost - least) <= settings["tolerance"] * search.cost
@@ -216,7 +217,7 @@ def _solved(
         ended=jnp.zeros((), bool),
         costs=jnp.full((iterations + 1,), jnp.nan, start.dtype),
     )
-    # As many as in the search, so that lanes have one program for both.
+    # The batch is as large as in the search, so that lanes have one program for both.
     controls, states, costs = jax.vmap(
         lambda share: tried_with(none, jnp.zeros_like(start), none.gains, share)
     )(shares)
@@ -236,7 +237,7 @@ Unravel = Callable[[Array], Any]
 def _moved(
     problem: Problem, unravel: Unravel, state: Array, control: Array, k: Array
 ) -> tuple[Array, Array]:
-    """The state after an interval, and the residuals of it."""
+    """Returns the state after an interval, and the residuals of the interval."""
     after = problem.move(problem.data, unravel(state), control, k)
     flat = ravel_pytree(after)[0]
     return flat, _on_the_way(problem, unravel, flat, control, k)
@@ -263,7 +264,7 @@ def _linearised(
     states: Float[Array, "intervals+1 n"],
     controls: Float[Array, "intervals m"],
 ) -> Linear:
-    """Derivatives of all intervals, in all directions at once."""
+    """Linearises all intervals, in all directions at once."""
     n, m = states.shape[1], controls.shape[1]
     ways = jnp.eye(n + m, dtype=states.dtype)
 

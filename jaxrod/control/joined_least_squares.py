@@ -1,18 +1,19 @@
-r"""Least squares of trajectories in windows that are joined while it is sought.
+r"""Least squares of trajectories cut into windows, whose gaps close during the search.
 
-Unknowns are what all trajectories share, $p$, and what the first state of each is made
-of, $s$; states at the starts of windows are iterates with gaps between them, and
-directions of theirs are carried from window to window (`follow_windows`). A step makes
-$\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w \|^2$ least, with the shape of an
-arrow over trajectories (`arrow_step`), and moves all states along. Gaps close as the
-square of their size: at the end the windows are one run, found without the growth of
-errors along one.
+The unknowns are those shared by all trajectories, $p$, and those of the first state of
+each trajectory, $s$. The initial states of windows are iterates with gaps between them,
+and their derivatives are propagated from window to window (`follow_windows`). A step
+minimises $\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w \|^2$, with an arrow
+structure over trajectories (`arrow_step`), and updates all initial states to first
+order. Gaps converge quadratically. At the end the windows are one run, which was found
+without the growth of errors along a single run.
 
-A step is taken if $\sum_w \| r_w + J_w^x c_w \|^2 + \| J_w^x g_w \|^2$ falls: the
-residuals as they are when gaps are closed, to first order, and the gaps by what they do
-to the observations of their own windows. Otherwise the damping rises and the step is
-cut in half. Nothing says that a small enough step is taken: where gaps are so large
-that closing them changes slopes, the search stops with gaps open.
+A step is accepted if $\sum_w \| r_w + J_w^x c_w \|^2 + \| J_w^x g_w \|^2$ falls. The
+first term has the residuals after the gaps are closed, to first order; the second
+measures each gap by its effect on the observations of its own window. Otherwise the
+damping rises and the step is halved. There is no guarantee that a small enough step is
+accepted: if gaps are so large that closing them changes the derivatives, the search
+stops with open gaps.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983; J. Albersmeyer, M. Diehl, The lifted Newton method and its application in
@@ -49,17 +50,18 @@ class JoinedLeastSquares:
     solution: Float[Array, " shared"]
     """Shared unknowns."""
     own: Any
-    """Own unknowns, stacked in front by trajectory, as they were given."""
+    """Own unknowns as a tree like the start, stacked by trajectory."""
     states: Any
-    """Initial states of windows, stacked in front by trajectory and window."""
+    """Initial states of windows, stacked by trajectory and window."""
     residuals: Float[Array, " residuals"]
-    """Those of the solution with gaps closed to first order, leaf after leaf."""
+    """Residuals of the solution, leaf after leaf, with gaps closed to first order."""
     jacobian: Float[Array, "residuals shared"]
-    """By the shared unknowns, less what own ones could make good."""
+    """Jacobian by the shared unknowns, projected orthogonally to that of the own
+    unknowns."""
     gap: Float[Array, ""]
-    """What closing the gaps changes in all residuals, their norm."""
+    """Norm of the change of all residuals when the gaps are closed."""
     iterations: Int[Array, ""]
-    """Points tried after the first."""
+    """Number of points tried after the first."""
 
 
 @pytree
@@ -88,28 +90,30 @@ def joined_least_squares(
     iterations: int = 50,
     tolerance: Any = None,
 ) -> JoinedLeastSquares:
-    """Unknowns that make the sum of squares of joined windows least. Pure; traceable.
+    """Minimises the sum of squares of joined windows. Pure; traceable.
 
     Args:
-        residuals: Takes shared unknowns, a window's initial state and what is known of
-            the window; makes its residuals, any pytree of floats, and the state at its
+        residuals: Takes shared unknowns, a window's initial state and its known data;
+            returns the window's residuals, any pytree of floats, and the state at its
             end.
-        begin: Takes shared unknowns, a trajectory's own ones and what is known of its
-            first window; makes the state there.
-        start: Where the shared unknowns begin.
-        own: Where the own unknowns begin, floats stacked in front by trajectory.
-        states: Where states at the starts of windows begin, floats stacked in front by
-            trajectory and window; those of first windows are not looked at.
-        known: What is known of each window, stacked alike.
-        lower: Smallest values of the shared unknowns.
-        upper: Largest ones.
-        damping: Of the first step, a share of the diagonal [1].
-        iterations: Points tried after the first, at most.
-        tolerance: Relative change of the cost below which it is done; by default eps to
-            the power of 3/4 of the precision.
+        begin: Takes shared unknowns, a trajectory's own unknowns and the known data of
+            its first window; returns the initial state of that window.
+        start: First values of the shared unknowns.
+        own: First values of the own unknowns, floats stacked by trajectory on the
+            leading axis.
+        states: First values of the initial states of windows, floats stacked by
+            trajectory and window on the leading axes; those of first windows are
+            ignored.
+        known: Known data of each window, stacked the same way.
+        lower: Lower bounds of the shared unknowns.
+        upper: Upper bounds of the shared unknowns.
+        damping: Damping of the first step, as a fraction of the diagonal [1].
+        iterations: Largest number of points tried after the first.
+        tolerance: Relative change of the cost at which the search ends; by default
+            machine epsilon to the power of 3/4.
 
     Returns:
-        The best point; one that is not finite is never taken.
+        The best point; a point that is not finite is never accepted.
     """
     dtype = start.dtype
     small = float(jnp.finfo(dtype).eps) ** 0.75 if tolerance is None else tolerance
@@ -208,7 +212,7 @@ def joined_least_squares(
 
 
 def _rows(windows: Array) -> Array:
-    """Rows of trajectories, window after window."""
+    """Joins the window and residual axes, so that each trajectory has one row axis."""
     return jnp.reshape(windows, (windows.shape[0], -1, *windows.shape[3:]))
 
 
@@ -220,7 +224,7 @@ def _stepped(
     low: Array,
     high: Array,
 ) -> JoinedPoint:
-    """A share of the damped step from a point, and of the closing of gaps."""
+    """Takes a fraction of the damped step from a point, and of closing the gaps."""
     step, own_steps = arrow_step(
         _rows(slopes.jacobian), _rows(slopes.closed), mu, point.shared, low, high
     )

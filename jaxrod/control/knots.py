@@ -1,4 +1,4 @@
-"""Knots: where a solver begins, and what it may begin with."""
+"""Knots: initial values for solvers, and their checks."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from jaxrod.control.problem import Problem
 from jaxrod.validation import check_array, check_count, check_kind, check_seed
 
 SPREAD = 1e-3
-"""Of the first knots, a share of the bounds. It breaks the symmetry of a straight rod,
-for which a gradient may vanish exactly."""
+"""Standard deviation of the first knots, as a fraction of half the range between the
+bounds. It breaks the symmetry of a straight rod, whose gradient may vanish exactly."""
 MOST_KNOTS = 100_000
 
 
 def check_problem(problem: Any) -> None:
-    """Raises TypeError unless it is one."""
+    """Raises a TypeError unless `problem` is a `Problem`."""
     check_kind("problem", problem, Problem)
 
 
 def half_widths(problem: Problem) -> Float[Array, " controls"]:
-    """Half of what lies between the bounds of each control; 1 where there are none."""
+    """Half the range between the bounds of each control; 1 if it has no bounds."""
     half = 0.5 * (problem.upper - problem.lower)
     return jnp.where(jnp.isfinite(half), half, 1)
 
@@ -32,17 +32,18 @@ def half_widths(problem: Problem) -> Float[Array, " controls"]:
 def first_knots(
     problem: Problem, n_knots: int, given: Any, seed: int, spread: float = SPREAD
 ) -> Float[Array, "knots controls"]:
-    """The knots to begin with: those given, or small random ones about zero.
+    """Returns the first knots: the given ones, or small random ones about zero.
 
     Args:
         problem: The problem.
-        n_knots: How many.
-        given: Those given, if any.
-        seed: Of the random ones.
-        spread: Of the random ones, a share of half of what lies between the bounds.
+        n_knots: Number of knots.
+        given: Given knots, or `None`.
+        seed: Seed of the random knots.
+        spread: Standard deviation of the random knots, as a fraction of half the range
+            between the bounds.
 
     Raises:
-        ValueError: those given do not fit or lie beyond the bounds.
+        ValueError: The given knots have the wrong shape or lie beyond the bounds.
     """
     n_knots = check_count("n_knots", n_knots, 1, MOST_KNOTS)
     shape = (n_knots, problem.n_controls)
@@ -61,10 +62,10 @@ def first_knots(
 def within_bounds(
     problem: Problem, name: str, given: Any, shape: tuple[int, ...]
 ) -> Array:
-    """Controls that were given, in the type of the problem.
+    """Checks given controls, and converts them to the dtype of the problem.
 
     Raises:
-        ValueError: they are not of that shape, not finite or beyond the bounds.
+        ValueError: They do not have that shape, are not finite or exceed the bounds.
     """
     values = np.asarray(check_array(name, given, [shape], ""))
     low, high = np.asarray(problem.lower), np.asarray(problem.upper)
@@ -75,7 +76,7 @@ def within_bounds(
             f"{values[beyond].flat[0]:g}"
         )
     dtype = problem.lower.dtype
-    # Rounded to the type of the problem, bounds included.
+    # Clip again after rounding to the dtype of the problem, in which the bounds are.
     return jnp.clip(
         jnp.asarray(values, dtype), problem.lower[None], problem.upper[None]
     )

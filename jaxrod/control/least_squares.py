@@ -1,20 +1,20 @@
-r"""Least squares within bounds, by damped Gauss-Newton steps (Levenberg, Marquardt).
+r"""Least squares within bounds, by damped Gauss-Newton steps (Levenberg-Marquardt).
 
 With residuals $r(z)$, their Jacobian $J$ and a ridge $\rho$ about $z_0$, a step solves
 
 $$(J^T J + \rho I + \mu D)\, d = -\big(J^T r + \rho (z - z_0)\big), \qquad
 D = \mathrm{diag}(J^T J) + \rho I$$
 
-over the unknowns that are not held at a bound, and is cut off at the bounds. It is
-taken if the sum of squares falls; then $\mu$ is divided by 3, and multiplied by 4
-otherwise. Or six steps, for dampings around that of the last one (`LADDER`), are tried
-as one batch: the best is taken if the sum of squares falls, and otherwise the next six
-have more damping.
+over the unknowns that are not held at a bound, and is clipped to the bounds. It is
+accepted if the sum of squares falls; then $\mu$ is divided by 3, and otherwise it is
+multiplied by 4. Alternatively six steps, with dampings around the last one (`LADDER`),
+are tried as one batch. The best is accepted if the sum of squares falls; otherwise the
+next six have more damping.
 
-Jacobians are columns by forward mode where there are fewer unknowns than residuals, and
-rows by reverse mode otherwise; the ridge costs neither, so that six residuals of 132
-unknowns are six rows. Everything is one program: `jax.vmap` solves many problems at
-once, and nothing is compiled again for other numbers.
+Jacobians are computed by columns in forward mode if there are no more unknowns than
+residuals, and by rows in reverse mode otherwise. The ridge adds to neither, so that six
+residuals of 132 unknowns take six rows. Everything is one program: `jax.vmap` solves
+many problems at once, and nothing is compiled again for other numbers.
 
 Source: K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares
 problems, 2nd edition, 2004, section 3.2; bounds by projection.
@@ -36,31 +36,31 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrod.structure import pytree
 
 FASTER, SLOWER = 3.0, 4.0
-"""Divisor of the damping after a step that is taken, and factor otherwise."""
+"""Divisor of the damping after an accepted step, and factor otherwise."""
 LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
-"""Dampings that are tried at once, in those of the last step [1]; the most is first."""
+"""Dampings that are tried at once, relative to the last one [1]; the largest first."""
 MOST_DAMPING = 1e12
-"""With more of it no step is worth trying."""
+"""Damping at which the search gives up: with more of it no step is worth trying."""
 
 
 @pytree
 class LeastSquares:
-    """The best point that was found, and the way there."""
+    """The best point that was found, and the history of the search."""
 
     solution: Any
-    """The unknowns, as they were given."""
+    """Unknowns at the best point, a tree like the start."""
     residuals: Float[Array, " residuals"]
-    """Those of the solution."""
+    """Residuals at the solution."""
     jacobian: Float[Array, "residuals unknowns"]
-    """Their derivatives there, by the unknowns one after the other."""
+    """Jacobian of the residuals at the solution, by the flattened unknowns."""
     cost: Float[Array, ""]
-    """Sum of squares there, the ridge included."""
+    """Sum of squares at the solution, with the ridge."""
     converged: Bool[Array, ""]
-    """Whether a step would change the cost, or the solution, by less than asked."""
+    """Whether the last step changed the cost, or the unknowns, by less than asked."""
     iterations: Int[Array, ""]
-    """Iterations that were made; the first looks at the start."""
+    """Number of points tried after the start."""
     costs: Float[Array, " iterations"]
-    """Cost of the best point after each of them; NaN where there was none."""
+    """Cost of the best point at the start and after each iteration, then NaN."""
 
 
 @pytree
@@ -90,28 +90,31 @@ def least_squares(
     mode: str | None = None,
     several: bool = False,
 ) -> LeastSquares:
-    """Unknowns that make the sum of squares of residuals least. Pure; traceable.
+    """Minimises the sum of squares of residuals. Pure; traceable.
 
     Args:
-        residuals: Takes unknowns, makes residuals: any pytree of floats.
-        start: Where to begin, any pytree of floats.
-        lower: Smallest values of the unknowns, a number or as `start`; none if `None`.
-        upper: Largest ones.
-        ridge: Cost of the squared distance of the unknowns from `centre`, a number or
-            as `start`.
-        centre: What the ridge pulls to, a number or as `start`; `start` by default.
-        damping: Of the first step, a share of the diagonal [1].
-        iterations: Iterations, at most.
-        tolerance: Relative change of the cost, or of every unknown, below which it is
-            done; by default eps to the power of 3/4 of the precision.
-        mode: `"forward"` or `"reverse"`, how Jacobians are made; by default whichever
-            needs fewer passes.
-        several: Whether each iteration tries six dampings as a batch. This pays where
-            a batch of residuals costs hardly more than one set of them, as in
-            trajectories; not where residuals are solved for, as in equilibria.
+        residuals: Takes unknowns and returns residuals, any pytree of floats.
+        start: First values of the unknowns, any pytree of floats.
+        lower: Lower bounds of the unknowns, a number or a tree like `start`; no bounds
+            if `None`.
+        upper: Upper bounds of the unknowns, given the same way.
+        ridge: Weight of the squared distance of the unknowns from `centre`, a number or
+            a tree like `start`.
+        centre: Centre of the ridge, a number or a tree like `start`; `start` by
+            default.
+        damping: Damping of the first step, as a fraction of the diagonal [1].
+        iterations: Largest number of iterations.
+        tolerance: Relative change of the cost, or of every unknown, at which the search
+            ends; by default machine epsilon to the power of 3/4.
+        mode: Mode of differentiation for Jacobians, `"forward"` or `"reverse"`; by
+            default the one that needs fewer passes.
+        several: Whether each iteration tries six dampings as a batch. This pays off
+            where a batch of residuals costs hardly more than a single evaluation, as
+            for trajectories. It does not where residuals need an iterative solve, as
+            for equilibria.
 
     Returns:
-        The best point; one whose residuals are not all finite is never taken.
+        The best point; a point whose residuals are not all finite is never accepted.
 
     Raises:
         ValueError: `mode` is neither, or there is nothing to find.
@@ -148,7 +151,7 @@ def least_squares(
         sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(slopes))
         better = sound & (cost < search.cost)
         begun = search.tried > 0
-        # Each by itself: unknowns have units of their own.
+        # Each unknown is compared by itself, because units differ.
         moved = jnp.abs(search.candidate - search.point)
         scale = jnp.abs(search.point) + jnp.abs(search.candidate)
         still = jnp.all(moved <= small * scale) & sound
@@ -165,12 +168,13 @@ def least_squares(
             return jnp.clip(point + step, low, high)
 
         def best_of_six() -> tuple[Array, Array]:
-            # Beyond all that failed; not zero, from which no factor leads back.
+            # Begin above all dampings that failed. Zero is avoided, because no factor
+            # leads back from it.
             mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
             dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
             candidates = jax.vmap(stepped)(dampings)
             costs = jax.vmap(lambda z: total(flat(z), z))(candidates)
-            # Where none is finite the shortest step is the best guess.
+            # If no cost is finite, the shortest step is the best guess.
             best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
             chosen = jnp.arange(ladder.size) == best
             candidate = jnp.sum(jnp.where(chosen[:, None], candidates, 0), axis=0)
@@ -223,7 +227,10 @@ def least_squares(
 
 
 def _like(bound: Any, start: Any, sign: int) -> Array:
-    """A number, or a tree as the unknowns are, as one row; infinite without one."""
+    """Flattens a number, or a tree like the unknowns, to one row; infinite if `None`.
+
+    `sign` is the sign of that infinity.
+    """
     first, _ = ravel_pytree(start)
     if bound is None:
         return jnp.full(first.shape, sign * jnp.inf, first.dtype)
@@ -268,7 +275,7 @@ def _step(
     low: Array,
     high: Array,
 ) -> Array:
-    """The damped Gauss-Newton step of the unknowns that no bound holds."""
+    """Returns the damped Gauss-Newton step of the unknowns that no bound holds."""
     slope = jacobian.T @ residuals + pull
     held = ((point <= low) & (slope > 0)) | ((point >= high) & (slope < 0))
     free = jnp.where(held, 0, 1).astype(point.dtype)
@@ -278,8 +285,8 @@ def _step(
     none = squares <= jnp.finfo(point.dtype).tiny
     weights = rho + mu * jnp.where(none, 1, squares)
     roots = jnp.sqrt(weights)
-    # In units in which the damping is the identity; by QR, which does not square what
-    # is ill-conditioned.
+    # Scaled so that the damping is the identity. QR avoids squaring the condition
+    # number.
     scaled, pulled = columns / roots[None], pull * free / roots
     wide = scaled.shape[0] < scaled.shape[1]
     tall = scaled.T if wide else scaled
@@ -290,7 +297,7 @@ def _step(
         return solve_triangular(upper, solve_triangular(upper, side, trans="T"))
 
     if wide:
-        # (I + A'A)^-1 (A'r + p) = p + A'(I + AA')^-1 (r - A p), which cancels nothing.
+        # (I + A'A)^-1 (A'r + p) = p + A'(I + AA')^-1 (r - A p), without cancellation.
         step = pulled + scaled.T @ solved(residuals - scaled @ pulled)
     else:
         step = solved(scaled.T @ residuals + pulled)

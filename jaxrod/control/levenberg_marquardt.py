@@ -28,32 +28,33 @@ def levenberg_marquardt(
     seed: int = 0,
     mode: str | None = None,
 ) -> Solution:
-    """Controls, linear in time between knots, that make the sum of squares least.
+    """Finds controls, linear in time between knots, that minimise the sum of squares.
 
-    For problems of few residuals, such as `reach`: their Jacobian is made of as many
-    rows, by reverse mode, or of as many columns as there are numbers in the knots, by
-    forward mode, whichever is fewer. The ridge costs neither.
+    Meant for problems with few residuals, such as `reach`. The Jacobian takes a row for
+    each residual in reverse mode, or a column for each knot value in forward mode,
+    whichever is fewer. The ridge adds to neither.
 
     Args:
         problem: The problem.
         n_knots: Knots in time, equally spaced.
-        iterations: Iterations, at most.
-        ridge: Cost of the mean squared number of the knots; it chooses among many
-            controls that do the same.
-        damping: Of the first step, a share of the diagonal [1].
-        tolerance: Relative change below which it is done; by default eps to the power
-            of 3/4 of the precision.
-        initial_knots: Where to begin `(n_knots, n_controls)`; small random ones by
+        iterations: Largest number of iterations.
+        ridge: Weight of the mean squared knot value; it selects one of the many
+            controls with the same result.
+        damping: Damping of the first step, as a fraction of the diagonal [1].
+        tolerance: Relative change at which the search ends; by default machine epsilon
+            to the power of 3/4.
+        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
             default.
-        seed: Of the small random ones.
-        mode: `"forward"` or `"reverse"`, how Jacobians are made; by itself if None.
+        seed: Seed of the small random knots.
+        mode: Mode of differentiation for Jacobians, `"forward"` or `"reverse"`; chosen
+            automatically if `None`.
 
     Returns:
-        The best that was found, with its motion.
+        The best controls found, with their motion.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
-        TypeError: `problem` is something else.
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
     """
     check_problem(problem)
     knots = first_knots(problem, n_knots, initial_knots, seed)
@@ -102,7 +103,7 @@ def _solved(
     tolerance: float | None,
     mode: str | None,
 ) -> tuple[LeastSquares, Array, Any, Array]:
-    """The solution, its controls, its motion and its cost."""
+    """Returns the solution, its controls, its motion and its cost."""
     found = least_squares(
         lambda z: residuals(problem, over_time(z, problem.n_intervals)),
         knots,
@@ -117,6 +118,6 @@ def _solved(
         several=True,
     )
     controls = over_time(found.solution, problem.n_intervals)
-    # The squares of the residuals, without the ridge.
+    # The sum of squared residuals, without the ridge.
     least = jnp.sum(found.residuals**2)
     return found, controls, trajectory(problem, controls), least

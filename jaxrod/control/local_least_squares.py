@@ -1,7 +1,8 @@
 r"""Least squares with unknowns that all parts share and unknowns of each part.
 
-Part $w$ has residuals $r_w(p, s_w)$: $p$ is shared, $s_w$ its own. Damped Gauss-Newton
-steps are found part by part (`arrow_step`), as in `least_squares` otherwise.
+Part $w$ has residuals $r_w(p, s_w)$ of shared unknowns $p$ and its own unknowns $s_w$.
+Damped Gauss-Newton steps are computed part by part (`arrow_step`); the rest is as in
+`least_squares`.
 
 Source: G. H. Golub, V. Pereyra, The differentiation of pseudo-inverses and nonlinear
 least squares problems whose variables separate, 1973; B. Triggs et al., Bundle
@@ -24,16 +25,16 @@ from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
 from jaxrod.structure import pytree
 
 LEAST_DAMPING = 1e-6
-"""Below it nothing is won, and too small a one costs rejected steps to raise again."""
+"""Smallest damping: less gains nothing, and costs rejected steps to raise it again."""
 
 
 def next_damping(damping: Array, begun: Array, better: Array) -> Array:
-    """Less damping after a better point, more after another [1].
+    """Returns less damping after an accepted point, and more after a rejected one [1].
 
     Args:
-        damping: What there was.
-        begun: Whether a point was tried; the first damping is that given.
-        better: Whether it was taken.
+        damping: Last damping.
+        begun: Whether a step was tried; if not, the damping stays as given.
+        better: Whether the step was accepted.
     """
     change = jnp.where(better, 1 / FASTER, SLOWER)
     return jnp.maximum(jnp.where(begun, damping * change, damping), LEAST_DAMPING)
@@ -46,13 +47,14 @@ class LocalLeastSquares:
     solution: Float[Array, " shared"]
     """Shared unknowns."""
     own: Any
-    """Own unknowns, stacked in front by part, as they were given."""
+    """Own unknowns as a tree like the start, stacked by part."""
     residuals: Float[Array, " residuals"]
-    """Those of the solution, leaf after leaf of the stacked tree."""
+    """Residuals of the solution, leaf after leaf of the stacked tree."""
     jacobian: Float[Array, "residuals shared"]
-    """By the shared unknowns, less what own ones could make good."""
+    """Jacobian by the shared unknowns, projected orthogonally to that of the own
+    unknowns."""
     iterations: Int[Array, ""]
-    """Points tried after the first."""
+    """Number of points tried after the first."""
 
 
 @pytree
@@ -81,23 +83,24 @@ def local_least_squares(
     iterations: int = 50,
     tolerance: Any = None,
 ) -> LocalLeastSquares:
-    """Unknowns that make the sum of squares of all parts least. Pure; traceable.
+    """Minimises the sum of squares of all parts. Pure; traceable.
 
     Args:
-        residuals: Takes shared unknowns, one part's own ones and what is known of it;
-            makes its residuals, any pytree of floats.
-        start: Where the shared unknowns begin.
-        own: Where the own unknowns begin, a pytree of floats stacked in front by part.
-        known: What is known of each part, stacked alike.
-        lower: Smallest values of the shared unknowns.
-        upper: Largest ones.
-        damping: Of the first step, a share of the diagonal [1].
-        iterations: Points tried after the first, at most.
-        tolerance: Relative change of the cost below which it is done; by default eps to
-            the power of 3/4 of the precision.
+        residuals: Takes shared unknowns, a part's own unknowns and its known data;
+            returns the part's residuals, any pytree of floats.
+        start: First values of the shared unknowns.
+        own: First values of the own unknowns, a pytree of floats stacked by part on the
+            leading axis.
+        known: Known data of each part, stacked the same way.
+        lower: Lower bounds of the shared unknowns.
+        upper: Upper bounds of the shared unknowns.
+        damping: Damping of the first step, as a fraction of the diagonal [1].
+        iterations: Largest number of points tried after the first.
+        tolerance: Relative change of the cost at which the search ends; by default
+            machine epsilon to the power of 3/4.
 
     Returns:
-        The best point; one whose residuals are not all finite is never taken.
+        The best point; a point whose residuals are not all finite is never accepted.
     """
     dtype = start.dtype
     small = float(jnp.finfo(dtype).eps) ** 0.75 if tolerance is None else tolerance

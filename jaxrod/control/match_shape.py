@@ -1,14 +1,14 @@
-r"""Inverse design at rest: what makes a rod take a given shape.
+r"""Inverse design at rest: a rod whose equilibrium takes a given shape.
 
-Found are rest curvatures $\kappa_0$ of joints, or stiffnesses of elements, so that the
-markers $m_k$ of the equilibrium are where they should be,
+It finds rest curvatures $\kappa_0$ of joints, or stiffnesses of elements, so that the
+markers $m_k$ of the equilibrium reach their targets $\hat m_k$,
 
 $$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
 
-with a tolerance $\epsilon$, $z$ being rest curvatures less their first values in units
-of a curvature, or logarithms of factors of stiffness. The second term says which of the
-many designs with the same markers it is: the one nearest to the given rod. Derivatives
-are those of `equilibrium`, one linear solve for each number that is matched.
+with a tolerance $\epsilon$. The unknowns $z$ are changes of the rest curvatures in
+units of a curvature, or scaled logarithms of stiffness factors. Of the many designs
+with the same markers, the second term selects the one nearest to the given rod.
+Derivatives are those of `equilibrium`, one linear solve for each number matched.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, is_traced
 
 OVER = ("rest_curvature", "stiffness")
-"""What may be sought."""
+"""Quantities that may be sought."""
 
 
 @pytree
@@ -38,19 +38,19 @@ class ShapeMatch:
     """A rod whose equilibrium has a given shape, if `converged`."""
 
     scene: Scene
-    """The scene with the rod that was found."""
+    """Scene with the rod that was found."""
     equilibrium: Equilibrium
-    """Its equilibrium; look at `stable` too."""
+    """Equilibrium of the scene; look at `stable` too."""
     error: Float[Array, ""]
-    """Largest distance of a marker from where it should be [m]."""
+    """Largest distance of a marker from its target [m]."""
     rest_curvature: Float[Array, "3 n-1"]
     """Change of the rest curvatures of the joints [1/m]; zero if not sought."""
     stiffness: Float[Array, " n"]
-    """Factors of the elements' stiffnesses; one if not sought."""
+    """Factors of the elements' stiffnesses [1]; one if not sought."""
     converged: Bool[Array, ""]
     """Whether the error is below the tolerance, in a stable equilibrium."""
     iterations: Int[Array, ""]
-    """Iterations that were made."""
+    """Number of iterations made."""
 
 
 def match_shape(
@@ -66,24 +66,26 @@ def match_shape(
     twist: bool = False,
     iterations: int = 30,
 ) -> ShapeMatch:
-    """A rod that takes a shape under the loads of a scene. Pure; works under `vmap`.
+    """Finds a rod that takes a shape under a scene's loads. Pure; works under `vmap`.
 
     Args:
-        scene: The scene; something has to hold the rod.
-        state: Where equilibria are sought from, as in `equilibrium`.
-        markers: Where nodes should be `(3, markers)` [m].
-        nodes: Which nodes they are.
-        over: What is sought, `"rest_curvature"` or `"stiffness"` or both.
-        tolerance: How near markers have to be [m].
+        scene: The scene; the rod must be supported.
+        state: First state of the search for equilibria, as in `equilibrium`.
+        markers: Target positions of the nodes `(3, markers)` [m].
+        nodes: Indices of the nodes.
+        over: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
+        tolerance: Largest accepted distance of a marker from its target [m].
         curvature: Change of a rest curvature that costs as much as a marker off by the
             tolerance [1/m]; by default 30 radians over the length of the rod.
-        stiffness: Logarithm of a factor of stiffness that costs as much [1].
-        twist: Whether rest twist is sought too, with rest curvature.
-        iterations: Iterations, at most.
+        stiffness: Logarithm of a stiffness factor that costs as much as a marker off by
+            the tolerance [1].
+        twist: Whether the rest twist is also sought with `"rest_curvature"`.
+        iterations: Largest number of iterations.
 
     Raises:
-        ValueError: An argument is out of range or does not fit, or as `equilibrium`.
-        TypeError: If `scene` or `state` is something else.
+        ValueError: An argument is out of range or does not fit, or `equilibrium` raises
+            it.
+        TypeError: `scene` or `state` has the wrong type.
     """
     scene = scene_of(scene, state)
     rod = scene.rod
@@ -128,7 +130,7 @@ def match_shape(
     def away(z: dict[str, Array]) -> Array:
         rest = found(z)
         gap = _columns(rest.state.positions, at) - target
-        # A point without an equilibrium is no design.
+        # A point without an equilibrium is rejected.
         return jnp.where(rest.converged, gap, jnp.inf) / tolerance
 
     best = least_squares(away, unknowns, ridge=1.0, iterations=iterations)
@@ -157,6 +159,6 @@ def _checked_nodes(nodes: Sequence[int], n: int) -> tuple[int, ...]:
 
 
 def _columns(positions: Array, at: tuple[int, ...]) -> Array:
-    """Columns at fixed places, by slices: nothing is gathered."""
+    """Returns columns at fixed indices, by slices instead of a gather."""
     columns = [jax.lax.slice_in_dim(positions, k, k + 1, axis=1) for k in at]
     return jnp.concatenate(columns, axis=1)

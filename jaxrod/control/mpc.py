@@ -1,9 +1,9 @@
-r"""Model-predictive control: a policy that plans ahead with the model, ever again.
+r"""Model-predictive control: a policy that plans ahead with the model, repeatedly.
 
-A plan is a line of actions through `knots`, or steps from one to the next, over the
-next `horizon` control steps. It is made better by one of three methods, its beginning
-is acted, and `replan` control steps later it is moved on and made better again
-(receding horizon, warm start). What is made small is
+A plan gives the actions of the next `horizon` control steps, piecewise linear between
+`knots` or in steps from one to the next. One of three methods improves it, and its
+beginning is executed. `replan` control steps later it is shifted in time and improved
+again (receding horizon, warm start). The cost to minimise is
 
 $$\frac1K \sum_k |r(x_k)|^2 + \frac{e}{K} \sum_k |u_k|^2
   + \frac{s}{K} \sum_k |u_k - u_{k-1}|^2,$$
@@ -11,15 +11,17 @@ $$\frac1K \sum_k |r(x_k)|^2 + \frac{e}{K} \sum_k |u_k|^2
 with the environment's residuals $r$ after every knot's interval, effort $e$ and
 smoothness $s$. Methods:
 
-- `"gauss-newton"`: a step of Gauss and Newton within the bounds, from the few rows that
-  the residuals' derivatives are, all of which go back through the rods in one batch;
-  of it as much as lowers the cost (real-time iteration; Diehl et al., 2005).
-- `"gradient"`: Adam on the environment's smooth cost, with bounds by clipping.
+- `"gauss-newton"`: a Gauss-Newton step within the bounds. The Jacobian of the residuals
+  has few rows, which one batched reverse pass through the rods computes. Of several
+  step sizes the one that lowers the cost most is taken (real-time iteration; Diehl et
+  al., 2005).
+- `"gradient"`: Adam on the environment's smooth cost, with actions clipped to the
+  bounds.
 - `"mppi"`: the mean of noisy plans, weighted by exponentials of their costs (Williams
   et al., 2017); no derivatives.
 
-Nothing of an environment is known here but its protocol, and what is random is not
-foreseen: `predict` takes no key.
+This module only uses the protocol of an environment. Plans do not foresee randomness:
+`predict` takes no key.
 """
 
 from __future__ import annotations
@@ -59,32 +61,35 @@ def mpc(
     starts: int = 0,
     seed: int = 0,
 ) -> PlanningPolicy:
-    """A policy that plans with a model of the environment; see the module.
+    """Makes a policy that plans with a model of the environment; see the module.
 
-    It has memory (`jaxrod.envs.MemoryPolicy`): `jaxrod.training.evaluate` takes it.
+    It has memory (`jaxrod.envs.MemoryPolicy`) and works with
+    `jaxrod.training.evaluate`.
 
     Args:
         env: The model: an environment with `predict` and `cost`, and `residuals` for
             `"gauss-newton"` (`jaxrod.envs.Plannable`).
-        params: Its parameters, by default its own.
+        params: Parameters of the model; by default those of the environment.
         horizon: Control steps ahead, a multiple of `knots * hold`.
         knots: Values planned for each action.
         iterations: Steps of the method in each plan; by default 1, or 4 of Adam.
         method: `"gauss-newton"`, `"gradient"` or `"mppi"`.
         shape: `"lines"` from knot to knot, or `"steps"`: a knot's value is held from
-            the one before to its own. One step is the cheapest plan.
+            the time of the previous knot to its own. One step is the cheapest plan.
         hold: Control steps for which an action is held.
         replan: Control steps from plan to plan, a multiple of `hold`, at most the
-            horizon; by default the distance of two knots.
-        first: Iterations of the first plan of an episode; by default 8 times as many.
-        effort: Cost of the mean squared action.
-        smoothness: Cost of the mean squared change from knot to knot.
-        rate: Step of Adam, by default 0.15, or deviation of the samples, by default
-            0.3.
+            horizon; by default the spacing of the knots.
+        first: Iterations of the first plan of an episode; by default 8 times
+            `iterations`.
+        effort: Weight of the mean squared action.
+        smoothness: Weight of the mean squared change from knot to knot.
+        rate: Step size of Adam, by default 0.15, or standard deviation of the samples,
+            by default 0.3.
         samples: Noisy plans in each iteration of `"mppi"`.
-        starts: An episode's first plan begins from so many noisy ones, widely spread,
-            for tasks in which nearby plans are all bad; 0 begins at rest.
-        seed: Of the samples.
+        starts: Number of widely spread noisy plans from which the first plan of an
+            episode is made, for tasks in which nearby plans are all bad; with 0 it
+            begins with zero actions.
+        seed: Seed of the samples.
 
     Raises:
         ValueError: An argument is out of range, or the environment cannot be planned

@@ -1,4 +1,4 @@
-"""Named parameters, and the variables by which they are sought."""
+"""Named parameters, and the search variables that stand for them."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import is_traced
 
 FARTHEST = 1e3
-"""A logarithm without a bound is sought within this factor of the start."""
+"""Default bound of parameters sought by their logarithm, as a factor of the start."""
 
 
 @pytree
 class Parameters:
     r"""Names, start and scales of parameters that are sought.
 
-    Search variables are logarithms of shares of the start, $z = \log(p / p_0)$, or
-    deviations as shares of a scale, $z = (p - p_0) / s$.
+    Search variables are logarithms relative to the start, $z = \log(p / p_0)$, or
+    scaled deviations from the start, $z = (p - p_0) / s$.
     """
 
     start: dict[str, Any]
-    """Where a search begins, $p_0$."""
+    """Values at which a search begins, $p_0$."""
     scales: dict[str, Any]
-    """Of those not sought by their logarithm, $s$: sizes of the start, 1 for a zero."""
+    """Scales $s$ of parameters not sought by logarithm: sizes of the start, 1 for 0."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Names in alphabetical order, each with its shape."""
     log: tuple[str, ...] = static()
-    """Which are sought by their logarithm."""
+    """Names of parameters that are sought by their logarithm."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all numbers, one after the other, as in `flat`."""
+        """Names of all numbers, one after the other, as in `flat`."""
         return tuple(
             name + ("[" + ",".join(map(str, place)) + "]" if shape else "")
             for name, shape in self.shapes
@@ -46,13 +46,13 @@ class Parameters:
 
     @property
     def by_log(self) -> tuple[bool, ...]:
-        """Of all numbers, whether they are sought by their logarithm."""
+        """Whether each number, in the order of `flat`, is sought by its logarithm."""
         return tuple(
             name in self.log for name, shape in self.shapes for _ in np.ndindex(shape)
         )
 
     def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Numbers of all parameters, one after the other."""
+        """Concatenates the numbers of all parameters."""
         return jnp.concatenate([jnp.ravel(values[name]) for name, _ in self.shapes])
 
     def named(self, flat: Float[Array, " p"]) -> dict[str, Array]:
@@ -65,15 +65,15 @@ class Parameters:
         return found
 
     def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Search variables of parameters."""
+        """Converts parameters to search variables."""
         first, scale, value = map(self.flat, (self.start, self.scales, values))
         log = np.asarray(self.by_log)
-        # Both branches finite, so that derivatives are.
+        # Both branches must be finite, so that derivatives are finite too.
         ratio = jnp.where(log, value, 1) / jnp.where(log, first, 1)
         return jnp.where(log, jnp.log(ratio), (value - first) / scale)
 
     def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
-        """Parameters of search variables."""
+        """Converts search variables to parameters."""
         first, scale = self.flat(self.start), self.flat(self.scales)
         log = np.asarray(self.by_log)
         factor = jnp.exp(jnp.where(log, point, 0))
@@ -86,10 +86,12 @@ class Parameters:
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
     def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:
-        """Bounds of search variables: those given, or as far as a search goes.
+        """Converts bounds of parameters to search variables, with defaults.
 
-        Without a bound a logarithm may change by that of `FARTHEST`. A step down to
-        zero could not be taken back: nothing depends on the logarithm there.
+        The default allows a change by a factor of `FARTHEST` for logarithms, and is
+        infinite otherwise. Without it, a step towards zero could not be undone, because
+        the derivative by the logarithm vanishes there. `sign` is -1 for lower bounds
+        and 1 for upper bounds.
         """
         far = dict(given or {})
         for name, shape in self.shapes:
@@ -102,16 +104,16 @@ class Parameters:
 def make_parameters(
     start: Mapping[str, Any], log: bool | Iterable[str] = True
 ) -> Parameters:
-    """Parameters by name, checked.
+    """Makes named parameters from checked arguments.
 
     Args:
-        start: Where a search begins; numbers or arrays by name.
-        log: Which are sought by their logarithm, so that they stay positive: names, or
+        start: Values at which a search begins; numbers or arrays by name.
+        log: Parameters sought by their logarithm, so that they stay positive: names, or
             all or none.
 
     Raises:
-        ValueError: There is none, a name of `log` is none of them, one sought by its
-            logarithm is not positive, or one is not finite.
+        ValueError: There is no parameter, `log` has an unknown name, a parameter sought
+            by its logarithm is not positive, or a parameter is not finite.
     """
     if not start:
         raise ValueError("start must name at least one parameter")

@@ -1,8 +1,8 @@
-"""Plans between knots, as constant matrices: of what is acted, and of shifts.
+"""Interpolation of plans between knots, and their shift in time, as constant matrices.
 
-A plan has a value now and `knots` values at equal distances ahead. Between them it is
+A plan has a value now and `knots` values at equal distances ahead. Between them it has
 one of `SHAPES`: `"lines"` from value to value, or `"steps"`, where every knot's value
-is held from the time of the one before. After the last one it stays.
+is held from the time of the previous one. After the last knot the plan is constant.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ SHAPES = ("lines", "steps")
 def weights_at(
     times: Float[np.ndarray, " times"], knots: int, spacing: int, shape: str = "lines"
 ) -> Float[np.ndarray, "times knots_and_now"]:
-    """Rows that make values at these times of the value now and of the knots.
+    """Returns weights of the value now and of the knots, a row for each time.
 
     Args:
-        times: In the unit of `spacing`, not negative. Where a step changes its value
-            it is still the one before.
-        knots: Their number; they lie at `spacing`, `2 spacing` and so on.
-        spacing: Time between two.
+        times: Times in the unit of `spacing`, not negative. At the time where a step
+            changes its value, the plan still has the earlier value.
+        knots: Number of knots; they lie at `spacing`, `2 spacing` and so on.
+        spacing: Time between two knots.
         shape: One of `SHAPES`.
     """
     place = np.minimum(np.asarray(times, float) / spacing, knots)
@@ -35,7 +35,7 @@ def weights_at(
 def piece_weights(
     knots: int, spacing: int, hold: int, shape: str = "lines"
 ) -> Float[np.ndarray, "pieces knots_and_now"]:
-    """Values of the pieces of a plan, in their middles, each held `hold` long."""
+    """Returns weights of a plan's pieces, at their midpoints, each `hold` long."""
     pieces = knots * spacing // hold
     return weights_at((np.arange(pieces) + 0.5) * hold, knots, spacing, shape)
 
@@ -43,8 +43,8 @@ def piece_weights(
 def shift_weights(
     knots: int, spacing: int, by: int, shape: str = "lines"
 ) -> Float[np.ndarray, "knots_and_now knots_and_now"]:
-    """The value and knots of the plan as it is seen `by` later.
+    """Returns weights of the plan's value and knots after a shift in time by `by`.
 
-    Of steps that no longer fall together the later one is taken.
+    For steps whose times no longer coincide, the later step is taken.
     """
     return weights_at(by + spacing * np.arange(knots + 1), knots, spacing, shape)

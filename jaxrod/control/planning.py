@@ -1,4 +1,4 @@
-"""Plans of one episode made better: by Gauss-Newton, by gradients, by sampling."""
+"""Improvement of one episode's plan by Gauss-Newton steps, gradients or sampling."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from jaxrod.control.plan_weights import piece_weights
 from jaxrod.structure import pytree, static
 
 SHARES = (1.0, 0.5, 0.2)
-"""Of a Gauss-Newton step, those that are tried."""
+"""Fractions of a Gauss-Newton step that are tried."""
 DAMPING = 1e-3
-"""Cost of the mean squared change of the knots by a Gauss-Newton step."""
+"""Weight of the mean squared change of the knots by a Gauss-Newton step."""
 BOUND_ITERATIONS = 12
-"""Alternations between the quadratic model and its bounds."""
+"""Number of alternations between the quadratic model and its bounds (ADMM)."""
 TEMPERATURE = 0.1
-"""Of the weights of samples, in deviations of their costs."""
+"""Temperature of the samples' weights, in standard deviations of their costs."""
 
 
 @pytree
 class PlanCost:
-    """What a plan costs; see `jaxrod.control.mpc`."""
+    """Cost of a plan; see `jaxrod.control.mpc`."""
 
     params: Any
     """Parameters of the model."""
     effort: Float[Array, ""]
-    """Cost of the squared action."""
+    """Weight of the mean squared action."""
     smoothness: Float[Array, ""]
-    """Cost of the squared change from knot to knot."""
+    """Weight of the mean squared change from knot to knot."""
     env: Any = static()
     """The model."""
     knots: int = static()
-    """Their number."""
+    """Number of knots."""
     spacing: int = static()
     """Control steps from knot to knot."""
     hold: int = static()
     """Control steps for which an action is held."""
     shape: str = static(default="lines")
-    """Of the plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
+    """Shape of the plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
 
     def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
-        """What is acted in the pieces of every knot's interval."""
+        """Returns the actions of all pieces of every knot's interval."""
         table = jnp.asarray(
             piece_weights(self.knots, self.spacing, self.hold, self.shape), knots.dtype
         )
@@ -52,7 +52,7 @@ class PlanCost:
         return jnp.reshape(acted, (self.knots, -1, acted.shape[-1]))
 
     def along(self, now: Array, knots: Array, state: Any, of: Any) -> Array:
-        """`of(state, action)` after every knot's interval."""
+        """Evaluates `of(state, action)` after every knot's interval."""
 
         def piece(state: Any, action: Array) -> tuple[Any, None]:
             return self.env.predict(state, action, self.params, self.hold), None
@@ -64,7 +64,7 @@ class PlanCost:
         return lax.scan(interval, state, self.actions(now, knots))[1]
 
     def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
-        """The environment's after every interval, over the root of their number."""
+        """Residuals after every interval, over the root of the number of intervals."""
         found = self.along(
             now,
             knots,
@@ -74,14 +74,14 @@ class PlanCost:
         return jnp.ravel(found) / jnp.sqrt(self.knots).astype(found.dtype)
 
     def regular(self, now: Array, knots: Array) -> Float[Array, ""]:
-        """Effort and smoothness."""
+        """Returns the cost of effort and smoothness."""
         changes = jnp.diff(jnp.concatenate([now[None], knots]), axis=0)
         return (
             self.effort * jnp.sum(knots**2) + self.smoothness * jnp.sum(changes**2)
         ) / self.knots
 
     def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """All of it; infinite where it is not a number."""
+        """Returns the mean cost of the environment, plus effort and smoothness."""
         found = self.along(
             now,
             knots,
@@ -91,7 +91,10 @@ class PlanCost:
         return jnp.mean(found) + self.regular(now, knots)
 
     def least_squares(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """The same of the residuals; infinite where it is not a number."""
+        """Returns the sum of squared residuals, plus effort and smoothness.
+
+        It is infinite if the sum is not finite.
+        """
         found = jnp.sum(self.residuals(now, knots, state) ** 2)
         return _or_infinite(found + self.regular(now, knots))
 
@@ -99,7 +102,7 @@ class PlanCost:
 def by_gauss_newton(
     cost: PlanCost, now: Array, knots: Array, state: Any, iterations: Int[Array, ""]
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Knots after so many Gauss-Newton steps, and their cost."""
+    """Returns knots after `iterations` Gauss-Newton steps, and their cost."""
     shares = jnp.asarray(SHARES, knots.dtype)
 
     def again(_: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -125,10 +128,11 @@ def by_gauss_newton(
 def quadratic_step(
     cost: PlanCost, values: Array, rows: Array, now: Array, knots: Array
 ) -> Float[Array, "knots action"]:
-    """Knots within the bounds that make the linearised problem's cost small.
+    """Returns knots within the bounds that lower the cost of the linearised problem.
 
-    The Hessian is the rows' squares and a small matrix for each action, so its inverse
-    takes a matrix of the residuals' size (Woodbury). Bounds by alternating directions.
+    The Hessian is the product of `rows` with themselves plus a small matrix that is the
+    same for each action. So its inverse needs only a matrix of the residuals' size
+    (Woodbury). Bounds are imposed by the alternating direction method of multipliers.
     """
     count, dtype = cost.knots, knots.dtype
     changes = jnp.eye(count, dtype=dtype) - jnp.eye(count, k=-1, dtype=dtype)
@@ -141,7 +145,7 @@ def quadratic_step(
     aimed = values - jnp.sum(rows * knots[None], axis=(1, 2))
     pulled = smooth * first * now[None] + damping * knots
     pulled -= jnp.sum(rows * aimed[:, None, None], axis=0)
-    # The weight of the bounds: a share of the mean diagonal of the rows' squares.
+    # Penalty of the bounds: a fraction of the mean diagonal of the Gauss-Newton matrix.
     weight = jnp.sum(rows**2) / rows[0].size * 0.3 + effort
     inverse = jnp.linalg.inv(plain + weight * jnp.eye(count, dtype=dtype))
     flat = jnp.reshape(rows, (rows.shape[0], -1))
@@ -173,7 +177,7 @@ def by_gradient(
     iterations: Int[Array, ""],
     rate: Array,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """The best knots of so many steps of Adam, and their cost."""
+    """Returns the best knots of `iterations` steps of Adam, and their cost."""
     slow, slower = 0.8, 0.95
 
     def again(index: Array, given: Any) -> Any:
@@ -210,14 +214,17 @@ def by_sampling(
     key: Key[Array, ""],
     samples: int,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Knots after so many weighted means of noisy plans, and the least cost seen."""
+    """Returns knots after `iterations` weighted means of noisy plans, and a cost.
+
+    The cost is the least one of the last samples.
+    """
 
     def again(index: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
         knots, _ = given
         noise = jax.random.normal(
             jax.random.fold_in(key, index), (samples, *knots.shape), knots.dtype
         )
-        # The first is the plan itself: nothing is forgotten for bad luck.
+        # The first sample is the plan itself, so that bad samples cannot replace it.
         noise = jnp.concatenate([jnp.zeros_like(noise[:1]), noise[1:]])
         tried = jnp.clip(knots[None] + deviation * noise, -1, 1)
         costs = jax.vmap(lambda z: _or_infinite(cost.total(now, z, state)))(tried)

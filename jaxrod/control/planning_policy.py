@@ -1,4 +1,4 @@
-"""A policy that plans: what it remembers, when it plans, how plans move on."""
+"""A policy that plans: its memory, when it plans, and how plans are shifted in time."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from jaxrod.control.planning import (
 from jaxrod.structure import pytree, static
 
 START_DEVIATION, START_ITERATIONS = 0.6, 8
-"""Spread of the plans that an episode's first begins from, and how often they are
-drawn."""
+"""Standard deviation of the noisy plans from which an episode's first plan is made, and
+number of times they are drawn."""
 METHODS = ("gauss-newton", "gradient", "mppi")
 
 
 class Model(Protocol):
-    """What planning asks of an environment; all tasks of the arm have it."""
+    """Protocol of an environment for planning; all tasks of the arm have it."""
 
     @property
     def action_size(self) -> int:
@@ -37,19 +37,19 @@ class Model(Protocol):
     def predict(
         self, state: Any, action: Array, params: Any, control_steps: int = 1
     ) -> Any:
-        """The state later, without the randomness to come."""
+        """Returns the state some control steps later, without future randomness."""
 
     def cost(self, state: Any, action: Array, params: Any) -> Float[Array, ""]:
-        """Smooth cost of a state and the action that led there."""
+        """Returns the smooth cost of a state and the action that led there."""
 
 
 def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
-    """Raises a ValueError unless an environment has what a planner asks of it.
+    """Raises a ValueError unless an environment has the methods that a planner needs.
 
     Args:
         env: The environment.
-        needed: Names of methods.
-        planner: Words for who asks.
+        needed: Names of the methods.
+        planner: Words for the planner in the error message.
     """
     missing = [name for name in needed if not hasattr(env, name)]
     if missing:
@@ -61,16 +61,16 @@ def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
 
 @pytree
 class Plan:
-    """What a planner remembers of a batch of episodes."""
+    """Memory of a planner for a batch of episodes."""
 
     values: Float[Array, "batch knots_and_now action"]
-    """The action at the time of the plan, and at its knots."""
+    """Actions at the time of the plan, and at its knots."""
     calls: Int[Array, ""]
-    """Actions so far; the same for all."""
+    """Number of actions so far; the same for all episodes."""
     key: Key[Array, ""]
-    """For sampling."""
+    """Random key for sampling."""
     cost: Float[Array, " batch"]
-    """Of the plan, by the method's own measure."""
+    """Cost of the plan, as the method defines it."""
 
 
 @pytree
@@ -80,38 +80,38 @@ class PlanningPolicy:
     params: Any
     """Parameters of the model."""
     effort: Float[Array, ""]
-    """Cost of the squared action."""
+    """Weight of the mean squared action."""
     smoothness: Float[Array, ""]
-    """Cost of the squared change from knot to knot."""
+    """Weight of the mean squared change from knot to knot."""
     rate: Float[Array, ""]
-    """Step of Adam, or deviation of the samples."""
+    """Step size of Adam, or standard deviation of the samples."""
     key: Key[Array, ""]
-    """Where sampling begins."""
+    """First random key for sampling."""
     env: Any = static()
     """The model."""
     horizon: int = static()
     """Control steps ahead."""
     knots: int = static()
-    """Values planned."""
+    """Number of knots, the values planned for each action."""
     action_repeat: int = static()
     """Control steps for which an action is held."""
     replan: int = static()
     """Control steps from plan to plan."""
     iterations: int = static()
-    """Of each plan."""
+    """Iterations of each plan."""
     first: int = static()
     """Iterations of an episode's first plan."""
     samples: int = static()
-    """Noisy plans of `"mppi"`."""
+    """Noisy plans in each iteration of `"mppi"`."""
     starts: int = static()
-    """Noisy plans from which an episode's first begins."""
+    """Noisy plans from which an episode's first plan is made."""
     method: str = static()
     """One of `METHODS`."""
     shape: str = static(default="lines")
-    """Of a plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
+    """Shape of a plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
-        """Memory at the start of a batch of episodes."""
+        """Returns the memory at the start of a batch of episodes."""
         del state
         batch, dtype = observation.shape[0], observation.dtype
         shape = (batch, self.knots + 1, self.env.action_size)
@@ -125,10 +125,10 @@ class PlanningPolicy:
     def act(
         self, memory: Plan, observation: Float[Array, "batch observation"], state: Any
     ) -> tuple[Float[Array, "batch action"], Plan]:
-        """Actions of a batch, and what is remembered; plans where it is due.
+        """Returns the actions of a batch and the new memory; plans if it is due.
 
-        All episodes of the batch plan at the same time, so that in a jitted program
-        nothing is computed in between.
+        All episodes of the batch plan at the same time, so that a jitted program
+        computes no plans in between.
         """
         del observation
         spacing = self.horizon // self.knots
@@ -148,7 +148,7 @@ class PlanningPolicy:
         return action, Plan(memory.values, memory.calls + 1, memory.key, memory.cost)
 
     def planned(self, memory: Plan, state: Any) -> Plan:
-        """The plans of a batch moved on to now, and made better."""
+        """Shifts the plans of a batch to the present time, and improves them."""
         spacing = self.horizon // self.knots
         begun = memory.calls > 0
         shift = jnp.asarray(

@@ -1,12 +1,12 @@
-r"""A problem of control: a start, what controls do, and what of that costs.
+r"""An optimal control problem: an initial state, dynamics under controls, and a cost.
 
-Time is cut into equal intervals. In interval $k$ the control $u_k$ is held and takes
-the state $x_k$ to $x_{k+1} = f(x_k, u_k, k)$. What costs is a sum of squares,
+Time is divided into equal intervals. In interval $k$ the control $u_k$ is held and
+takes the state $x_k$ to $x_{k+1} = f(x_k, u_k, k)$. The cost is a sum of squares,
 
 $$L = \sum_k |r(x_{k+1}, u_k, k)|^2 + |r_N(x_N)|^2,$$
 
-so that each solver can take it: those that follow a gradient, those that use the
-residuals' derivatives (Gauss-Newton, iLQR), and those that only look at the cost.
+so that every kind of solver can use it: gradient descent, solvers that use the
+derivatives of residuals (Gauss-Newton, iLQR), and solvers that only use the cost.
 """
 
 from __future__ import annotations
@@ -26,41 +26,42 @@ from jaxrod.validation import check_count
 Move = Callable[[Any, Any, Array, Array], Any]
 """`(data, state, control, interval) -> state`, after one interval."""
 Running = Callable[[Any, Any, Array, Array], Any]
-"""`(data, state, control, interval) -> residuals`, of the state after it."""
+"""`(data, state, control, interval) -> residuals`, for the state after the interval."""
 Final = Callable[[Any, Any], Any]
-"""`(data, state) -> residuals`, of the last state."""
+"""`(data, state) -> residuals`, for the last state."""
 
 
 @pytree
 class Problem:
-    """A problem of control; see the module. Make one with `make_problem`.
+    """An optimal control problem; see the module. Make one with `make_problem`.
 
-    Numbers are traced: other numbers, another start, another target are solved by the
-    program that is there. A batch of problems is a `jax.vmap` over its leaves.
+    Numbers are traced: the same compiled program solves problems with other numbers,
+    another start or another target. A batch of problems is a `jax.vmap` over the
+    leaves.
     """
 
     start: Any
     """State at time zero, any pytree."""
     data: Any
-    """All that the functions read: a scene, a target, weights. Any pytree."""
+    """Data that the functions read: a scene, a target, weights. Any pytree."""
     lower: Float[Array, " controls"]
-    """Smallest controls."""
+    """Lower bounds of the controls."""
     upper: Float[Array, " controls"]
-    """Largest controls."""
+    """Upper bounds of the controls."""
     interval: Float[Array, ""]
     """Duration of an interval [s]."""
     move: Move = static()
-    """What an interval makes of a state."""
+    """Function that takes a state through an interval."""
     running: Running | None = static()
-    """Residuals of every interval."""
+    """Function that returns the residuals of an interval."""
     final: Final | None = static()
-    """Residuals of the end."""
+    """Function that returns the residuals of the last state."""
     n_intervals: int = static()
-    """Their number."""
+    """Number of intervals."""
 
     @property
     def n_controls(self) -> int:
-        """Numbers of one control."""
+        """Number of values in one control vector."""
         return int(self.lower.shape[-1])
 
 
@@ -77,27 +78,27 @@ def make_problem(
     lower: Any = -1.0,
     upper: Any = 1.0,
 ) -> Problem:
-    """A problem of control, checked.
+    """Makes an optimal control problem from checked arguments.
 
-    Functions are structure: a program is compiled for each. Write them at the top of a
-    module and hand numbers on in `data`, rather than making new ones for new numbers.
+    Functions are static: a program is compiled for each. Define them at module level
+    and pass numbers in `data`, rather than making new functions for new numbers.
 
     Args:
         start: State at time zero, any pytree of arrays.
         move: `(data, state, control, k) -> state` after interval `k`.
         n_intervals: Number of intervals.
-        interval: Duration of one [s].
-        n_controls: Numbers of one control.
-        running: `(data, state, control, k) -> residuals`, of the state after interval
+        interval: Duration of an interval [s].
+        n_controls: Number of values in one control vector.
+        running: `(data, state, control, k) -> residuals` of the state after interval
             `k` and the control in it; any pytree of floats.
-        final: `(data, state) -> residuals`, of the last state.
-        data: What the functions read, any pytree.
-        lower: Smallest controls, a number or one each.
-        upper: Largest controls.
+        final: `(data, state) -> residuals` of the last state.
+        data: Data that the functions read, any pytree.
+        lower: Lower bounds of the controls, a number or one for each.
+        upper: Upper bounds of the controls, a number or one for each.
 
     Raises:
-        ValueError: an argument is out of range, `move` makes something else than a
-            state, or nothing costs.
+        ValueError: An argument is out of range, `move` returns something else than a
+            state, or there is no cost.
     """
     n_intervals = check_count("n_intervals", n_intervals, 1)
     n_controls = check_count("n_controls", n_controls, 1)
@@ -137,7 +138,7 @@ def make_problem(
 
 
 def trajectory(problem: Problem, controls: Float[Array, "intervals controls"]) -> Any:
-    """States at the start and after each interval, stacked in front."""
+    """Returns states at the start and after each interval, stacked in front."""
 
     def one(state: Any, given: tuple[Array, Array]) -> tuple[Any, Any]:
         after = problem.move(problem.data, state, *given)
@@ -150,10 +151,10 @@ def trajectory(problem: Problem, controls: Float[Array, "intervals controls"]) -
 
 
 def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) -> Any:
-    """Residuals of all intervals, stacked in front, and of the end.
+    """Returns the residuals of all intervals, stacked in front, and of the end.
 
-    In reverse mode one state per interval is kept and the steps of one interval at a
-    time.
+    In reverse mode, one state per interval is stored, and the steps of only one
+    interval at a time (checkpointing).
     """
     along, last = run(problem, controls)
     end = None if problem.final is None else problem.final(problem.data, last)
@@ -163,7 +164,7 @@ def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) ->
 def run(
     problem: Problem, controls: Float[Array, "intervals controls"]
 ) -> tuple[Any, Any]:
-    """Residuals of all intervals, stacked in front, and the last state."""
+    """Returns the residuals of all intervals, stacked in front, and the last state."""
 
     def one(state: Any, given: tuple[Array, Array]) -> tuple[Any, Any]:
         after = problem.move(problem.data, state, *given)
@@ -184,7 +185,7 @@ def cost(
 
 
 def squares(made: Any) -> Float[Array, ""]:
-    """Sum of the squares of all numbers of a pytree that has some."""
+    """Sum of the squares of all numbers of a pytree, which must not be empty."""
     first, *rest = (jnp.sum(leaf**2) for leaf in jax.tree.leaves(made))
     return sum(rest, first)
 
@@ -192,9 +193,9 @@ def squares(made: Any) -> Float[Array, ""]:
 def over_time(
     knots: Float[Array, "knots controls"], n_intervals: int
 ) -> Float[Array, "intervals controls"]:
-    """Controls in the middle of every interval, linear between knots.
+    """Interpolates controls linearly between knots, at the middle of every interval.
 
-    Knots are equally spaced from the start to the end; a single one is held.
+    Knots are equally spaced from the start to the end; a single knot is held.
     """
     last = knots.shape[0] - 1
     place = (np.arange(n_intervals) + 0.5) * (last / n_intervals)
@@ -205,7 +206,7 @@ def over_time(
 
 
 def numbers(problem: Problem) -> Int[Array, " intervals"]:
-    """Of the intervals, from 0."""
+    """Indices of the intervals, from 0."""
     return jnp.arange(problem.n_intervals, dtype=jnp.int32)
 
 

@@ -1,4 +1,4 @@
-"""Programs of solvers, compiled once for every structure of their arguments."""
+"""Compiled programs of solvers, one for each structure of their arguments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import jax
 from jaxrod.lanes.choice import lane_mode
 
 MOST_PROGRAMS = 64
-"""Kept at a time; the one that was not used for longest is forgotten."""
+"""Largest number of programs kept; the least recently used one is dropped first."""
 
 _kept: OrderedDict[Any, Any] = OrderedDict()
 
@@ -21,20 +21,22 @@ _kept: OrderedDict[Any, Any] = OrderedDict()
 def timed(
     function: Callable[..., Any], *arguments: Any, **structure: Any
 ) -> tuple[Any, float, float]:
-    """What a function makes of pytrees of arrays, and what it took.
+    """Calls a function of pytrees of arrays as a compiled program, and times it.
 
     Args:
-        function: Pure; one of a module, as programs are kept by it.
-        *arguments: Traced.
-        **structure: Hashable, part of the program.
+        function: Pure function, defined at module level because it identifies the kept
+            program.
+        *arguments: Traced arguments.
+        **structure: Static, hashable arguments.
 
     Returns:
-        The result; seconds of compiling, 0 if the program was there; of running [s].
+        The result; the time of compiling [s], 0 if the program was kept from before;
+        and the time of running [s].
     """
     began = time.perf_counter()
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple(jax.typeof(leaf) for leaf in leaves)
-    # What else a program depends on: precision, and what steps are done by.
+    # A program also depends on the precision, and on the backend that makes the steps.
     setting = (lane_mode(), jax.config.read("jax_enable_x64"))
     key = (function, tuple(sorted(structure.items())), tree, kinds, setting)
     program = _kept.pop(key, None)

@@ -1,7 +1,7 @@
-r"""The problem of reaching: the tip of an arm at a point at the end, and at rest.
+r"""The reaching problem: bring the tip of an arm to a target, at rest, in a given time.
 
 With $d$ the distance of the tip from the target, $v$ its speed, $u$ the control values
-and $T$ the end,
+and $T$ the final time,
 
 $$L = d(T)^2 + w_v\, v(T)^2 + w_r\, \overline{d^2} + w_u\, \overline{u^2}.$$
 """
@@ -33,7 +33,7 @@ class UnreachableTargetWarning(UserWarning):
 
 
 class Arm(Protocol):
-    """A pytree that makes a scene of controls, such as `ActuatedArm`."""
+    """A pytree that makes a scene from controls, such as `ActuatedArm`."""
 
     scene: Scene
     """The rod without controls."""
@@ -41,19 +41,19 @@ class Arm(Protocol):
     """Initial state."""
 
     def with_controls(self, controls: Any) -> Scene:
-        """The scene under controls."""
+        """Returns the scene under controls."""
 
 
 @pytree
 class Reach:
-    """The data of a problem of reaching."""
+    """The data of a reaching problem."""
 
     arm: Any
     """The arm."""
     target: Float[Array, "3"]
-    """Where the tip should be at the end [m]."""
+    """Target position of the tip at the end [m]."""
     dt: Float[Array, ""]
-    """Step of the simulation [s]."""
+    """Time step of the simulation [s]."""
     speed_root: Float[Array, ""]
     """Root of the weight of the squared speed of the tip at the end [s]."""
     running_root: Float[Array, ""]
@@ -61,19 +61,19 @@ class Reach:
     effort_root: Float[Array, ""]
     """Root of the weight of the mean squared control value [m]."""
     steps_per_interval: int = static()
-    """Steps of the simulation in an interval."""
+    """Time steps of the simulation in an interval."""
     n_intervals: int = static()
-    """Intervals, over which means are taken."""
+    """Number of intervals, over which means are taken."""
     control_shape: tuple[int, ...] = static()
     """Shape of the controls that the arm takes."""
 
     @property
     def scene(self) -> Scene:
-        """The arm's, without controls."""
+        """The arm's scene, without controls."""
         return self.arm.scene
 
     def readouts(self, state: RodState) -> dict[str, Array]:
-        """Distance of the tip from the target, and its speed."""
+        """Returns the distance of the tip from the target, and the tip's speed."""
         return {
             "distance [m]": vectors.safe_norm(vectors.split(state.tip - self.target)),
             "tip speed [m/s]": vectors.safe_norm(
@@ -96,33 +96,33 @@ def reach(
     lower: Any = -1.0,
     upper: Any = 1.0,
 ) -> Problem:
-    """The problem of bringing the tip of an arm to a point, and to rest there.
+    """Makes the problem of bringing the tip of an arm to a point, and to rest there.
 
-    Without weights of what happens on the way there are six residuals, and a solver
-    that uses their derivatives needs six rows: leave `effort_weight` zero and give
+    With zero running and effort weights there are six residuals, and a solver that uses
+    their derivatives needs only six rows. So leave `effort_weight` zero, and give
     `levenberg_marquardt` a ridge instead.
 
     Args:
         arm: A pytree with `scene`, `state` and `with_controls(controls)`: an
             `ActuatedArm`, or one of your own.
-        target: Where the tip should be at the end `(3,)` [m].
+        target: Target position of the tip at the end `(3,)` [m].
         duration: Time from start to end [s].
-        speed_weight: Cost of the squared speed of the tip at the end [s^2].
-        running_weight: Cost of the mean squared distance over time [1].
-        effort_weight: Cost of the mean squared control value [m^2].
-        control_interval: For how long controls are held, at most [s].
-        dt: Largest step of the simulation [s]; 0.8 of the stable one if None. Both are
-            shortened so that whole numbers of them fit.
+        speed_weight: Weight of the squared speed of the tip at the end [s^2].
+        running_weight: Weight of the mean squared distance over time [1].
+        effort_weight: Weight of the mean squared control value [m^2].
+        control_interval: Longest time for which a control is held [s].
+        dt: Largest time step of the simulation [s]; 0.8 of the stable one if `None`.
+            Interval and step are shortened so that whole numbers of them fit.
         control_shape: Shape of the controls that `arm.with_controls` takes; by default
             `arm.control_shape`, the two directions of bending of an `ActuatedArm`.
-        lower: Smallest control values, a number or one each.
-        upper: Largest ones.
+        lower: Lower bounds of the control values, a number or one for each.
+        upper: Upper bounds of the control values, a number or one for each.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
+        ValueError: An argument is out of range or does not fit.
 
     Warns:
-        UnreachableTargetWarning: the target is further from the base of the arm than
+        UnreachableTargetWarning: The target is farther from the base of the arm than
             the arm is long.
         jaxrod.UnstableStepWarning: `dt` is above the stability bound.
     """
@@ -151,7 +151,7 @@ def reach_problem(
     bounds: tuple[Any, Any],
     depth: int,
 ) -> Problem:
-    """`reach`, with warnings that point so many functions further up."""
+    """Does the work of `reach`; warnings point `depth` more callers up the stack."""
     place = _checked(arm, target, depth)
     shape = control_shape
     if shape is None:
@@ -202,7 +202,7 @@ def reach_problem(
 
 
 def moved(data: Reach, state: RodState, control: Array, interval: Array) -> RodState:
-    """The arm after an interval under a control."""
+    """Returns the arm's state after an interval under a control."""
     scene = data.arm.with_controls(control.reshape(data.control_shape))
     first = interval * data.steps_per_interval
     return advance(scene, state, data.dt, data.steps_per_interval, first=first)
@@ -211,7 +211,7 @@ def moved(data: Reach, state: RodState, control: Array, interval: Array) -> RodS
 def on_the_way(
     data: Reach, state: RodState, control: Array, interval: Array
 ) -> tuple[Array, Array]:
-    """Residuals of every interval: the distance, and the effort."""
+    """Returns the residuals of an interval: the distance, and the effort."""
     del interval
     count = data.n_intervals
     return (
@@ -221,30 +221,31 @@ def on_the_way(
 
 
 def at_the_end(data: Reach, state: RodState) -> tuple[Array, Array]:
-    """The six residuals of the last state: distance, and velocity."""
+    """Returns the six residuals of the last state: distance, and velocity."""
     return state.tip - data.target, data.speed_root * state.velocities[:, -1]
 
 
 _MOST_STEPS = 2**30
-"""Steps are counted in 32 bits; twice as many may come of rounding up."""
+"""Largest number of steps before rounding up, which may double it. The step counter has
+32 bits."""
 
 
 def time_steps(
     arm: Any, duration: float, control_interval: float, dt: float | None
 ) -> tuple[int, int, float]:
-    """Cuts a duration into whole control intervals of whole steps.
+    """Divides a duration into whole control intervals of whole time steps.
 
     Args:
-        arm: The arm, for its largest stable step.
+        arm: The arm, whose largest stable step is used.
         duration: Time from start to end [s].
-        control_interval: For how long control values are held, at most [s].
-        dt: Largest step of the simulation [s]; 0.8 of the stable one if None.
+        control_interval: Longest time for which control values are held [s].
+        dt: Largest time step of the simulation [s]; 0.8 of the stable one if `None`.
 
     Returns:
-        Control intervals, steps in each, and the step [s].
+        Number of control intervals, number of steps in each, and the time step [s].
 
     Raises:
-        ValueError: there are more steps than can be counted.
+        ValueError: There are more steps than the counter can hold.
     """
     largest = float(stable_dt(arm.scene).dt) if dt is None else dt
     in_all = duration / min(control_interval, largest)
@@ -253,14 +254,17 @@ def time_steps(
             f"duration must be less than {_MOST_STEPS:,} steps of the simulation, got "
             f"{duration:g} s, {in_all:.3g} steps"
         )
-    # Forgive the last digit: 1 s in intervals of 0.01 s are 100, not 101.
+    # Allow for round-off: 1 s in intervals of 0.01 s makes 100 intervals, not 101.
     n_intervals = max(1, math.ceil(duration / control_interval * (1 - 1e-6)))
     steps = max(1, math.ceil(duration / n_intervals / largest * (1 - 1e-6)))
     return n_intervals, steps, duration / (n_intervals * steps)
 
 
 def _checked(arm: Any, target: Numbers, depth: int) -> np.ndarray:
-    """The target as numbers, of an arm that is one; warns of one beyond it."""
+    """Checks the arm and the target, and warns if the target is out of reach.
+
+    Returns the target as an array of floats.
+    """
     lacking = [
         name for name in ("scene", "state", "with_controls") if not hasattr(arm, name)
     ]

@@ -1,16 +1,15 @@
 r"""The backward pass of iLQR in square-root form.
 
-Along a trajectory states change by $\delta x_{k+1} = A_k \delta x_k + B_k \delta u_k$
-and residuals by their derivatives. What is still to come costs $|S_k \delta x_k +
-s_k|^2$ at least, plus a number: with the residuals $r_k + C_k \delta x_{k+1} + D_k
-\delta u_k$ and damping $\mu$, the QR decomposition of
+Along a trajectory states change by $\delta x_{k+1} = A_k \delta x_k + B_k \delta u_k$,
+and residuals are $r_k + C_k \delta x_{k+1} + D_k \delta u_k$. The optimal cost-to-go is
+$|S_k \delta x_k + s_k|^2$ plus a constant. With damping $\mu$, the QR decomposition of
 
 $$\begin{pmatrix} S_{k+1} B_k & S_{k+1} A_k & s_{k+1} \\
 C_k B_k + D_k & C_k A_k & r_k \\ \sqrt\mu & 0 & 0 \end{pmatrix}$$
 
-has the gains in its first rows and $S_k, s_k$ in the next. No square is formed, so that
-single precision will do for stiff rods. Controls at a bound are moved there and have no
-gains.
+has the gains in its first rows and $S_k, s_k$ in the next. No squares of matrices are
+formed, so that single precision suffices for stiff rods. Controls held at a bound are
+moved to it and have no gains.
 """
 
 from __future__ import annotations
@@ -26,22 +25,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class Linear:
-    """Derivatives along a trajectory."""
+    """Linearisation along a trajectory."""
 
     states: Float[Array, "intervals n n"]
-    """Of the next state, by the state."""
+    """Derivatives $A_k$ of the next state by the state."""
     controls: Float[Array, "intervals n m"]
-    """Of the next state, by the control."""
+    """Derivatives $B_k$ of the next state by the control."""
     residuals: Float[Array, "intervals r"]
-    """Of every interval."""
+    """Residuals $r_k$ of every interval."""
     by_states: Float[Array, "intervals r n"]
-    """Of them, by the state after it."""
+    """Derivatives $C_k$ of the residuals by the state after the interval."""
     by_controls: Float[Array, "intervals r m"]
-    """Of them, by the control."""
+    """Derivatives $D_k$ of the residuals by the control."""
     final: Float[Array, " f"]
-    """Residuals of the end."""
+    """Residuals of the last state."""
     final_by_state: Float[Array, "f n"]
-    """Of them, by the last state."""
+    """Derivatives of the final residuals by the last state."""
 
 
 def backward(
@@ -51,14 +50,14 @@ def backward(
     upper: Float[Array, " m"],
     damping: Float[Array, " m"],
 ) -> tuple[Float[Array, "intervals m"], Float[Array, "intervals m n"]]:
-    """Changes of the controls, and their gains by changes of the states.
+    """Returns changes of the controls, and their feedback gains on state changes.
 
     Args:
-        linear: Derivatives along the trajectory.
-        controls: Its controls.
-        lower: Smallest controls.
-        upper: Largest ones.
-        damping: Cost of the squared change of each control.
+        linear: Linearisation along the trajectory.
+        controls: Controls of the trajectory.
+        lower: Lower bounds of the controls.
+        upper: Upper bounds of the controls.
+        damping: Weight of the squared change of each control.
     """
     n, m = linear.controls.shape[1:]
     roots = jnp.sqrt(damping)
@@ -72,8 +71,8 @@ def backward(
         by_state = jnp.concatenate([square @ a, c @ a, jnp.zeros((m, n), a.dtype)])
         rest = jnp.concatenate([right, r, jnp.zeros((m,), a.dtype)])
         change, held = box_step(by_control, rest, lower - u, upper - u)
-        # Held controls are moved, and then no longer unknowns: a row of their own keeps
-        # the decomposition regular.
+        # Held controls are moved first, and are then no longer unknowns. A row of their
+        # own keeps the decomposition regular.
         moved = rest + by_control @ jnp.where(held, change, 0)
         free = jnp.where(held[None], 0, by_control)
         own = jnp.diag(jnp.where(held, 1, 0).astype(a.dtype))
@@ -103,7 +102,10 @@ def backward(
 
 
 def _square(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """The same squares of as many rows as columns."""
+    """Reduces or pads a least-squares system to as many rows as columns.
+
+    Its sum of squares stays the same up to a constant.
+    """
     n = matrix.shape[1]
     rows = jnp.concatenate([matrix, right[:, None]], axis=1)
     missing = max(n - rows.shape[0], 0)

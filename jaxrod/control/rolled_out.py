@@ -1,4 +1,4 @@
-"""A problem under a policy: with feedback or without, disturbed or not."""
+"""Simulation of a problem under a policy, with or without feedback and disturbances."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from jaxrod.control.problem import Problem, numbers, squares
 from jaxrod.structure import pytree
 
 Policy = Callable[[Any, Array], Array]
-"""`(state, interval) -> control`, at the beginning of the interval."""
+"""`(state, interval) -> control`, called at the beginning of the interval."""
 Disturbance = Callable[[Any, Array], Any]
-"""`(state, interval) -> state`, before the policy looks at it."""
+"""`(state, interval) -> state`, applied before the policy is called."""
 
 
 @pytree
@@ -25,9 +25,9 @@ class RolledOut:
     """A motion under a policy."""
 
     states: Any
-    """At the start and after each interval, stacked in front."""
+    """States at the start and after each interval, stacked in front."""
     controls: Float[Array, "intervals controls"]
-    """What the policy did, within the bounds."""
+    """Controls of the policy, clipped to the bounds."""
     cost: Float[Array, ""]
     """Sum of the squares of all residuals."""
 
@@ -35,17 +35,17 @@ class RolledOut:
 def rolled_out(
     problem: Problem, policy: Policy, disturbance: Disturbance | None = None
 ) -> RolledOut:
-    """The motion under a policy, such as that of a solution. Pure; traceable.
+    """Simulates the motion under a policy, such as a solution's. Pure; traceable.
 
     Args:
         problem: The problem.
         policy: `(state, interval) -> control`: `solution.policy` with feedback,
             `solution.open_loop` without, or any other.
-        disturbance: `(state, interval) -> state`, what happens to the state before an
-            interval; nothing by default.
+        disturbance: `(state, interval) -> state`, a change of the state before an
+            interval; none by default.
 
     Raises:
-        TypeError: `problem` is something else.
+        TypeError: `problem` is not a `Problem`.
     """
     check_problem(problem)
 

@@ -1,13 +1,14 @@
-r"""Trajectories by sampling: nothing is differentiated.
+r"""Trajectory optimisation by sampling, without derivatives.
 
-Knots are drawn about a middle, all their motions are one batch, and the middle moves to
-those that cost less. In MPPI (Williams and others, 2017) samples $z_i$ of cost $L_i$
-weigh
+Knots are drawn about a mean, all their motions are one batch, and the mean moves to
+samples of lower cost. In MPPI (Williams and others, 2017) samples $z_i$ of cost $L_i$
+have weights
 
 $$w_i \propto \exp\!\big(-(L_i - \min L) / \lambda\big),$$
 
-with the temperature $\lambda$ a share of the spread of the costs; in the cross-entropy
-method (Rubinstein, 1999) the best few weigh alike and the spread becomes theirs.
+with the temperature $\lambda$ a fraction of the standard deviation of the costs. In the
+cross-entropy method (Rubinstein, 1999) the best few samples (elites) have equal
+weights, and the standard deviation becomes theirs.
 """
 
 from __future__ import annotations
@@ -38,25 +39,26 @@ def mppi(
     initial_knots: Any = None,
     seed: int = 0,
 ) -> Solution:
-    """Knots in time by model predictive path integrals: a weighted mean of samples.
+    """Finds knots by model predictive path integrals: a weighted mean of samples.
 
     Args:
         problem: The problem.
         n_knots: Knots in time, equally spaced.
-        samples: Drawn in each iteration, at least 2; they are one batch.
-        iterations: How often samples are drawn.
-        spread: Standard deviation, a share of half of what lies between the bounds;
-            it falls to a tenth at the end [1].
-        temperature: Share of the standard deviation of the costs [1].
-        initial_knots: Where to begin `(n_knots, n_controls)`.
-        seed: Of what is random.
+        samples: Samples drawn in each iteration, at least 2; they are one batch.
+        iterations: Number of iterations.
+        spread: Standard deviation of the samples, as a fraction of half the range
+            between the bounds; it falls to a tenth at the end [1].
+        temperature: Temperature, as a fraction of the costs' standard deviation [1].
+        initial_knots: First mean of the knots `(n_knots, n_controls)`; zeros, within
+            the bounds, by default.
+        seed: Seed of the samples.
 
     Returns:
         The best sample of all, with its motion.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
-        TypeError: `problem` is something else.
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
     """
     heat = float(check_array("temperature", temperature, [()], "", positive=True))
     return _sampled(
@@ -75,25 +77,26 @@ def cross_entropy(
     initial_knots: Any = None,
     seed: int = 0,
 ) -> Solution:
-    """Knots in time by the cross-entropy method: mean and spread of the best samples.
+    """Finds knots by the cross-entropy method: mean and spread of the best samples.
 
     Args:
         problem: The problem.
         n_knots: Knots in time, equally spaced.
-        samples: Drawn in each iteration; they are one batch.
-        elites: How many of them are the best, at least 2.
-        iterations: How often samples are drawn.
-        spread: First standard deviation, a share of half of what lies between the
+        samples: Samples drawn in each iteration; they are one batch.
+        elites: Number of samples that count as the best, at least 2.
+        iterations: Number of iterations.
+        spread: First standard deviation, as a fraction of half the range between the
             bounds [1].
-        initial_knots: Where to begin `(n_knots, n_controls)`.
-        seed: Of what is random.
+        initial_knots: First mean of the knots `(n_knots, n_controls)`; zeros, within
+            the bounds, by default.
+        seed: Seed of the samples.
 
     Returns:
         The best sample of all, with its motion.
 
     Raises:
-        ValueError: an argument is out of range or does not fit.
-        TypeError: `problem` is something else.
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
     """
     samples = check_count("samples", samples, 2)
     best = check_count("elites", elites, 2, samples)
@@ -165,7 +168,10 @@ def _solved(
     samples: int,
     iterations: int,
 ) -> tuple[Array, Array, Any, Array, Array]:
-    """Best knots, their controls, motion and cost, and the best cost over time."""
+    """Returns the best knots, their controls, motion and cost, and the cost history.
+
+    The history has the best cost so far, after each iteration.
+    """
     half = half_widths(problem)[None]
     low, high = problem.lower[None], problem.upper[None]
 
@@ -177,7 +183,7 @@ def _solved(
         middle, deviation, best, least = carry
         share, key = given
         noise = jax.random.normal(key, (samples, *start.shape), start.dtype)
-        # The best so far is one of the samples: what was found is not lost.
+        # The best point so far is one of the samples, so that it is not lost.
         drawn = jnp.clip(middle[None] + deviation[None] * noise, low[None], high[None])
         drawn = jnp.concatenate([best[None], drawn[1:]])
         costs = jax.vmap(valued)(drawn)

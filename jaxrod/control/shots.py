@@ -1,11 +1,11 @@
-"""Multiple shooting: many short runs from known starts in place of a long one.
+"""Multiple shooting: many short runs from known initial states replace a long run.
 
-A run that leaves the data at a fork (buckling, contact) never finds back, and the sum
-of squares has minima everywhere. Windows that begin where the data are cannot leave
-far.
+A long run that leaves the data at a bifurcation (buckling, contact) never returns to
+them, and its sum of squares has many local minima. Windows that begin on the data
+cannot move far away.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
-1983; with starts that are given instead of sought.
+1983; here the initial states are given instead of sought.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from jaxrod.validation import check_count, is_traced
 def shots(
     run: Callable[[dict[str, Any], Any], Any], starts: Any
 ) -> Callable[[dict[str, Any]], Any]:
-    """A simulation of windows, side by side, for `identify`.
+    """Makes a simulation of all windows as one batch, for `identify`.
 
     Args:
-        run: Takes parameters and the state at the start of a window, makes its
+        run: Takes parameters and the initial state of a window; returns the window's
             observations.
-        starts: States at the starts of the windows, stacked in front.
+        starts: Initial states of the windows, stacked on the leading axis.
 
     Returns:
-        `parameters -> observations`, stacked in front by window.
+        `parameters -> observations`, stacked by window on the leading axis.
 
     Raises:
-        ValueError: If the leaves of `starts` are not of equally many windows.
+        ValueError: The leaves of `starts` do not all have the same number of windows.
     """
     count_windows(starts)
 
@@ -45,10 +45,10 @@ def shots(
 
 
 def count_windows(starts: Any) -> int:
-    """How many windows starts are stacked for.
+    """Counts the windows for which initial states are stacked.
 
     Raises:
-        ValueError: They are not equally many in every leaf.
+        ValueError: The leaves do not all have the same number.
     """
     sizes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(starts)}
     if len(sizes) != 1 or () in sizes:
@@ -60,10 +60,11 @@ def count_windows(starts: Any) -> int:
 
 
 def check_finite_floats(name: str, tree: Any) -> None:
-    """Checks what a search begins with.
+    """Checks the first values of a search.
 
     Raises:
-        ValueError: It is not of floats, which have slopes, or known not to be finite.
+        ValueError: A leaf is not of floats, which have derivatives, or its value is
+            known and not finite.
     """
     for leaf in map(jnp.asarray, jax.tree.leaves(tree)):
         if not jnp.issubdtype(leaf.dtype, jnp.floating):
@@ -81,20 +82,21 @@ def windows(
     *,
     with_starts: bool = False,
 ) -> Any:
-    """Windows of a film, stacked in front, as `shots` makes them.
+    """Cuts a film into windows, stacked in front as in the result of `shots`.
 
-    Window `k` holds the frames after its start: those from `k * every + 1`, the start
-    being frame `k * every`.
+    The start of window `k` is frame `k * every`. The window holds the frames after it,
+    from frame `k * every + 1` on.
 
     Args:
-        observed: A tree of records with frames in front, the first at the first start.
-        frames: Frames of a window.
+        observed: A tree of records with the frames on the leading axis; the first frame
+            is the start of the first window.
+        frames: Number of frames in a window.
         every: Frames from one start to the next; `frames` by default.
-        with_starts: Whether a window begins with the frame of its start instead, for
-            starts that are sought (`identify_shots`).
+        with_starts: Whether a window includes the frame of its start, as needed if
+            starts are sought (`identify_shots`).
 
     Raises:
-        ValueError: If a count is out of range or the film is shorter than a window.
+        ValueError: A count is out of range, or the film is shorter than a window.
     """
     frames = check_count("frames", frames, 1)
     every = check_count("every", frames if every is None else every, 1)

@@ -1,4 +1,4 @@
-"""The solution of a problem of control: controls, motion, cost, how it was found."""
+"""The solution of an optimal control problem, with the record of how it was found."""
 
 from __future__ import annotations
 
@@ -28,28 +28,29 @@ class Solution:
     states: Any
     """The motion: states at the start and after each interval, stacked in front."""
     cost: float
-    """Cost of the problem, the sum of its squares; no ridge of a solver is in it."""
+    """Cost of the problem, a sum of squares without a solver's ridge."""
     history: dict[str, np.ndarray]
-    """By name, one number for each iteration; "cost" is what the solver made less."""
+    """Series by name, a number for each iteration; "cost" is what the solver lowers."""
     converged: bool
     """Whether the solver stopped because there was no more to gain."""
     reason: str
-    """Why it stopped, in words."""
+    """Reason why the solver stopped, in words."""
     iterations: int
-    """Steps tried."""
+    """Number of steps tried."""
     compile_s: float
-    """Time that compiling took [s]; 0 if the program was there."""
+    """Compile time [s]; 0 if the program was already compiled."""
     run_s: float
-    """Time that running took [s]."""
+    """Run time [s]."""
     interrupted: bool = False
     """Whether Ctrl-C ended it."""
     knots: Float[Array, "knots controls"] | None = None
-    """Controls at equally spaced times, linear between, of solvers that use knots."""
+    """Controls at equally spaced times, with linear interpolation; `None` for solvers
+    without knots."""
     gains: Float[Array, "intervals controls numbers"] | None = None
-    """Feedback of solvers that give it: change of the control per change of the state,
-    whose numbers are those of its leaves one after the other."""
+    """Feedback gains, if the solver gives them: derivatives of the control by the
+    state, whose leaves are flattened one after the other."""
     design: Any = None
-    """The numbers of the body, if it was found with the controls."""
+    """Design of the body, if it was found together with the controls."""
 
     @property
     def times(self) -> Float[np.ndarray, " intervals+1"]:
@@ -58,21 +59,21 @@ class Solution:
         return np.arange(count + 1) * float(self.problem.interval)
 
     def open_loop(self, state: Any, interval: Int[Array, ""]) -> Array:
-        """The control of an interval, whatever the state is: a policy."""
+        """Policy that returns the control of an interval, whatever the state is."""
         del state
         return self.controls[interval]
 
     def policy(self, state: Any, interval: Int[Array, ""]) -> Array:
-        """The control of an interval, with feedback of where the state is.
+        """Policy that returns the control of an interval, with feedback on the state.
 
         Pure; traceable.
 
         Args:
-            state: At the beginning of the interval.
-            interval: Its number.
+            state: State at the beginning of the interval.
+            interval: Index of the interval.
 
         Raises:
-            ValueError: the solver gives no feedback.
+            ValueError: The solver gives no feedback.
         """
         if self.gains is None:
             raise ValueError(
@@ -86,7 +87,7 @@ class Solution:
 
     @property
     def readouts(self) -> dict[str, np.ndarray]:
-        """What the problem's data say of the states, by name with a unit."""
+        """Readouts of the states from the problem's data, by name with a unit."""
         readouts = getattr(self.problem.data, "readouts", None)
         if readouts is None:
             return {}
@@ -96,14 +97,14 @@ class Solution:
     def replay(
         self, title: str = "Optimal trajectory", up: Literal["x", "y", "z"] = "y"
     ) -> Any:
-        """The motion as a `jaxrod.viz.Replay`, with the target if there is one.
+        """Makes a `jaxrod.viz.Replay` of the motion, with the target if there is one.
 
         Args:
             title: Heading of the player.
-            up: The world axis drawn upwards.
+            up: World axis that is drawn upwards.
 
         Raises:
-            ValueError: the states are not those of a rod whose scene is in the data.
+            ValueError: The states are not those of a rod whose scene is in the data.
         """
         from jaxrod.viz import Replay, Sphere
 
@@ -128,7 +129,7 @@ class Solution:
         )
 
     def __repr__(self) -> str:
-        """What was reached, why it ended and what it took, in a few lines."""
+        """Summarises result, reason for stopping and effort in a few lines."""
         ends = [f"{n}: {v[-1]:.4g}" for n, v in self.readouts.items() if v.ndim == 1]
         lines = [
             f"Solution by {self.solver}: cost {self.cost:.4g} after {self.iterations} "
