@@ -36,7 +36,7 @@ def timed(
     began = time.perf_counter()
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple(jax.typeof(leaf) for leaf in leaves)
-    # A program also depends on the precision, and on the backend that makes the steps.
+    # A program also depends on the precision, and on the mode of lanes.
     setting = (lane_mode(), jax.config.read("jax_enable_x64"))
     key = (function, tuple(sorted(structure.items())), tree, kinds, setting)
     program = _kept.pop(key, None)
