@@ -1,1 +1,1 @@
-"""Lanes: many rods at once, one in each lane of the processor's vectors."""
+"""Lanes: many rods at once, one in each lane of the processor's vector registers."""

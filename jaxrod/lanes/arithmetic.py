@@ -1,4 +1,4 @@
-"""Rules of unrolling for what works on numbers one by one."""
+"""Unrolling rules for elementwise operations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 
 @rule(*_SAME_NAME)
 def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """An operation that is one of the graph's own."""
+    """Unrolls a primitive that is also an operation of the graph."""
     kind = kind_of(equation.outvars[0].aval)
     _check_kind(equation, kind)
     return unroller.graph.each(equation.primitive.name, kind, *arrays)
@@ -30,32 +30,32 @@ def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("add_any")
 def added(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """A sum of cotangents."""
+    """Unrolls a sum of cotangents."""
     return unroller.graph.each("add", kind_of(equation.outvars[0].aval), *arrays)
 
 
 @rule(*_COMPARISONS)
 def compared(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """A comparison of numbers of one kind."""
+    """Unrolls a comparison of numbers of the same kind."""
     return unroller.graph.each(equation.primitive.name, "b1", *arrays)
 
 
 @rule("rsqrt")
 def inverse_root(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """One over a square root."""
+    """Unrolls an inverse square root."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     return graph.each("rsqrt", kind, array)
 
 
 @rule("square")
 def squared(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """A square."""
+    """Unrolls a square."""
     return unroller.graph.each("mul", kind_of(equation.outvars[0].aval), array, array)
 
 
 @rule("integer_pow")
 def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """A whole power, by squaring."""
+    """Unrolls an integer power, by repeated squaring."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     exponent = equation.params["y"]
     result = None
@@ -76,7 +76,7 @@ def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("sign")
 def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """-1, 0 or 1; of a zero and of not-a-number, itself."""
+    """Unrolls a sign: -1, 0 or 1; a zero or NaN stays as it is."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     zero = graph.constant(0, kind)
     if kind[0] not in "fi":
@@ -94,7 +94,7 @@ def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("logistic")
 def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """1 / (1 + exp(-x))."""
+    """Unrolls the logistic function, 1 / (1 + exp(-x))."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     one = graph.constant(1, kind)
 
@@ -107,7 +107,7 @@ def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("round")
 def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """The next whole number; of halves, the even one or the one farther from zero."""
+    """Unrolls rounding to the nearest integer; halves go to even, or away from zero."""
     to_even = equation.params["rounding_method"].value == 1
     operation = "round_even" if to_even else "round_away"
     return unroller.graph.each(operation, kind_of(equation.outvars[0].aval), array)
@@ -115,7 +115,7 @@ def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("is_finite")
 def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Neither infinite nor not-a-number."""
+    """Unrolls a test whether numbers are neither infinite nor NaN."""
     graph, kind = unroller.graph, kind_of(equation.invars[0].aval)
     limit = graph.constant(np.inf, kind)
     size = graph.each("abs", kind, array)
@@ -124,14 +124,14 @@ def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("clamp")
 def clamped(unroller: Unroller, equation: Any, low: Any, array: Any, high: Any) -> Any:
-    """A number brought between two others."""
+    """Unrolls clamping of numbers between two bounds."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     return graph.each("min", kind, graph.each("max", kind, low, array), high)
 
 
 @rule("select_n")
 def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
-    """One of several numbers."""
+    """Unrolls the selection of one of several numbers."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     if kind_of(equation.invars[0].aval) == "b1":
         return graph.each("select", kind, which, cases[1], cases[0])
@@ -146,14 +146,14 @@ def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
 
 @rule("convert_element_type")
 def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """The same numbers as another kind."""
+    """Unrolls the conversion of numbers to another kind."""
     graph = unroller.graph
     before = kind_of(equation.invars[0].aval)
     return converted_nodes(graph, array, before, kind_of(equation.outvars[0].aval))
 
 
 def converted_nodes(graph: Graph, array: Any, before: str, after: str) -> Any:
-    """Nodes of one kind as nodes of another."""
+    """Converts nodes of one kind to nodes of another."""
     if before == after:
         return array
     if after == "b1":
@@ -164,12 +164,12 @@ def converted_nodes(graph: Graph, array: Any, before: str, after: str) -> Any:
 
 @rule("copy", "stop_gradient", "optimization_barrier", "pvary", "reshard")
 def unchanged(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """What means something only to a compiler."""
+    """Passes on the operands of a primitive that only matters to a compiler."""
     return list(arrays)
 
 
 def _check_kind(equation: Any, kind: str) -> None:
-    """Of whole numbers and truths, only what the machine's own operations do."""
+    """Refuses integer and boolean operations that are not machine instructions."""
     name = equation.primitive.name
     floats_only = name not in _WHOLE
     if (floats_only and kind[0] != "f") or (kind == "b1" and name not in _LOGIC):

@@ -1,8 +1,9 @@
-"""Bodies of a kernel: what is worked out once, once for each rod, and in every step.
+"""Functions of a kernel: computed once, once for each block of rods, or in every step.
 
-A kernel's memory has one region that all rods share (single numbers), one for what
-stays with a block of rods (a vector for every number), and buffers of vectors for what
-changes. Every number has its place, known when the kernel is written.
+A kernel's memory has one region that all rods share (single numbers), one for the
+loop-invariant values of a block of rods (a vector for every number), and buffers of
+vectors for values that change. Every number has a fixed place, known when the kernel is
+written.
 """
 
 from __future__ import annotations
@@ -15,25 +16,25 @@ from jaxrod.lanes.transport import room_for
 from jaxrod.lanes.vector_code import BYTES, TYPES, Writer
 
 ALIGNMENT = 64
-"""Of vectors in memory [bytes]."""
+"""Alignment of vectors in memory [bytes]."""
 _ATTRIBUTES = f"noinline nounwind alignstack({ALIGNMENT})"
-"""Of functions. Left to itself LLVM puts vectors that it has no register for where they
-lie across two lines of the cache."""
+"""Attributes of functions. The stack alignment is needed: by default LLVM spills
+vectors to places that straddle two cache lines."""
 
 
 @dataclass
 class Region:
-    """A stretch of memory and the places given away in it."""
+    """A region of memory, in which places are allocated one after another."""
 
     pointer: str
-    """Its name in the functions of a kernel."""
+    """Name of its pointer in the functions of a kernel."""
     lanes: int
-    """1 for single numbers."""
+    """Lanes of its vectors; 1 for single numbers."""
     size: int = 0
-    """Bytes given away."""
+    """Allocated size [bytes]."""
 
     def place(self, kind: str, count: int = 1) -> int:
-        """Room for some numbers of a kind, one after another; its offset in bytes."""
+        """Allocates consecutive numbers of a kind, and returns their offset [bytes]."""
         step = BYTES[kind] * self.lanes
         aligned = min(ALIGNMENT, max(step, 1))
         start = -(-self.size // aligned) * aligned
@@ -41,13 +42,13 @@ class Region:
         return start
 
     def room(self) -> int:
-        """Bytes, so that another region can follow."""
+        """Returns the size rounded up to the alignment of the next region [bytes]."""
         return -(-self.size // ALIGNMENT) * ALIGNMENT
 
 
 @dataclass
 class Memory:
-    """Where the numbers of a kernel are: inputs by array, others by node."""
+    """Places of a kernel's numbers in memory: inputs by array, others by node."""
 
     graph: Graph
     width: int
@@ -57,21 +58,24 @@ class Memory:
     nodes: dict[int, tuple[Region, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Begins with nothing in either region."""
+        """Makes the two regions, both empty."""
         self.shared = Region("%shared", 1)
         self.own = Region("%own", self.width)
 
     def give(self, which: int, region: Region, kind: str, count: int) -> int:
-        """A place for an array of inputs."""
+        """Allocates an array of inputs in a region, and returns its offset [bytes]."""
         offset = region.place(kind, count)
         self.arrays[which] = region, offset
         return offset
 
     def keep(self, used: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Places for what steps use and does not change: shared, and for each rod.
+        """Allocates loop-invariant nodes that are used by nodes of a higher rate.
 
         Args:
             used: All nodes of the kernel that are needed, in order.
+
+        Returns:
+            The nodes that all rods share, and the nodes fixed for each rod.
         """
         graph = self.graph
         kept: dict[int, None] = {}
@@ -84,7 +88,7 @@ class Memory:
         )
 
     def keep_outputs(self, outputs: Sequence[int]) -> None:
-        """Places for outputs that do not change."""
+        """Allocates outputs that are loop-invariant."""
         for node in outputs:
             rate = self.graph.rates[node]
             if rate in (UNIFORM, FIXED):
@@ -92,7 +96,7 @@ class Memory:
                 self._placed({node: None}, rate, region)
 
     def where(self, node: int) -> tuple[Region, int] | None:
-        """The place of a node that is in memory."""
+        """Returns the place of a node, or `None` if it is not in memory."""
         place = self.graph.places.get(node)
         if place is None:
             return self.nodes.get(node)
@@ -120,15 +124,19 @@ def body(
     outputs: Sequence[tuple[int, Region, int]],
     pointers: Sequence[str],
 ) -> tuple[str, Writer]:
-    """One function that works out outputs and writes them to their places.
+    """Writes a function that computes outputs and stores them at their places.
 
     Args:
-        name: Of the function.
-        memory: Where everything is.
-        width: Lanes of its values.
-        rate: How often it runs; what changes less often is read from memory.
-        outputs: Nodes, and where they go: region and offset.
-        pointers: Names of its arguments, the pointers to the regions.
+        name: Name of the function.
+        memory: Places of all numbers.
+        width: Lanes of the function's values.
+        rate: Rate of the nodes that it computes; nodes of a lower rate are read from
+            memory.
+        outputs: Output nodes, each with its region and offset.
+        pointers: Names of the function's arguments, the pointers to the regions.
+
+    Returns:
+        The text of the function, and its writer.
     """
     graph = memory.graph
     writer = Writer(graph, width, _reader(memory, rate))

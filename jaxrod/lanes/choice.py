@@ -1,4 +1,4 @@
-"""The choice between lanes and XLA, and a record of what was chosen and why."""
+"""The choice between lanes and XLA, and a record of the choices with their reasons."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ from jaxrod.lanes.unrolled import check_length, unrolled_run, unrolled_step
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
 MODES = (AUTO, ALWAYS, NEVER)
 FEWEST_RODS = 4
-"""A batch of fewer is left to XLA."""
+"""Smallest batch that lanes take; smaller ones are left to XLA."""
 FEWEST_RODS_ON_GPU = 32
-"""The threads of one warp: with fewer rods some would have none. Not measured."""
+"""Smallest batch on a GPU, the threads of one warp: with fewer rods some threads would
+be idle. Not measured."""
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -42,37 +43,39 @@ _mode = [os.environ.get("JAXROD_LANES", AUTO)]
 
 @dataclass(frozen=True)
 class LaneChoice:
-    """What one compiled run is done by."""
+    """The choice between lanes and XLA for one compiled run."""
 
     taken: bool
-    """Whether lanes do it; XLA does otherwise."""
+    """Whether lanes were chosen; otherwise XLA was."""
     why: str
-    """In words."""
+    """Reason in words."""
     rods: int
-    """Of the batch; 1 without one."""
+    """Number of rods in the batch; 1 without a batch."""
     operations: int = 0
-    """Of a step of one rod; of a whole run, with its beginning and its end."""
+    """Operations in a step of one rod; for a whole run, those of its beginning and end
+    are included."""
     seconds: float = 0.0
-    """That it took to write and compile them [s]."""
+    """Time to write and compile the kernel [s]."""
 
 
 _choices: deque[LaneChoice] = deque(maxlen=100)
 
 
 def use_lanes(mode: str) -> None:
-    """Says when lanes are used by what is compiled from now on.
+    """Sets when programs that are compiled from now on use lanes.
 
-    On CPUs `"auto"` takes them where they are faster. On NVIDIA GPUs they are a kernel
+    On CPUs `"auto"` uses lanes where they are faster. On NVIDIA GPUs lanes are a kernel
     with a rod in each thread, which has been interpreted and compiled but never run on
-    one: only `"always"` takes them there, for short steps of some tens of rods or more,
-    not for derivatives. On other devices there are none.
+    a GPU. Only `"always"` uses it, for short steps of some tens of rods or more, and
+    not for derivatives. Other devices have no lanes.
 
     Args:
-        mode: `"auto"`, where they are faster, `"always"`, wherever they can be,
-            or `"never"`. The environment variable `JAXROD_LANES` says it at the start.
+        mode: `"auto"` (where lanes are faster), `"always"` (wherever lanes are
+            possible), or `"never"`. The environment variable `JAXROD_LANES` sets the
+            initial mode.
 
     Raises:
-        ValueError: If it is none of these.
+        ValueError: The mode is unknown.
     """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}; got {mode!r}")
@@ -80,12 +83,12 @@ def use_lanes(mode: str) -> None:
 
 
 def lane_choices() -> list[LaneChoice]:
-    """The latest choices between lanes and XLA, one for each compiled run."""
+    """Returns the latest choices between lanes and XLA, one for each compiled run."""
     return list(_choices)
 
 
 def lane_mode() -> str:
-    """When lanes are used; a program compiled under one mode is not used in another."""
+    """Returns the mode of lanes. Programs compiled in one mode serve no other mode."""
     if _mode[0] not in MODES:
         raise ValueError(
             f"JAXROD_LANES must be one of {', '.join(MODES)}; got {_mode[0]!r}"
@@ -94,7 +97,7 @@ def lane_mode() -> str:
 
 
 def lanes_wanted() -> bool:
-    """Whether runs are made so that lanes may take them."""
+    """Whether runs are built in the form that lanes can take."""
     mode, platform = lane_mode(), jax.default_backend()
     if platform == "gpu":
         return mode == ALWAYS
@@ -102,10 +105,10 @@ def lanes_wanted() -> bool:
 
 
 def slower() -> str | None:
-    """The reason why batches on CPUs are slower than they could be, in one sentence.
+    """Returns the reason why batches on CPUs are slower than they could be.
 
     Returns:
-        The sentence, or `None` where batches run in lanes.
+        One sentence, or `None` if batches run in lanes.
     """
     reason = "the mode is 'never'" if lane_mode() == NEVER else not_here()
     if reason is None:
@@ -118,7 +121,7 @@ def slower() -> str | None:
 
 @cache
 def say_if_slower() -> None:
-    """Logs one line, once, where lanes were installed and cannot be used."""
+    """Logs one line, once, if lanes are installed but cannot be used."""
     reason = not_here()
     if reason is None or jax.default_backend() != "cpu":
         return
@@ -128,19 +131,19 @@ def say_if_slower() -> None:
 
 
 def refused(words: str, rods: int = 1) -> None:
-    """Notes that XLA does a run, and why."""
+    """Records that a run is left to XLA, and why."""
     _note(LaneChoice(False, words, rods))
 
 
 def lowered_by_lanes(
     name: str, plan: Plan, results: Sequence[Any]
 ) -> Callable[..., Any] | None:
-    """The program of an operation by lanes, or `None` where XLA is to do it.
+    """Returns the program of a primitive in lanes, or `None` to leave it to XLA.
 
     Args:
-        name: Of the primitive.
-        plan: Its structure.
-        results: Shapes and types of what it makes.
+        name: Name of the primitive.
+        plan: Structure of the operation.
+        results: Shapes and types of its results.
     """
     cycle = plan.cycle
     rods = plan.batch.size if plan.batch is not None else 1
@@ -166,7 +169,7 @@ def lowered_by_lanes(
         refused(str(reason), rods)
         return None
     except Exception as error:
-        # A run that XLA can do does not end for want of a kernel.
+        # A run that XLA can do must not fail because there is no kernel for it.
         if mode == ALWAYS:
             raise
         first_line = str(error).partition("\n")[0]
@@ -181,12 +184,12 @@ def lowered_by_lanes(
 def lowered_on_gpu(
     name: str, plan: Plan, results: Sequence[Any]
 ) -> Callable[..., Any] | None:
-    """The program of an operation as a kernel for NVIDIA GPUs, or `None`.
+    """Returns the program of a primitive as a kernel for NVIDIA GPUs, or `None`.
 
     Args:
-        name: Of the primitive.
-        plan: Its structure.
-        results: Shapes and types of what it makes, which a kernel knows by the plan.
+        name: Name of the primitive.
+        plan: Structure of the operation.
+        results: Shapes and types of its results; unused, because the plan has them.
     """
     del results
     rods = plan.batch.size if plan.batch is not None else 1
@@ -220,10 +223,10 @@ def lowered_on_gpu(
 def _call(
     target: str, kernel: Kernel, plan: Plan, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
-    """The call of a kernel from JAX."""
+    """Returns a function that calls a kernel from JAX."""
     kept = plan.n_kept if plan.keeps else 0
     every = plan.every if kept else 2**31 - 1
-    # Kernels align what they work in to 64 bytes themselves.
+    # Kernels align their workspace to 64 bytes themselves.
     room = kernel.room + 64 + kernel.kept * plan.every
     shapes = [jax.ShapeDtypeStruct(made.shape, made.dtype) for made in results]
     call = jax.ffi.ffi_call(target, [*shapes, jax.ShapeDtypeStruct((room,), jnp.uint8)])
@@ -277,7 +280,7 @@ def _back_kernel(
 
 
 def _width(cycle: Cycle) -> int:
-    """Rods of a vector: of the widest floats of the carry."""
+    """Rods in a vector of the widest floats of the carry."""
     sizes = [aval.dtype.itemsize for aval in chosen(cycle.avals, cycle.floating)] or [4]
     return max(vector_bytes() // max(sizes), 2)
 

@@ -1,4 +1,4 @@
-"""Rules of unrolling for calls, loops and branches."""
+"""Unrolling rules for calls, loops and branches."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from jaxrod.jax_internals.equations import CALLS, called_program, scan_of, while
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_ROUNDS = 10_000
-"""Of a loop whose end is known only once it is reached."""
+"""Largest number of rounds of a `while` loop."""
 
 
 @rule(*CALLS)
 def called(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """A nested call is entered."""
+    """Unrolls the program of a nested call."""
     return unroller.run(called_program(equation), arrays)
 
 
 @rule("scan")
 def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """A loop of known length."""
+    """Unrolls a loop of known length."""
     scan = scan_of(equation)
     n_carry, length = scan.n_carry, scan.length
     first_row = scan.n_constants + n_carry
@@ -44,7 +44,7 @@ def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("while")
 def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """A loop whose end can be told while it is gone through."""
+    """Unrolls a `while` loop whose condition is a known number in every round."""
     loop = while_of(equation)
     first_carry = loop.n_condition + loop.n_body
     for_test, for_body = (
@@ -65,7 +65,10 @@ def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("cond")
 def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any:
-    """All branches are gone through, as under `vmap`, and one is chosen."""
+    """Unrolls all branches, as under `vmap`, and selects the result of one.
+
+    A known index is an exception: then only that branch is unrolled.
+    """
     graph = unroller.graph
     branches = equation.params["branches"]
     known = graph.value(int(index))
@@ -89,9 +92,10 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
 
 @rule("platform_index")
 def by_platform(unroller: Unroller, equation: Any) -> Any:
-    """Which of the variants of a program is meant, where that is clear without asking.
+    """Index of the default variant of a program that depends on the platform.
 
-    Kernels are for CPUs and GPUs: variants for those are told apart by XLA alone.
+    Kernels are for CPUs and GPUs. A program with a variant of its own for one of those
+    is refused, because only XLA tells them apart.
     """
     rest = None
     for i, names in enumerate(equation.params["platforms"]):
@@ -107,7 +111,7 @@ def by_platform(unroller: Unroller, equation: Any) -> Any:
 
 @rule("custom_linear_solve")
 def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """The solution of linear equations, by the solver that comes with them."""
+    """Unrolls the solution of linear equations, by the solver that they contain."""
     lengths = equation.params["const_lengths"]
     begin = lengths.matvec + lengths.vecmat
     consts = arrays[begin : begin + lengths.solve]

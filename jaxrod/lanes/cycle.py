@@ -17,53 +17,56 @@ from jaxrod.jax_internals.primitives import evaluate
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One step as a program: constants and carry to the next carry."""
+    """One step as a program: it takes constants and a carry to the next carry."""
 
     closed: Any
-    """Its closed jaxpr."""
+    """Closed jaxpr of the step."""
     n_constants: int
+    """Number of constants, which come first among the operands."""
 
     @property
     def avals(self) -> Any:
-        """Of the carry."""
+        """Types of the carry."""
         return result_types(self.closed)
 
     @property
     def floating(self) -> tuple[bool, ...]:
-        """Which arrays of the carry have tangents."""
+        """Whether each array of the carry is of floats, and so has a tangent."""
         return tuple(jnp.issubdtype(a.dtype, jnp.floating) for a in self.avals)
 
     def __call__(self, constants: Sequence[Any], carry: Sequence[Any]) -> list[Any]:
-        """The next carry."""
+        """Returns the next carry."""
         return evaluate(self.closed, *constants, *carry)
 
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """What a run begins and ends with, as programs."""
+    """The beginning and the end of a run, as programs."""
 
     begin: Any
-    """Closed jaxpr: constants and what is given to the first carry."""
+    """Closed jaxpr that takes constants and the run's arguments to the first carry."""
     end: Any
-    """Closed jaxpr: constants and the last carry to what is made."""
+    """Closed jaxpr that takes constants and the last carry to the run's results."""
 
     @property
     def given(self) -> Any:
-        """Shapes and types of what is given, after the constants."""
+        """Types of the operands of `begin`: constants, then arguments."""
         return operand_types(self.begin)
 
     @property
     def made(self) -> Any:
-        """Shapes and types of what is made."""
+        """Types of the results."""
         return result_types(self.end)
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Rods of an operation, and which operands have a row for each of them."""
+    """The batch of an operation."""
 
     size: int
+    """Number of rods."""
     rows: tuple[bool, ...]
+    """Whether each operand after the step count has a row for each rod."""
 
 
 @dataclass(frozen=True)
@@ -71,29 +74,34 @@ class Plan:
     """The structure of an operation."""
 
     cycle: Cycle
+    """The step."""
     length: int | None
-    """How many steps, where that is known when the program is made."""
+    """Number of steps; `None` if it is not known when the program is traced."""
     moving: tuple[bool, ...] = ()
-    """Which constants have tangents."""
+    """Whether each constant has a tangent."""
     keeps: bool = False
-    """Whether carries on the way are results too."""
+    """Whether intermediate carries (checkpoints) are results too."""
     batch: Batch | None = None
+    """The batch; `None` for a single rod."""
     ends: Ends | None = None
-    """Of a whole run."""
+    """Beginning and end of a whole run."""
 
     @property
     def every(self) -> int:
-        """Steps between the carries that are kept: about the root of their number."""
+        """Steps between checkpoints: about the square root of the number of steps."""
         return max(1, math.isqrt(max(self.length or 1, 1)))
 
     @property
     def n_kept(self) -> int:
-        """How many carries are kept."""
+        """Number of checkpoints."""
         return -(-(self.length or 0) // self.every)
 
 
 def tangent_cycle(plan: Plan) -> tuple[Any, int]:
-    """A step of carry and tangents together, and its number of constants."""
+    """Returns a step of the carry with its tangent, and its number of constants.
+
+    Those are the constants, followed by the tangents of those that have one.
+    """
     cycle, moving = plan.cycle, plan.moving
     floating = cycle.floating
     avals = operand_types(cycle.closed)
@@ -125,7 +133,11 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
 
 
 def adjoint_cycle(plan: Plan) -> Any:
-    """A step backwards: constants, carry, cotangents to cotangents of both."""
+    """Returns a step backwards (vector-Jacobian product) as a closed jaxpr.
+
+    It takes constants, the carry before the step and the cotangents of the next carry
+    to the cotangents of the carry, followed by those of the moving constants.
+    """
     cycle, moving, floating = plan.cycle, plan.moving, plan.cycle.floating
     avals = operand_types(cycle.closed)
     constants, carry = avals[: cycle.n_constants], avals[cycle.n_constants :]
@@ -146,7 +158,7 @@ def adjoint_cycle(plan: Plan) -> Any:
 
 
 def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
-    """Cut into parts of these sizes, and the rest."""
+    """Splits a sequence into parts of these sizes, and the rest."""
     parts, begin = [], 0
     for size in sizes:
         parts.append(arrays[begin : begin + size])
@@ -155,14 +167,14 @@ def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
 
 
 def chosen(things: Sequence[Any], flags: Sequence[bool]) -> list[Any]:
-    """Those that have the flag."""
+    """Returns the things whose flag is set."""
     return [thing for thing, flag in zip(things, flags, strict=True) if flag]
 
 
 def filled(
     things: Sequence[Any], flags: Sequence[bool], chosen: Sequence[Any]
 ) -> list[Any]:
-    """With chosen ones in place of those that have the flag."""
+    """Replaces the things whose flag is set by the chosen ones, in order."""
     rest = iter(chosen)
     return [
         next(rest) if flag else thing for thing, flag in zip(things, flags, strict=True)

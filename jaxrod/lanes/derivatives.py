@@ -1,4 +1,4 @@
-"""Derivatives of repeated steps: tangents beside them, cotangents back through them."""
+"""Derivatives of repeated steps, in forward mode and in reverse mode."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, tangent_p
 
 
 def cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
-    """The carry after all steps and its tangent, from carries kept on the way."""
+    """JVP rule of `jaxrod_cycles`: the carry after all steps, and its tangent.
+
+    Checkpoints are kept for the transpose if the number of steps is known.
+    """
     if plan.keeps:
         return by_meaning(cycles_p)(primals, tangents, plan=plan)
     cycle = plan.cycle
@@ -73,10 +76,10 @@ def cycles_jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
 
 
 def tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, plan: Plan) -> Any:
-    """Cotangents of what a tangent is linear in.
+    """Transpose rule of `jaxrod_cycles_tangent`: cotangents of its linear operands.
 
     Raises:
-        ValueError: If the number of steps is traced.
+        ValueError: The number of steps is traced.
     """
     cycle = plan.cycle
     n_carry = len(cycle.avals)
@@ -123,7 +126,7 @@ def tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, plan: Plan) -> 
 
 
 def by_meaning(primitive: Any) -> Callable[..., Any]:
-    """The derivative of what an operation means: for derivatives of derivatives."""
+    """Returns the JVP rule of a primitive by its meaning, for higher derivatives."""
 
     def jvp(primals: Any, tangents: Any, *, plan: Plan) -> Any:
         known = [is_zero(t) for t in tangents]

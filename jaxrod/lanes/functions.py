@@ -1,9 +1,10 @@
-r"""Elementary functions of vectors, in LLVM's language.
+r"""Elementary functions of vectors, as LLVM IR.
 
-Sine and cosine: the argument is brought to $|r| \le \pi/4$ by subtracting a multiple of
-$\pi/2$ held in two or three numbers, then a power series. Exponential: $2^n e^r$ with
-$|r| \le \tfrac12\ln 2$, and a power series. Beyond the range where that is right, and
-for all other functions, each lane asks the C library.
+Sine and cosine reduce the argument to $|r| \le \pi/4$ by subtracting a multiple of
+$\pi/2$, stored in two or three numbers, and then use a power series. The exponential is
+$2^n e^r$ with $|r| \le \tfrac12\ln 2$ and a power series for $e^r$. Beyond the range
+where sine and cosine are accurate, and for most other functions, each lane calls the C
+library.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from jaxrod.lanes.vector_code import BYTES, TYPES, literal
 
 _OF_TWO = frozenset({"atan2", "pow"})
 _HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
-"""Half of pi is the sum of these."""
+"""Terms whose sum is half of pi."""
 _LN_2 = (0.6931471805599453, 2.3190468138462996e-17)
 _LARGEST_ANGLE = {"f32": 1e9, "f64": 1e5}
 
 
 def function_text(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
-    """Functions of a vector and of a single number, and what they declare."""
+    """Returns functions of a vector and of a single number, and their declarations."""
     single = _of_one(operation, kind)
     given = "double, double" if operation in _OF_TWO else "double"
     library = {f"declare double @{operation}({given})"}
@@ -38,12 +39,12 @@ def function_text(operation: str, kind: str, width: int) -> tuple[str, set[str]]
 
 
 def needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
-    """Other functions that a function calls."""
+    """Returns the other functions that a function calls: operation and kind."""
     return {("exp", "f64")} if (operation, kind) == ("tanh", "f32") else set()
 
 
 def _of_one(operation: str, kind: str) -> str:
-    """In double precision by the C library, then rounded."""
+    """Writes the function of one number: the C library's in float64, then rounded."""
     one = TYPES[kind]
     names = ["%a", "%b"] if operation in _OF_TWO else ["%a"]
     lines, wide = [], []
@@ -113,7 +114,7 @@ class _Lines:
         )
 
     def series(self, at: str, coefficients: list[float], kind: str) -> str:
-        """A polynomial, lowest power first."""
+        """Writes a polynomial by Horner's rule, given its lowest coefficient first."""
         total = self.splat(coefficients[-1], kind)
         for coefficient in reversed(coefficients[:-1]):
             other = self.splat(coefficient, kind)
@@ -147,7 +148,7 @@ def _circular(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
     rest = angle
     for part in _HALF_PI[: 2 if kind == "f32" else 3]:
         rest = code.intrinsic("fma", "f64", turns, code.splat(-part, "f64"), rest)
-    # Not-a-number is no whole number; it comes out of the series as it is.
+    # The conversion of NaN to an integer gives 0; the series then returns NaN.
     whole = code.type("i32")
     convert = f"@llvm.fptosi.sat.v{width}i32.v{width}f64"
     code.declared.add(f"declare {whole} {convert}({wide})")
@@ -180,7 +181,7 @@ def _exponential(kind: str, width: int) -> tuple[str, set[str]]:
     code = _Lines(width)
     many, truth = code.type(kind), code.type("b1")
     bits, bias = (23, 127) if kind == "f32" else (52, 1023)
-    # Beyond these all is zero or infinite.
+    # Beyond these limits the result is zero or infinite.
     low, high = (-105.0, 90.0) if kind == "f32" else (-747.0, 711.0)
     number = "%x"
     for test, limit in (("olt", low), ("ogt", high)):
@@ -204,7 +205,7 @@ def _exponential(kind: str, width: int) -> tuple[str, set[str]]:
     convert = f"@llvm.fptosi.sat.v{width}{size}.v{width}{kind}"
     code.declared.add(f"declare {whole} {convert}({many})")
     count = code.new(f"call {whole} {convert}({many} {doublings})")
-    # In two halves: neither of them over- or underflows where the result does not.
+    # The scaling is in two halves: neither over- or underflows unless the result does.
     half = code.new(f"ashr {whole} {count}, {_whole(width, 1, size)}")
     other = code.new(f"sub {whole} {count}, {half}")
     for part in (half, other):
@@ -216,7 +217,7 @@ def _exponential(kind: str, width: int) -> tuple[str, set[str]]:
 
 
 def _hyperbolic_tangent(width: int) -> tuple[str, set[str]]:
-    """By the exponential in double precision; of small numbers, a series."""
+    """Writes tanh by the exponential in float64; small numbers are returned as is."""
     code = _Lines(width)
     many, wide, truth = code.type("f32"), code.type("f64"), code.type("b1")
     number = code.new(f"fpext {many} %x to {wide}")

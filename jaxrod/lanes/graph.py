@@ -1,12 +1,12 @@
-"""Scalar programs: operations on single numbers, each value worked out once.
+"""Scalar programs: graphs of operations on single numbers, each computed once.
 
 A node is an integer. Its operation, its arguments and its kind (`f32`, `f64`, `i8` to
-`i64`, `u8` to `u64`, `b1`) are kept in lists beside each other. The same operation of
-the same arguments is the same node; what is known when the program is made is folded.
+`i64`, `u8` to `u64`, `b1`) are kept in parallel lists. The same operation on the same
+arguments is the same node (common subexpressions), and constants are folded.
 
-Nothing is folded that would change a number. A sum with zero drops the sign of a zero,
-and a product with a zero that is written in the program is zero whatever it multiplies,
-not-a-number and infinity too: what multiplies it is left out of the program.
+Folding does not change results, with two exceptions. Adding a constant zero leaves the
+sign of a zero as it is. A product with a constant zero is zero, even if the other
+factor is NaN or infinite, and the other factor is left out of the program.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ DTYPES: dict[str, np.dtype] = {
     "u64": np.dtype(np.uint64),
     "b1": np.dtype(np.bool_),
 }
-"""Kinds of numbers, and the types of arrays they come from."""
+"""Kinds of numbers, and the corresponding dtypes of arrays."""
 KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
 
 UNIFORM, FIXED, VARYING = 1, 2, 3
-"""How often a value changes: once for all rods, once for each, or with every step.
-Constants are 0."""
+"""Rates at which values change: the same for all rods and steps (uniform), the same for
+all steps of a rod (fixed), or new in every step (varying). Constants have rate 0."""
 
 _COMMUTE = frozenset({"add", "mul", "and", "or", "xor", "eq", "ne"})
 
@@ -44,15 +44,15 @@ class Graph:
     """Nodes of a scalar program, in the order in which they were made."""
 
     def __init__(self) -> None:
-        """Begins without nodes."""
+        """Makes an empty graph."""
         self.operations: list[str] = []
         self.arguments: list[tuple[int, ...]] = []
         self.kinds: list[str] = []
         self.rates: list[int] = []
         self.values: dict[int, Any] = {}
-        """Of constants."""
+        """Values of constants, by node."""
         self.places: dict[int, tuple[int, int]] = {}
-        """Of inputs: which array, and which of its entries."""
+        """Places of inputs, by node: index of the array, and of the entry in it."""
         self._known: dict[Any, int] = {}
 
     def __len__(self) -> int:
@@ -60,7 +60,7 @@ class Graph:
         return len(self.operations)
 
     def constant(self, value: Any, kind: str) -> int:
-        """A number written in the program."""
+        """Returns the node of a constant."""
         number = np.asarray(value).astype(DTYPES[kind])[()]
         key = ("constant", kind, number.tobytes())
         node = self._known.get(key)
@@ -71,13 +71,13 @@ class Graph:
         return node
 
     def constants(self, array: Any) -> np.ndarray:
-        """Nodes of all entries of an array of known numbers."""
+        """Returns the nodes of all entries of an array of known numbers."""
         array = np.asarray(array)
         kind = KINDS[array.dtype]
         return self.mapped(lambda value: self.constant(value, kind), array)
 
     def inputs(self, which: int, shape: tuple[int, ...], kind: str, rate: int) -> Any:
-        """Nodes of all entries of an array that the program is given."""
+        """Returns new nodes of all entries of input array number `which`."""
         nodes = np.empty(shape, np.int64)
         flat = nodes.reshape(-1)
         for entry in range(flat.size):
@@ -86,7 +86,7 @@ class Graph:
         return nodes
 
     def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
-        """A node: an old one if it was worked out before, or known."""
+        """Returns the node of an operation; it may be an existing or a folded one."""
         if operation in _COMMUTE and arguments[0] > arguments[1]:
             arguments = (arguments[1], arguments[0])
         key = (operation, arguments, kind)
@@ -100,7 +100,7 @@ class Graph:
         return node
 
     def mapped(self, function: Callable[..., int], *arrays: Any) -> np.ndarray:
-        """A function of the entries of arrays, broadcast against each other."""
+        """Applies a function to the entries of arrays, broadcast against each other."""
         shaped = np.broadcast_arrays(*arrays)
         nodes = np.empty(shaped[0].shape, np.int64)
         columns = [array.reshape(-1).tolist() for array in shaped]
@@ -112,18 +112,18 @@ class Graph:
         return nodes
 
     def each(self, operation: str, kind: str, *arrays: Any) -> np.ndarray:
-        """An operation on the entries of arrays of nodes."""
+        """Applies an operation to the entries of arrays of nodes."""
         return self.mapped(lambda *entries: self.add(operation, entries, kind), *arrays)
 
     def value(self, node: int) -> Any:
-        """The number of a constant node, or `None`."""
+        """Returns the number of a constant node, or `None`."""
         return self.values.get(node)
 
     def needed(self, outputs: Iterable[int]) -> list[int]:
-        """All nodes on which outputs depend, neighbours together.
+        """Returns all nodes on which outputs depend, in an order of computation.
 
-        Depth first, output after output: what is worked out for one element is used
-        before the next one is begun.
+        The order is depth first, output after output: values for one element are used
+        before those for the next element are computed.
         """
         order: list[int] = []
         seen = bytearray(len(self))
@@ -155,7 +155,7 @@ class Graph:
     def _folded(
         self, operation: str, arguments: tuple[int, ...], kind: str
     ) -> int | None:
-        """The node of a simpler operation with the same result, if there is one."""
+        """Returns a simpler node with the same result, or `None`."""
         known = [self.values.get(a) for a in arguments]
         if operation == "select":
             return _chosen(arguments, known)
@@ -207,7 +207,7 @@ class Graph:
         return arguments[0] if arguments[0] == arguments[1] else None
 
     def _divided(self, node: int, by: Any, kind: str) -> int | None:
-        """A quotient by a power of two is a product, exactly."""
+        """Returns a division by a power of two as an exact product, or `None`."""
         if by == 1:
             return node
         mantissa, exponent = math.frexp(float(by))
@@ -224,7 +224,7 @@ class Graph:
 
 
 def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
-    """`select(where, if_true, if_false)` of which the answer is known."""
+    """Folds `select(where, if_true, if_false)` if its result is known."""
     if known[0] is not None:
         return arguments[1] if known[0] else arguments[2]
     return arguments[1] if arguments[1] == arguments[2] else None
@@ -254,4 +254,4 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "not": lambda a: ~a,
     "convert": lambda a: a,
 }
-"""Of operations that are worked out while the program is made if all is known."""
+"""Functions for constant folding, by operation."""

@@ -1,7 +1,8 @@
-"""Rules of unrolling for numbers picked by their places.
+"""Unrolling rules for gathers, scatters and dynamic slices.
 
-Places that are known are looked up while the program is made. Of a place that changes,
-all numbers it may point to are at hand and one is chosen, as long as they are few.
+Known indices are resolved while the program is unrolled. For an index of a dynamic
+slice that varies, all numbers to which it may point are selected from, as long as they
+are few.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ import numpy as np
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_CHOICES = 64
-"""Places that one index may point to; more are left to XLA."""
+"""Largest number of places to which varying indices may point; more are left to XLA."""
 
 
 @rule("dynamic_slice")
 def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
-    """A box at a place; beyond the edge, the last box within."""
+    """Unrolls a dynamic slice; its start is clamped so that it stays in the array."""
     sizes = equation.params["slice_sizes"]
     kind = kind_of(equation.outvars[0].aval)
 
@@ -37,7 +38,7 @@ def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
 def replaced(
     unroller: Unroller, equation: Any, array: Any, update: Any, *starts: Any
 ) -> Any:
-    """An array with a box in it replaced."""
+    """Unrolls the update of a dynamic slice, clamped like `picked`."""
     kind = kind_of(equation.outvars[0].aval)
 
     def changed(at: Sequence[int]) -> Any:
@@ -52,14 +53,14 @@ def replaced(
 
 @rule("gather")
 def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any:
-    """Boxes at places, if the places are known."""
+    """Unrolls a gather with known indices."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     outside = equation.params["fill_value"]
     if outside is None:
         outside = np.nan if kind[0] == "f" else 0
     known = _known(unroller, indices)
     if known is not None:
-        # One more place, for what is filled in.
+        # One more place, for the fill value.
         params = {**equation.params, "fill_value": np.int32(-1)}
         places = np.arange(array.size, dtype=np.int32).reshape(array.shape)
         found = _evaluated(equation, params, places, known)
@@ -72,7 +73,7 @@ def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any
 def scattered(
     unroller: Unroller, equation: Any, array: Any, indices: Any, updates: Any
 ) -> Any:
-    """Boxes written to places, or joined to what is there, if the places are known."""
+    """Unrolls a scatter with known indices, which replaces or combines entries."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     known = _known(unroller, indices)
     if known is None:
@@ -85,7 +86,7 @@ def scattered(
     }.get(equation.primitive.name)
     result = array.reshape(-1).copy()
     flat = updates.reshape(-1)
-    # Where each number goes: mark it alone, and see what changed.
+    # Apply the updates one by one, in order.
     for number, target in enumerate(_targets(equation, array.shape, known, updates)):
         if target is None:
             continue
@@ -100,7 +101,7 @@ def scattered(
 def _targets(
     equation: Any, shape: tuple[int, ...], known: Any, updates: Any
 ) -> list[int | None]:
-    """The place in the flat array for each update; `None` for one that is dropped."""
+    """Returns each update's place in the flat array; `None` if it is dropped."""
     numbers = equation.params["dimension_numbers"]
     window = numbers.update_window_dims
     rows = [axis for axis in range(updates.ndim) if axis not in window]
@@ -133,7 +134,7 @@ def _targets(
 
 
 def _known(unroller: Unroller, indices: Any) -> Any:
-    """The numbers of an array of nodes, if all are known."""
+    """Returns the numbers of an array of nodes, or `None` unless all are known."""
     values = [unroller.graph.value(int(node)) for node in indices.reshape(-1)]
     if any(value is None for value in values):
         return None
@@ -156,7 +157,10 @@ def _chosen(
     rooms: Sequence[int],
     result_at: Callable[[Sequence[int]], Any],
 ) -> Any:
-    """The result at a place, clamped to where there is room."""
+    """Selects the result for starts that may vary, clamped to the array.
+
+    `rooms` are the largest starts, and `result_at` makes the result for given starts.
+    """
     graph = unroller.graph
     ranges = []
     for start, room in zip(starts, rooms, strict=True):

@@ -1,8 +1,8 @@
-"""Kernels: all steps of all rods, in LLVM's language.
+"""Kernels: all steps of all rods, as LLVM IR.
 
-A kernel goes through blocks of as many rods as a vector has lanes; for each it fetches
-what belongs to these rods, repeats the step, and brings the results back. Step counts
-and the number of rods are arguments: one kernel serves them all.
+A kernel loops over blocks of as many rods as a vector has lanes. For each block it
+loads the rods' numbers, repeats the step, and stores the results. The number of steps
+and of rods are arguments, so that one kernel serves all of them.
 """
 
 from __future__ import annotations
@@ -16,48 +16,51 @@ from jaxrod.lanes.kernel_plan import Entries, KernelPlan, Step, goals_in
 
 @dataclass(frozen=True)
 class Kernel:
-    """A program in LLVM's language, and what it needs from who calls it.
+    """A program in LLVM IR, with the data needed to call it.
 
     Its first operand holds four counts (`int32`): steps, steps between checkpoints,
-    rods, checkpoints; the others are the arrays of the program. Its results are those
-    of the program, and room to work.
+    rods, checkpoints. The other operands are the arrays of the program. Its results are
+    those of the program, followed by a workspace.
     """
 
     text: str
+    """LLVM IR of the kernel."""
     n_operands: int
+    """Number of operands, with the counts."""
     n_results: int
+    """Number of results, with the workspace."""
     room: int
-    """Bytes of the room to work in, without the carries that are kept."""
+    """Size of the workspace, without recomputed carries [bytes]."""
     kept: int
-    """Bytes of each carry that is kept in it."""
+    """Size of each recomputed carry in the workspace [bytes]."""
     operations: int
-    """Of a step."""
+    """Number of nodes in the graph that the kernel computes."""
 
 
 @dataclass(frozen=True)
 class Ends:
-    """What comes before the first step and after the last, in the graph of the step."""
+    """The beginning and the end of a run, as nodes in the graph of the step."""
 
     given: Sequence[Entries]
-    """The arrays from which the first carry is made."""
+    """Arrays from which the first carry is computed."""
     begun: Sequence[Sequence[int]]
     """Nodes of the first carry."""
     made: Sequence[Entries]
-    """The arrays that are made of the last carry."""
+    """Arrays that are computed from the last carry."""
     ended: Sequence[Sequence[int]]
-    """Their nodes."""
+    """Nodes of those arrays."""
 
 
 def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
-    """The kernel that repeats a step.
+    """Writes the kernel that repeats a step.
 
     Operands: counts, constants, carry. Results: the carry after all steps; with
-    checkpoints the carries before steps 0, s, 2s, ...; room.
+    checkpoints the carries before steps 0, s, 2s, ...; workspace.
 
     Args:
-        step: What is repeated.
+        step: The step.
         width: Lanes of a vector.
-        checkpoints: Whether carries are kept on the way, every so many steps.
+        checkpoints: Whether checkpoints of the carry are results too.
     """
     plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
@@ -89,13 +92,13 @@ br label %block_done
 
 
 def run_kernel(step: Step, ends: Ends, width: int) -> Kernel:
-    """The kernel of a whole run: what begins it, the steps, and what ends it.
+    """Writes the kernel of a whole run: its beginning, the steps, and its end.
 
-    Operands: counts, constants, what is given. Results: what is made; room.
+    Operands: counts, constants, arguments. Results: those of the run; workspace.
 
     Args:
-        step: What is repeated.
-        ends: What comes before and after.
+        step: The step.
+        ends: Beginning and end of the run.
         width: Lanes of a vector.
     """
     plan = KernelPlan(step, width)
@@ -162,7 +165,7 @@ segment_done:
 br label %segments
 finished:
 """
-"""All steps, in stretches between checkpoints; the last carry is at `%now1`."""
+"""Loop over all steps, in segments between checkpoints; `%now1` has the last carry."""
 
 
 def adjoint_kernel(
@@ -171,17 +174,17 @@ def adjoint_kernel(
     n_seeds: int,
     width: int,
 ) -> Kernel:
-    """The kernel that goes back through the steps.
+    """Writes the kernel of the reverse pass through the steps.
 
     Operands: counts, constants, checkpoints, cotangents of the last carry. Results:
-    cotangents of the first carry and of constants; room.
+    cotangents of the first carry and of constants; workspace.
 
     Args:
-        step: What was repeated.
-        adjoint: Constants and (cotangents, sums) to the next ones, in the graph of
-            the step, whose carry it reads too: `adjoint.carry` are the cotangents of
-            the carry and, after them, of constants, which are summed up.
-        n_seeds: How many arrays of `adjoint.carry` are given; the rest begins with
+        step: The step.
+        adjoint: A step backwards, in the graph of `step`, whose carry it also reads.
+            `adjoint.carry` has the cotangents of the carry, followed by those of the
+            constants, which are summed over the steps.
+        n_seeds: Number of arrays of `adjoint.carry` that are given; the others begin at
             zero.
         width: Lanes of a vector.
     """

@@ -1,4 +1,4 @@
-"""The plan of a kernel: its memory and its functions while it is written."""
+"""The plan of a kernel: its memory layout and its functions."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from jaxrod.lanes.vector_code import BYTES, Writer
 
 @dataclass(frozen=True)
 class Entries:
-    """One array of a program, as one rod has it."""
+    """The entries of one array of a program, for one rod."""
 
     kind: str
-    """Of its numbers."""
+    """Kind of the numbers."""
     size: int
-    """How many numbers."""
+    """Number of entries."""
     rate: int
-    """How often it changes."""
+    """Rate at which they change, as in `jaxrod.lanes.graph`."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step as a graph: constants and carry to the next carry."""
+    """One step as a graph: it takes constants and a carry to the next carry."""
 
     graph: Graph
     constants: Sequence[Entries]
     carry: Sequence[Entries]
     outputs: Sequence[Sequence[int]]
-    """Nodes of the next carry, an array each."""
+    """Nodes of the next carry, by array."""
 
 
 class KernelPlan:
-    """Memory and functions of a kernel while it is written."""
+    """Memory layout and functions of a kernel that is being written."""
 
     def __init__(self, step: Step, width: int) -> None:
-        """Begins with places for the constants of a step.
+        """Allocates the constants of a step.
 
         Args:
-            step: What is repeated.
+            step: The step.
             width: Lanes of a vector.
         """
         self.step, self.width = step, width
@@ -61,7 +61,7 @@ class KernelPlan:
             self.constant_places.append(place)
 
     def carry_buffers(self) -> tuple[Region, Region, list[int]]:
-        """Two buffers for the carry, and the places in each of them."""
+        """Makes two buffers for the carry, and returns them with the arrays' places."""
         now, then = Region("%now", self.width), Region("%then", self.width)
         places = [now.place(e.kind, e.size) for e in self.step.carry]
         then.size = now.size
@@ -70,7 +70,10 @@ class KernelPlan:
         return now, then, places
 
     def pointers(self, start: int, **regions: Region) -> str:
-        """Where regions begin in the room, one after another."""
+        """Writes pointers to regions that follow one another in the workspace.
+
+        The first begins at byte `start`.
+        """
         lines = []
         for name, region in regions.items():
             lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")
@@ -84,7 +87,7 @@ class KernelPlan:
         first: int,
         region: str,
     ) -> str:
-        """Fetches operands from the `first` on."""
+        """Writes calls that load operands, from number `first` on."""
         return "".join(
             self.transport("fetch", entries, f"%in{first + i}", region, place)
             for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
@@ -93,14 +96,14 @@ class KernelPlan:
     def bring_all(
         self, arrays: Sequence[Entries], places: Sequence[int], region: str
     ) -> str:
-        """Brings results, from the first one on."""
+        """Writes calls that store results, from the first one on."""
         return "".join(
             self.transport("bring", entries, f"%out{i}", region, place)
             for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
         )
 
     def prepare(self, outputs: Sequence[int]) -> None:
-        """Functions for what does not change from step to step."""
+        """Writes the functions that compute loop-invariant values."""
         used = self.step.graph.needed(outputs)
         self.operations = len(used)
         self.memory.keep_outputs(outputs)
@@ -131,18 +134,18 @@ class KernelPlan:
         goals: Sequence[tuple[int, Region, int]],
         regions: Sequence[Region],
     ) -> None:
-        """A function that runs once for each block, or in every step."""
+        """Writes a function that runs once for each block, or in every step."""
         names = ["%shared", "%own", *[region.pointer for region in regions]]
         text, writer = body(name, self.memory, self.width, VARYING, goals, names)
         self.functions.append(text)
         self.writers.append(writer)
 
     def regions(self) -> int:
-        """Bytes of what comes before the buffers in the room."""
+        """Size of the regions before the buffers in the workspace [bytes]."""
         return self.memory.shared.room() + self.memory.own.room()
 
     def fetch_shared(self) -> str:
-        """Copies what all rods share."""
+        """Writes code that copies the constants that all rods share."""
         lines = []
         for i, entries in enumerate(self.step.constants):
             if entries.rate == UNIFORM:
@@ -159,7 +162,7 @@ class KernelPlan:
         return "".join(lines)
 
     def fetch_own(self) -> str:
-        """Fetches what belongs to the rods of a block and does not change."""
+        """Writes calls that load the constants of the rods of a block."""
         return "".join(
             self.transport("fetch", entries, f"%in{1 + i}", "%own", place)
             for i, (entries, place) in enumerate(
@@ -178,7 +181,11 @@ class KernelPlan:
         rows: str | None = None,
         row: str = "",
     ) -> str:
-        """A call that moves an array; with rows, one of several of each rod."""
+        """Writes a call that loads or stores an array.
+
+        If `rows` is given, each rod has that many copies of the array, such as
+        checkpoints, and `row` is the index of the one to move.
+        """
         self.n_transports += 1
         self.transported.add(entries.kind)
         mark = f"%t{self.n_transports}"
@@ -197,7 +204,7 @@ class KernelPlan:
         )
 
     def module(self, per_block: str, n_operands: int, n_results: int) -> str:
-        """All of the module but how it is called."""
+        """Writes the whole module except for the handler by which XLA calls it."""
         kinds = self.transported
         texts = list(self.functions)
         declared = set(self.declared)
@@ -261,9 +268,9 @@ def goals_in(
     region: Region,
     places: Sequence[int],
 ) -> list[tuple[int, Region, int]]:
-    """Where outputs go, element after element of the rod.
+    """Lists outputs with their places, ordered along the rod.
 
-    What is worked out for neighbours is then worked out together.
+    So values of neighbouring elements are computed close together.
     """
     ordered = []
     for nodes, entries, place in zip(outputs, arrays, places, strict=True):
@@ -276,7 +283,7 @@ def goals_in(
 
 
 def _pointer(name: str, array: str, index: int) -> str:
-    """The data of one buffer of a call."""
+    """Writes code that loads the data pointer of one buffer of a call."""
     return (
         f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"
         f"{name}c = load ptr, ptr {name}b\n"

@@ -1,4 +1,4 @@
-"""Machine code: a kernel's text compiled by LLVM for this processor."""
+"""Machine code: kernels compiled by LLVM for this processor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxrod.lanes.kernel import Kernel
 from jaxrod.lanes.object_cache import keeps_objects
 
 OPTIMISATION = 2
-"""LLVM's level."""
+"""Optimisation level of LLVM."""
 
 _LIBRARY = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
@@ -29,18 +29,18 @@ _LIBRARY = (
 )
 """Functions of the C library that compiled code may call."""
 _engines: dict[str, Any] = {}
-"""Compiled kernels by name, kept as long as the process lives: programs call them."""
+"""Compiled kernels by name, kept for the life of the process: programs call them."""
 _lock = threading.Lock()
 
 
 def llvm_is_installed() -> bool:
-    """Whether the package with LLVM's compiler is there."""
+    """Whether the package with LLVM's compiler is installed."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
 @cache
 def not_here() -> str | None:
-    """The reason why kernels cannot be compiled here; `None` where they can."""
+    """Returns the reason why kernels cannot be compiled here; `None` if they can."""
     try:
         import llvmlite.binding as llvm
     except ImportError:
@@ -60,7 +60,7 @@ def not_here() -> str | None:
 
 @cache
 def vector_bytes() -> int:
-    """Bytes of the widest vectors of this processor."""
+    """Size of the widest vectors of this processor [bytes]."""
     import llvmlite.binding as llvm
 
     features = llvm.get_host_cpu_features()
@@ -71,7 +71,7 @@ def vector_bytes() -> int:
 
 @cache
 def processor() -> str:
-    """Name and features of this processor, and LLVM's version."""
+    """Returns LLVM's version, and the name and features of this processor."""
     import llvmlite.binding as llvm
 
     version = ".".join(map(str, llvm.llvm_version_info))
@@ -80,12 +80,16 @@ def processor() -> str:
 
 
 def compiled_kernels() -> int:
-    """How many kernels this process has compiled."""
+    """Number of kernels that this process has compiled."""
     return len(_engines)
 
 
 def registered(kernel: Kernel) -> str:
-    """Compiles a kernel, unless it was, and makes it known to XLA; its name there."""
+    """Compiles a kernel, unless done before, and registers it with XLA.
+
+    Returns:
+        Its name there.
+    """
     import llvmlite.binding as llvm
 
     digest = hashlib.sha256((processor() + kernel.text).encode()).hexdigest()[:24]
@@ -118,7 +122,11 @@ def _target_machine() -> Any:
 
 
 def _name_library() -> str | None:
-    """Tells LLVM where functions of the C library are; the name of a missing one."""
+    """Gives LLVM the addresses of C library functions.
+
+    Returns:
+        The name of a missing function, or `None`.
+    """
     import llvmlite.binding as llvm
 
     found = ctypes.util.find_library("m")

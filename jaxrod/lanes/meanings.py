@@ -1,11 +1,11 @@
-"""Repeated steps as operations of JAX, and what they mean in its own loops.
+"""Repeated steps as JAX primitives, and their meaning in JAX's own loops.
 
-Their first operands are a count of steps, and constants.
+Their first operands are the number of steps and the constants.
 
-- `jaxrod_run`: what is made of what is given, by all steps and what is around them.
-- `jaxrod_cycles`: the carry after all steps; if asked, carries on the way as well.
-- `jaxrod_cycles_tangent`: its tangent; linear in the tangents it is given.
-- `jaxrod_cycles_adjoint`: the transpose of that, from the carries on the way.
+- `jaxrod_run`: a whole run, from its arguments to its results: beginning, steps, end.
+- `jaxrod_cycles`: the carry after all steps; on request the checkpoints too.
+- `jaxrod_cycles_tangent`: the tangent of that carry; linear in the given tangents.
+- `jaxrod_cycles_adjoint`: the transpose of that, from the checkpoints.
 """
 
 from __future__ import annotations
@@ -66,7 +66,11 @@ def _cycles(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _tangent(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
-    """Operands: constants, carry, kept carries, tangents of constants, of the carry."""
+    """Returns the tangent of the carry after all steps.
+
+    Operands: constants, carry, checkpoints, tangents of constants, tangents of the
+    carry.
+    """
     cycle = plan.cycle
     n_kept = len(cycle.avals) if plan.keeps else 0
     constants, carry, _, rates, tangents = parted(
@@ -79,9 +83,9 @@ def _tangent(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _adjoint(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
-    """Operands: constants, kept carries, cotangents of the floats of the last carry.
+    """Returns cotangents of the floats of the first carry, and of moving constants.
 
-    Results: cotangents of the floats of the first carry, and of moving constants.
+    Operands: constants, checkpoints, cotangents of the floats of the last carry.
     """
     cycle, floating = plan.cycle, plan.cycle.floating
     constants, kept, seeds = parted(arrays, cycle.n_constants, len(cycle.avals))
@@ -122,7 +126,7 @@ def _adjoint(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _whole(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
-    """What an operation means in JAX's own terms, batch and all."""
+    """Returns the meaning of a primitive for a plan with or without a batch."""
 
     def whole(steps: Any, *arrays: Any, plan: Plan) -> list[Any]:
         if plan.batch is None:

@@ -1,13 +1,13 @@
-"""Machine code kept on disk, beside the programs that JAX keeps there.
+"""Cache of machine code on disk, in the folder where JAX keeps compiled programs.
 
-Where JAX has a folder for compiled programs (`jax_compilation_cache_dir`), a kernel's
-object code is kept in it too, under a digest of its text, of the processor's features
-and of LLVM's version. A file begins with a digest of what follows: one that is damaged
-is compiled again. Files are written whole or not at all.
+If JAX has a folder for compiled programs (`jax_compilation_cache_dir`), a kernel's
+object code is kept in it too. Its file name is a digest of the kernel's text, of the
+processor's features and of LLVM's version. A file begins with a digest of its content:
+a damaged file is ignored and the kernel compiled again. Files are written atomically.
 
-The digest has no key: whoever can write to the folder can have any code run. So kernels
-are neither read from nor written to a folder that others can write to. They are
-compiled again instead, and one warning says so.
+The digest has no key, so that anyone who can write to the folder can have any code run.
+So kernels are neither read from nor written to a folder that others can write to. They
+are compiled again instead, and a warning is logged once.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _told: set[Path] = set()
 """Folders whose refusal has been reported."""
 
 _DIGEST = 32
-"""Bytes of a digest."""
+"""Size of a digest [bytes]."""
 
 
 def keeps_objects(engine: Any, key: str) -> None:
-    """Has an engine look for its object code on disk first, and put it there.
+    """Makes an engine read its object code from disk if possible, and store it there.
 
     Args:
-        engine: LLVM's, with a single module.
-        key: What the object code depends on, all of it.
+        engine: An engine of LLVM with a single module.
+        key: Everything on which the object code depends.
     """
     path = _path(key)
     if path is None or _is_refused(path.parent):
@@ -67,7 +67,7 @@ def keeps_objects(engine: Any, key: str) -> None:
 
 
 def _is_refused(folder: Path) -> bool:
-    """Whether others could have put code there; reported once for each folder."""
+    """Whether others can write to the folder; logs a warning once for each folder."""
     why = shared_with(folder)
     if why is None:
         return False
@@ -82,7 +82,7 @@ def _is_refused(folder: Path) -> bool:
 
 
 def _path(key: str) -> Path | None:
-    # JAX defines its settings when it runs: their types are not known before.
+    # JAX defines its settings at run time, so that type checkers do not know them.
     settings: Any = jax.config
     folder = settings.jax_compilation_cache_dir
     if not folder or "://" in folder or not settings.jax_enable_compilation_cache:

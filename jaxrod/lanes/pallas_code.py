@@ -1,8 +1,9 @@
-"""Nodes of a graph as operations of JAX: a vector with a number for each rod, or one.
+"""Nodes of a graph as JAX operations, on a vector of rods or on a single number.
 
-What a GPU's compiler does differently from XLA is written out here in operations on
-which both agree: extremes of not-a-number, whole numbers divided by zero, shifts by
-more than there are bits, floats too large for the whole numbers they become.
+Some operations differ between a GPU's compiler and XLA: extremes with NaN, integer
+division by zero, shifts by more than the number of bits, and conversion of floats that
+are too large for the integer. They are composed here from operations on which both
+agree.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from jaxrod.lanes.graph import DTYPES, Graph
 from jaxrod.lanes.unroll import NotUnrolled
 
 SHORT_MEMORY = 100
-"""Operations after which a shared number is loaded again rather than kept: registers
-are few. Not tuned on a GPU."""
+"""Number of operations after which a shared number is loaded again rather than kept,
+because registers are few. Not tuned on a GPU."""
 
 _OF_JAX: dict[str, Callable[..., Any]] = {
     **{name: getattr(lax, name) for name in ("add", "sub", "mul", "div", "abs")},
@@ -34,15 +35,15 @@ _OF_JAX: dict[str, Callable[..., Any]] = {
     "xor": lax.bitwise_xor,
 }
 _UNKNOWN = frozenset({("erf", "f"), ("erfc", "f"), ("rem", "f")})
-"""Operations and letters of kinds: Triton has no error function, and its remainder of
-floats is wrong where the quotient is large."""
+"""Unsupported operations, each with the first letter of the kind: Triton has no error
+function, and its remainder of floats is wrong if the quotient is large."""
 
 
 def refused_on_gpu(graph: Graph, nodes: Iterable[int]) -> None:
-    """Refuses what a GPU's compiler cannot do, or does wrong.
+    """Refuses operations that a GPU's compiler cannot do, or does wrong.
 
     Raises:
-        NotUnrolled: If a node is such an operation.
+        NotUnrolled: A node is such an operation.
     """
     for node in nodes:
         operation, kind = graph.operations[node], graph.kinds[node]
@@ -55,7 +56,7 @@ def refused_on_gpu(graph: Graph, nodes: Iterable[int]) -> None:
 
 
 class Values:
-    """Values of nodes, each worked out once or loaded when it is asked for."""
+    """Values of nodes, each computed once, or loaded on demand."""
 
     def __init__(
         self,
@@ -67,26 +68,27 @@ class Values:
         """Begins a piece of straight-line code.
 
         Args:
-            graph: Whose nodes are worked out.
-            shape: Of every value: one axis of rods, or none.
-            load: What brings a number that all rods share.
-            known: Values of other nodes that are not worked out here.
+            graph: Graph whose nodes are computed.
+            shape: Shape of every value: one axis of rods, or none.
+            load: Function that loads the number of a node that all rods share.
+            known: Values of nodes that are not computed here.
         """
         self.graph, self.shape, self.load = graph, shape, load
         self.made: dict[int, Any] = dict(known or {})
         self.loaded: dict[int, tuple[Any, int]] = {}
         self.count = 0
-        """Operations so far."""
+        """Number of operations so far."""
 
     def work_out(
         self, nodes: Sequence[int], rate: int, take: Callable[[int, Any], None]
     ) -> None:
-        """Works out nodes and hands each on as soon as it is there.
+        """Computes nodes, and passes each on as soon as it is computed.
 
         Args:
-            nodes: Which.
-            rate: How often that is done; what changes less often is known or loaded.
-            take: What is given node and value.
+            nodes: Nodes to compute.
+            rate: Rate of the nodes that are computed here; nodes of a lower rate are
+                known or loaded.
+            take: Function that receives each node with its value.
         """
         graph, wanted = self.graph, set(nodes)
         for node in graph.needed(nodes):
@@ -97,7 +99,7 @@ class Values:
                 take(node, self.value(node))
 
     def value(self, node: int) -> Any:
-        """The value of a node."""
+        """Returns the value of a node."""
         made = self.made.get(node)
         if made is not None:
             return made
@@ -112,17 +114,17 @@ class Values:
         return found
 
     def full(self, value: Any, kind: str) -> Any:
-        """A known number, for every rod."""
+        """Returns a known number in the shape of the values."""
         return lax.full(self.shape, value, DTYPES[kind])
 
     def spread(self, value: Any) -> Any:
-        """What all rods share, for every rod."""
+        """Broadcasts a number that all rods share to the shape of the values."""
         if value.shape == self.shape:
             return value
         return lax.broadcast(value, self.shape)
 
     def operation(self, node: int) -> Any:
-        """One operation."""
+        """Computes one operation."""
         graph = self.graph
         name, kind = graph.operations[node], graph.kinds[node]
         sources = graph.arguments[node]
@@ -134,7 +136,7 @@ class Values:
         if name in ("min", "max"):
             return self._extreme(name, given, kind)
         if name == "neg":
-            # A difference from zero, as Triton has it, loses the sign of a zero.
+            # Triton negates by subtracting from zero, which loses the sign of a zero.
             return lax.mul(given[0], self.full(-1, kind))
         if name == "not":
             ones = True if kind == "b1" else np.invert(DTYPES[kind].type(0))
@@ -150,7 +152,7 @@ class Values:
         return _OF_JAX[name](*given)
 
     def _extreme(self, name: str, given: list[Any], kind: str) -> Any:
-        """The smaller or larger one; not-a-number, if one of them is."""
+        """Returns the smaller or larger number; NaN if one of them is NaN."""
         a, b = given
         better = (lax.lt if name == "min" else lax.gt)(a, b)
         if kind[0] == "f":
@@ -158,7 +160,7 @@ class Values:
         return lax.select(better, a, b)
 
     def _round(self, name: str, x: Any, kind: str) -> Any:
-        """The next whole number; of halves, the even one or the one farther from 0."""
+        """Rounds to the nearest integer; halves go to even, or away from zero."""
         size = lax.abs(x)
         below = lax.floor(size)
         rest = lax.sub(size, below)
@@ -171,12 +173,12 @@ class Values:
                 lax.gt(rest, half), lax.bitwise_and(odd, lax.eq(rest, half))
             )
         made = lax.select(up, lax.add(below, one), below)
-        # Of infinity the rest is not-a-number, and it is not raised.
+        # For infinity `rest` is NaN, and `up` is false.
         minus = lax.mul(made, self.full(-1, kind))
         return lax.select(lax.lt(x, self.full(0, kind)), minus, made)
 
     def _divide(self, name: str, given: list[Any], kind: str) -> Any:
-        """As XLA has it by zero, and of the least number by -1."""
+        """Divides integers as XLA does, by zero too, and the least integer by -1."""
         number, by = given
         zero, one = self.full(0, kind), self.full(1, kind)
         nothing = odd = lax.eq(by, zero)
@@ -193,7 +195,7 @@ class Values:
         return lax.select(nothing, ones, lax.div(number, safe))
 
     def _shift(self, name: str, given: list[Any], kind: str) -> Any:
-        """Zero, or all signs, for a shift by more than there are bits."""
+        """Shifts; a shift by more than the number of bits gives zero, or all signs."""
         number, by = given
         bits = 8 * DTYPES[kind].itemsize
         inside = lax.lt(by, self.full(bits, kind))
@@ -207,7 +209,7 @@ class Values:
         return lax.select(inside, shift(number, lax.select(inside, by, zero)), zero)
 
     def _convert(self, x: Any, before: str, after: str) -> Any:
-        """A number as another kind; the nearest there is, of a float too large."""
+        """Converts to another kind; floats saturate at the limits of an integer."""
         if before[0] != "f" or after[0] == "f":
             return lax.convert_element_type(x, DTYPES[after])
         info = np.iinfo(DTYPES[after])
@@ -223,17 +225,17 @@ class Values:
 
 
 def type_in_memory(kind: str) -> Any:
-    """Of numbers of a kind: truths are whole numbers there."""
+    """Returns the dtype of a kind in memory: booleans are stored as `int32`."""
     return np.dtype(np.int32) if kind == "b1" else DTYPES[kind]
 
 
 def from_memory(value: Any, kind: str) -> Any:
-    """What was loaded, as its kind."""
+    """Converts a loaded value to its kind."""
     if kind != "b1":
         return value
     return lax.ne(value, lax.full_like(value, 0))
 
 
 def to_memory(value: Any, kind: str) -> Any:
-    """What is to be stored."""
+    """Converts a value to its type in memory."""
     return lax.convert_element_type(value, type_in_memory(kind))

@@ -1,12 +1,13 @@
-"""Runs for GPUs: all steps of a block of rods in one launch, a rod in each thread.
+"""Runs on GPUs: all steps of a block of rods in one launch, a rod in each thread.
 
-A value is a vector with a number for every rod of the block. The carry goes from step
-to step as such vectors: the compiler decides which of them stay in registers. What all
-rods share is worked out by a kernel of its own, before, and read as single numbers.
+A value is a vector with a number for every rod of the block. The carry passes from step
+to step as such vectors, and the compiler decides which of them stay in registers.
+Values that all rods share are computed before by a separate kernel, and read as single
+numbers.
 
-Triton's compiler takes a time that grows with the number of vectors that are loaded
-and stored, times the square of the length of the program. So what belongs to a rod
-comes and goes in tiles of many numbers, cut into vectors and put together from them.
+The time of Triton's compiler grows as the number of loaded and stored vectors times the
+square of the program's length. So the numbers of rods are loaded and stored in tiles of
+many numbers, which are split into vectors and joined from them.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ from jaxrod.lanes.pallas_memory import (
 
 
 def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., Any]:
-    """The program of a run, or of cycles, as a kernel for GPUs.
+    """Makes the program of a run, or of cycles, as a kernel for GPUs.
 
     Args:
-        plan: The structure of the operation; it keeps no carries on the way.
-        rods: Of the batch.
-        interpret: Whether JAX works out what the kernel does instead of compiling it.
+        plan: Structure of the operation, without checkpoints.
+        rods: Number of rods in the batch.
+        interpret: Whether JAX interprets the kernel instead of compiling it.
 
     Returns:
         A function of the number of steps and of the operands of the operation.
 
     Raises:
-        NotUnrolled: If it cannot be done.
+        NotUnrolled: The program cannot be unrolled, or not for a GPU.
     """
     n, layout = plan.cycle.n_constants, layout_of_plan(plan)
     if not interpret:
@@ -73,7 +74,7 @@ def pallas_program(plan: Plan, rods: int, *, interpret: bool) -> Callable[..., A
 
 
 def _derived(layout: Layout, numbers: Sequence[Any], interpret: bool) -> list[Any]:
-    """What is worked out of numbers that all rods share."""
+    """Computes the loop-invariant values that all rods share, by a kernel."""
     names, inputs = layout.names("derived"), layout.names("numbers")
     if not names:
         return []
@@ -95,7 +96,7 @@ def _derived(layout: Layout, numbers: Sequence[Any], interpret: bool) -> list[An
 def _run(
     layout: Layout, padded: int, interpret: bool
 ) -> Callable[..., Mapping[str, Any]]:
-    """The kernel of all steps: rows to rows, by their type."""
+    """Returns the kernel of all steps; its results are rows by dtype."""
     shared = [*layout.names("numbers"), *layout.names("derived")]
     given = [*layout.names("own"), *layout.names("given")]
     made = layout.names("made")
@@ -133,7 +134,7 @@ def _run(
 
 
 def _steps(layout: Layout, refs: Refs, steps: Any) -> None:
-    """What one block does: what does not change, the first carry, steps, the end."""
+    """Computes one block: loop-invariant values, the first carry, steps, the end."""
     graph, step, ends = layout.step.graph, layout.step, layout.ends
     numbers = shared_numbers(layout, refs)
     known = given_columns(layout, refs)
@@ -173,7 +174,7 @@ def _steps(layout: Layout, refs: Refs, steps: Any) -> None:
 
 
 def _nodes_of_carry(layout: Layout) -> dict[tuple[int, int], int]:
-    """Nodes of the carry that are used: by array and entry."""
+    """Returns the used nodes of the carry, by array and entry."""
     graph, first = layout.step.graph, len(layout.step.constants)
     places = ((node, graph.places.get(node)) for node in layout.used)
     return {
@@ -186,7 +187,7 @@ def _nodes_of_carry(layout: Layout) -> dict[tuple[int, int], int]:
 def _neighbours_together(
     outputs: Sequence[Sequence[int]],
 ) -> list[tuple[int, int, int]]:
-    """Array, entry and node of all outputs, element after element of the rod."""
+    """Lists array, entry and node of all outputs, ordered along the rod."""
     ordered = [
         (k / len(nodes), i, k, node)
         for i, nodes in enumerate(outputs)

@@ -1,4 +1,4 @@
-"""Where the numbers of a run are in a GPU's memory."""
+"""The layout of a run's numbers in a GPU's memory."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from jaxrod.lanes.pallas_code import type_in_memory
 from jaxrod.lanes.unrolled import entries_of, unrolled_run, unrolled_step
 
 MOST_OPERATIONS_ON_GPU = 12_000
-"""Of a step and what comes before and after: Triton takes some ten seconds for 4 400 of
-them, and a time that grows with their square. Never measured on a GPU."""
+"""Largest number of operations in a step with the beginning and the end of a run.
+Triton takes some ten seconds for 4 400, and its time grows with their square. Never
+measured on a GPU."""
 
 REGIONS = ("numbers", "derived", "own", "given", "made")
 Place = tuple[str, str, int]
-"""A region, a type in it, and which of its numbers."""
+"""Place of a number: the region, the dtype in it, and the index in that array."""
 
 
 @dataclass
 class Layout:
     """A run as a graph, and the places of its numbers.
 
-    Regions are `numbers` and `derived`, which all rods share: what is given and what is
-    worked out of it; `own`, `given` and `made`, of each rod: constants, what a run
-    begins with, and results.
+    All rods share the regions `numbers` (given constants) and `derived` (values
+    computed from them). Each rod has rows in `own` (its constants), `given` (arguments
+    of the run) and `made` (results).
     """
 
     step: Step
@@ -37,20 +38,20 @@ class Layout:
     used: list[int]
     """All nodes that are needed."""
     sizes: dict[str, dict[str, int]]
-    """Numbers in each region, by their type."""
+    """Number of entries in each region, by dtype."""
     arrays: dict[int, Place]
-    """Where arrays of inputs begin, those that are used."""
+    """Places where the used arrays of inputs begin."""
     derived: list[int]
-    """Nodes that all rods share, worked out first and used later."""
+    """Nodes that all rods share, computed first and used later."""
     nodes: dict[int, Place]
-    """Where these nodes are."""
+    """Places of the `derived` nodes."""
     fixed: list[int]
-    """Nodes that stay the same for each rod, worked out before the first step."""
+    """Nodes that are the same in all steps of a rod, computed before the first step."""
     made: list[tuple[str, int]]
-    """Where results begin, an array each: type and which number."""
+    """Places where the arrays of results begin: dtype and index."""
 
     def where(self, node: int) -> Place:
-        """The place of a node."""
+        """Returns the place of a node."""
         place = self.step.graph.places.get(node)
         if place is None:
             return self.nodes[node]
@@ -58,11 +59,11 @@ class Layout:
         return region, dtype, first + place[1]
 
     def names(self, region: str) -> list[tuple[str, str]]:
-        """Region and type of the arrays of a region."""
+        """Lists the region and dtype of each array of a region."""
         return [(region, dtype) for dtype in self.sizes[region]]
 
     def place(self, region: str, kind: str, count: int = 1) -> Place:
-        """Room for more numbers."""
+        """Allocates numbers in a region, and returns where they begin."""
         sizes, dtype = self.sizes[region], type_in_memory(kind).name
         first = sizes.get(dtype, 0)
         if count:
@@ -71,13 +72,13 @@ class Layout:
 
 
 def layout_of_plan(plan: Plan) -> Layout:
-    """The places of a run, or of a cycle's repetition; read once for each.
+    """Returns the layout of a run, or of repeated cycles; layouts are cached.
 
     Args:
-        plan: Its structure.
+        plan: Structure of the operation.
 
     Raises:
-        NotUnrolled: If it cannot be read.
+        NotUnrolled: The program cannot be unrolled, or is too long.
     """
     n = plan.cycle.n_constants
     shared = (True,) * n
@@ -127,7 +128,7 @@ def _bare(cycle: Cycle, shared: tuple[bool, ...]) -> tuple[Step, Ends]:
 
 
 def _place_inputs(layout: Layout) -> None:
-    """Constants and what is given, where they are used."""
+    """Allocates the constants and arguments that are used."""
     step, graph = layout.step, layout.step.graph
     used = {graph.places[n][0] for n in layout.used if n in graph.places}
     n, m = len(step.constants), len(step.carry)
@@ -142,7 +143,10 @@ def _place_inputs(layout: Layout) -> None:
 
 
 def _kept(layout: Layout, outputs: Sequence[int]) -> list[int]:
-    """What is worked out less often than it is used, in the order of its use."""
+    """Lists loop-invariant nodes that are outputs or used by nodes of a higher rate.
+
+    They are in the order of their first use, followed by outputs.
+    """
     graph = layout.step.graph
     kept: dict[int, None] = {}
 

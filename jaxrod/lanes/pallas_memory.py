@@ -1,4 +1,4 @@
-"""Memory of a kernel for GPUs: rows of numbers, one for each rod, read in tiles."""
+"""Memory of a kernel for GPUs: a row of numbers for each rod, read in tiles."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from jaxrod.lanes.pallas_code import from_memory
 from jaxrod.lanes.pallas_layout import Layout
 
 BLOCK = 32
-"""Rods of a block: the threads of one warp. Not tuned on a GPU."""
+"""Number of rods in a block: the threads of one warp. Not tuned on a GPU."""
 TILE = 512
-"""The most numbers of a rod that are loaded or stored at once: a power of two."""
+"""Largest count of a rod's numbers that are loaded or stored at once: a power of 2."""
 
 Refs = Mapping[tuple[str, str], Any]
-"""Arrays in memory, by region and type."""
+"""Arrays in memory, by region and dtype."""
 
 
 # Outside the kernel ---------------------------------------------------------------
 
 
 def numbers_of(layout: Layout, operands: Mapping[int, Any]) -> list[Any]:
-    """Operands that all rods share as arrays in memory, one of each type."""
+    """Packs the operands that all rods share into arrays, one of each dtype."""
     return [
         jnp.concatenate([array.reshape(-1) for array in arrays])
         for arrays in _by_type(layout, "numbers", operands)
@@ -35,9 +35,9 @@ def numbers_of(layout: Layout, operands: Mapping[int, Any]) -> list[Any]:
 
 
 def rows_of(layout: Layout, operands: Mapping[int, Any], padded: int) -> list[Any]:
-    """Operands of rods as arrays in memory, a row for each rod.
+    """Packs the operands of rods into arrays with a row for each rod.
 
-    Rows are of whole tiles; the last rod fills the last block.
+    Rows are padded to whole tiles. The last block is padded with the last rod.
     """
     return [
         _filled(
@@ -51,7 +51,7 @@ def rows_of(layout: Layout, operands: Mapping[int, Any], padded: int) -> list[An
 def _by_type(
     layout: Layout, region: str, operands: Mapping[int, Any]
 ) -> list[list[Any]]:
-    """Operands in a region, those of one type together."""
+    """Groups the operands of a region by dtype."""
     found: dict[str, list[Any]] = {dtype: [] for dtype in layout.sizes[region]}
     for which, (where, dtype, _) in layout.arrays.items():
         if where == region:
@@ -70,7 +70,7 @@ def _filled(rows: Any, padded: int) -> Any:
 def results_of(
     layout: Layout, plan: Plan, made: Mapping[str, Any], rods: int
 ) -> list[Any]:
-    """Arrays of results, of rows."""
+    """Unpacks the arrays of results from rows."""
     avals = plan.ends.made if plan.ends is not None else plan.cycle.avals
     results = []
     for aval, entries, (dtype, first) in zip(
@@ -83,11 +83,11 @@ def results_of(
     return results
 
 
-# Within it ------------------------------------------------------------------------
+# Within the kernel ----------------------------------------------------------------
 
 
 def shared_numbers(layout: Layout, refs: Refs) -> Callable[[int], Any]:
-    """What brings a number that all rods share."""
+    """Returns a function that loads the number of a node that all rods share."""
 
     def load(node: int) -> Any:
         region, dtype, which = layout.where(node)
@@ -97,7 +97,7 @@ def shared_numbers(layout: Layout, refs: Refs) -> Callable[[int], Any]:
 
 
 def given_columns(layout: Layout, refs: Refs) -> dict[int, Any]:
-    """All inputs that belong to rods, by node."""
+    """Loads all inputs that belong to rods, by node."""
     graph = layout.step.graph
     columns = {
         name: _loaded(refs[name])
@@ -118,7 +118,7 @@ def given_columns(layout: Layout, refs: Refs) -> dict[int, Any]:
 
 
 def _loaded(ref: Any) -> list[Any]:
-    """All columns of a block."""
+    """Loads all columns of a block."""
     columns: list[Any] = []
     width = min(TILE, ref.shape[1])
     for start in range(0, ref.shape[1], width):
@@ -127,7 +127,7 @@ def _loaded(ref: Any) -> list[Any]:
 
 
 def store_columns(ref: Any, columns: list[Any]) -> None:
-    """Stores columns; what is left of the last tile is filled with the last of them."""
+    """Stores columns; the rest of the last tile is filled with the last column."""
     width = min(TILE, ref.shape[1])
     columns = [*columns, *columns[-1:] * (ref.shape[1] - len(columns))]
     for start in range(0, ref.shape[1], width):
@@ -135,7 +135,7 @@ def store_columns(ref: Any, columns: list[Any]) -> None:
 
 
 def _cut(tile: Any) -> list[Any]:
-    """Columns of a tile, by halves: Triton has no other way."""
+    """Splits a tile into columns by repeated halving: Triton has no other way."""
     width = tile.shape[1]
     if width == 1:
         return [lax.reshape(tile, (BLOCK,))]
@@ -143,7 +143,7 @@ def _cut(tile: Any) -> list[Any]:
 
 
 def _joined(columns: Sequence[Any]) -> Any:
-    """A tile of columns, by pairs."""
+    """Joins columns to a tile, by pairs."""
     if len(columns) == 1:
         return lax.reshape(columns[0], (BLOCK, 1))
     pairs = jnp.stack([_joined(columns[0::2]), _joined(columns[1::2])], axis=-1)
@@ -151,7 +151,7 @@ def _joined(columns: Sequence[Any]) -> Any:
 
 
 def _in_tiles(size: int) -> int:
-    """So many numbers in whole tiles, or in a smaller one: a power of two."""
+    """Rounds a size up to whole tiles, or to a power of two within one tile."""
     if size > TILE:
         return -(-size // TILE) * TILE
     return 1 << (size - 1).bit_length()
@@ -160,7 +160,7 @@ def _in_tiles(size: int) -> int:
 def shape_of(
     layout: Layout, name: tuple[str, str], padded: int | None = None
 ) -> jax.ShapeDtypeStruct:
-    """Of an array in memory."""
+    """Returns the shape and dtype of an array in memory."""
     size = layout.sizes[name[0]][name[1]]
     shape = (size,) if padded is None else (padded, _in_tiles(size))
     return jax.ShapeDtypeStruct(shape, np.dtype(name[1]))

@@ -1,8 +1,8 @@
-"""Repeated steps made known to JAX: batched, differentiated, run by lanes or XLA.
+"""Rules of the primitives for repeated steps: batching, derivatives and lowering.
 
-Under `vmap` an operation stays one operation over a batch. What it means is written
-once, with JAX's own loops; lanes replace that when a program is compiled, where they
-can and it pays.
+Under `vmap` an operation stays one operation over a batch. Its meaning is written once,
+with JAX's own loops. Lanes replace that at compile time where they can and where it
+pays off.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _abstract(primitive: Any) -> Callable[..., Any]:
 
 
 def _batched(primitive: Any) -> Callable[..., Any]:
-    """One more batch: rows of rows become rows."""
+    """Returns the batching rule, which flattens a batch of batches to one batch."""
 
     def rule(arrays: Sequence[Any], axes: Sequence[Any], *, plan: Plan) -> Any:
         steps, *arrays = arrays
@@ -93,7 +93,7 @@ def _batched(primitive: Any) -> Callable[..., Any]:
 
 
 def _shareable(primitive: Any, plan: Plan) -> list[bool]:
-    """Which operands may be the same for all rods: constants and their tangents."""
+    """Whether each operand may be shared by all rods: constants and their tangents."""
     n_constants, n_carry = plan.cycle.n_constants, len(plan.cycle.avals)
     n_floats = sum(plan.cycle.floating)
     constants = [True] * n_constants
@@ -109,11 +109,12 @@ def _shareable(primitive: Any, plan: Plan) -> list[bool]:
 
 
 def _kernels(primitive: Any, maker: Callable[..., Any]) -> Callable[..., Any]:
-    """The choice of a program for one platform: a kernel, or none.
+    """Returns the choice of a program for one platform: a kernel, or `None`.
 
     Args:
-        primitive: The operation.
-        maker: The maker of its kernels, from name, plan and types of the results.
+        primitive: The primitive.
+        maker: Function that makes its kernels, from the primitive's name, the plan and
+            the types of the results.
     """
 
     def choose(unfit: str | None, results: Any, parameters: Any) -> Any:

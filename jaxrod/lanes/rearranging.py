@@ -1,4 +1,4 @@
-"""Rules of unrolling for what only moves numbers about: they make no operation."""
+"""Unrolling rules for primitives that only move numbers: they make no operations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxrod.lanes.unroll import Unroller, kind_of, rule
 
 @rule("slice")
 def sliced(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """A box of an array."""
+    """Unrolls a slice of an array."""
     starts, limits = equation.params["start_indices"], equation.params["limit_indices"]
     strides = equation.params["strides"] or (1,) * len(starts)
     return array[tuple(map(slice, starts, limits, strides))]
@@ -19,25 +19,25 @@ def sliced(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("squeeze")
 def squeezed(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Without axes of length one."""
+    """Unrolls the removal of axes of length one."""
     return np.squeeze(array, axis=tuple(equation.params["dimensions"]))
 
 
 @rule("expand_dims")
 def expanded(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """With axes of length one."""
+    """Unrolls the insertion of axes of length one."""
     return np.expand_dims(array, tuple(equation.params["dimensions"]))
 
 
 @rule("reshape")
 def reshaped(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """In another shape."""
+    """Unrolls a reshape."""
     return array.reshape(equation.outvars[0].aval.shape)
 
 
 @rule("broadcast_in_dim")
 def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
-    """Repeated along new axes, and along those of length one."""
+    """Unrolls a broadcast along new axes, and along those of length one."""
     shape = equation.params["shape"]
     kept = [1] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):
@@ -47,50 +47,50 @@ def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
 
 @rule("transpose")
 def transposed(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """With axes in another order."""
+    """Unrolls a transpose."""
     return np.transpose(array, equation.params["permutation"])
 
 
 @rule("rev")
 def reversed_along(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Backwards along axes."""
+    """Unrolls a reversal along axes."""
     return np.flip(array, equation.params["dimensions"])
 
 
 @rule("concatenate")
 def concatenated(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """One after another."""
+    """Unrolls a concatenation along an existing axis."""
     return np.concatenate(arrays, axis=equation.params["dimension"])
 
 
 @rule("stack")
 def stacked(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Side by side along a new axis."""
+    """Unrolls a stack along a new axis."""
     return np.stack(arrays, axis=equation.params["axis"])
 
 
 @rule("unstack")
 def unstacked(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Slices along an axis, which they lose."""
+    """Unrolls the separation into slices along an axis, which they lose."""
     return list(np.moveaxis(array, equation.params["axis"], 0))
 
 
 @rule("split")
 def parted(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Cut along an axis."""
+    """Unrolls a split along an axis."""
     cuts = np.cumsum(equation.params["sizes"])[:-1]
     return list(np.split(array, cuts, axis=equation.params["axis"]))
 
 
 @rule("tile")
 def tiled(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Repeated as a whole."""
+    """Unrolls the repetition of a whole array."""
     return np.tile(array, equation.params["reps"])
 
 
 @rule("pad")
 def padded(unroller: Unroller, equation: Any, array: Any, value: Any) -> Any:
-    """With a number around the entries and between; a negative pad cuts off."""
+    """Unrolls padding at the edges and between entries; negative padding cuts off."""
     result = array
     for axis, (low, high, inner) in enumerate(equation.params["padding_config"]):
         result = np.moveaxis(result, axis, 0)
@@ -108,7 +108,7 @@ def padded(unroller: Unroller, equation: Any, array: Any, value: Any) -> Any:
 
 @rule("iota")
 def counted(unroller: Unroller, equation: Any, *_: Any) -> Any:
-    """Numbers from zero along an axis."""
+    """Unrolls the integers from zero along an axis."""
     shape, axis = equation.params["shape"], equation.params["dimension"]
     kind = kind_of(equation.outvars[0].aval)
     nodes = [unroller.graph.constant(i, kind) for i in range(shape[axis])]

@@ -1,4 +1,4 @@
-"""Rules of unrolling for sums, products and extremes along axes."""
+"""Unrolling rules for sums, products and extremes along axes."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _OF_NOTHING = {"add": 0, "mul": 1, "max": -np.inf, "min": np.inf, "and": 1, "or"
 
 @rule(*_REDUCTIONS)
 def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Entries along axes joined two by two, halves with halves.
+    """Unrolls a reduction along axes, by pairwise combination of halves.
 
-    So that rounding grows with the logarithm of their number, and what is joined
-    does not wait for one long chain.
+    So round-off grows with the logarithm of the number of entries, and there is no long
+    chain of dependent operations.
     """
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     operation = _REDUCTIONS[equation.primitive.name]
@@ -49,7 +49,7 @@ def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule(*_CUMULATIVE)
 def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Entries along an axis joined from one end on."""
+    """Unrolls a cumulative operation along an axis, from either end."""
     kind = kind_of(equation.outvars[0].aval)
     operation = _CUMULATIVE[equation.primitive.name]
     rows = np.moveaxis(array, equation.params["axis"], 0)
@@ -69,7 +69,7 @@ def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("argmax", "argmin")
 def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """The place of the largest or smallest entry, the first of equal ones."""
+    """Unrolls the index of the largest or smallest entry; the first of equal ones."""
     graph = unroller.graph
     kind, index_kind = (
         kind_of(equation.invars[0].aval),
@@ -83,7 +83,7 @@ def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
     for i, row in enumerate(rows[1:], 1):
         beats = graph.each(better, "b1", row, best)
         if kind[0] == "f":
-            # The first not-a-number wins, as it does in JAX.
+            # The first NaN wins, as in JAX.
             odd = graph.each("ne", "b1", row, row)
             fine = graph.each("eq", "b1", best, best)
             beats = graph.each("or", "b1", beats, graph.each("and", "b1", odd, fine))
@@ -95,7 +95,7 @@ def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("dot_general")
 def product(unroller: Unroller, equation: Any, left: Any, right: Any) -> Any:
-    """Sums of products, as of matrices."""
+    """Unrolls sums of products, such as matrix products."""
     graph = unroller.graph
     kind = kind_of(equation.outvars[0].aval)
     (sum_left, sum_right), (batch_left, batch_right) = equation.params[

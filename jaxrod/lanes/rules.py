@@ -1,4 +1,4 @@
-"""The unroller with all of its rules: importing this makes them known."""
+"""The unroller with all of its rules: importing this module registers them."""
 
 from jaxrod.lanes import (
     arithmetic,

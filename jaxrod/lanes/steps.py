@@ -1,4 +1,4 @@
-"""The steps of a run, made so that lanes may take them."""
+"""The steps of a run, built in the form that lanes can take."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ from jaxrod.lanes.rules import supported
 
 
 def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
-    """What an integrator makes of a state by its cycles; `None` where XLA is to loop.
+    """Runs an integrator's cycles from a state; `None` if XLA has to do the loop.
 
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`.
-        given: What it begins with.
-        n_times: How many cycles, an `int` or traced.
+        given: Argument of `begin`, the state.
+        n_times: Number of cycles, an `int` or traced.
+
+    Returns:
+        The result of `end` after all cycles, or `None`.
     """
     if not lanes_wanted():
         if lane_mode() != NEVER:
@@ -45,7 +48,7 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     n = len(constants)
 
     def part(name: str, argument: Any) -> tuple[Any, Any]:
-        """A method as a closed jaxpr, and the tree of its result."""
+        """Returns a method as a closed jaxpr, and the tree of its result."""
         leaves, tree = jax.tree.flatten(argument)
         result: list[Any] = []
 
@@ -92,6 +95,6 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
 
 
 def _settled(leaf: Any) -> Any:
-    """An array whose type is its own, not that of what it is joined with."""
+    """Returns an array whose dtype is no longer weak."""
     array = jnp.asarray(leaf)
     return lax.convert_element_type(array, array.dtype)

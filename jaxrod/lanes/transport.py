@@ -1,10 +1,10 @@
-"""Transport: numbers between arrays with a row for each rod and blocks of vectors.
+"""Transport of numbers between arrays with a row for each rod and blocks of vectors.
 
-An array of the program has one row of numbers for every rod; a block has one vector for
-every number, with a rod in each lane. Squares of as many numbers of as many rods are
-turned over in registers; short rows are picked up number by number. Where rods are no
-multiple of the lanes, the last rod fills what is left; it is written several times with
-the same numbers.
+An array of the program has one row of numbers for every rod. A block has one vector for
+every number, with a rod in each lane. Square tiles, with as many numbers as rods, are
+transposed in registers; short rows are gathered and scattered number by number. If the
+number of rods is not a multiple of the lanes, the last rod fills the remaining lanes;
+it is then written several times with the same numbers.
 """
 
 from __future__ import annotations
@@ -13,21 +13,24 @@ from jaxrod.lanes.vector_code import BYTES, TYPES
 
 
 def in_squares(kind: str, count: int, width: int) -> bool:
-    """Whether rows of so many numbers go square by square."""
+    """Whether rows of `count` numbers are moved by square tiles."""
     return BYTES[kind] in (4, 8) and width > 1 and 2 * count >= width
 
 
 def room_for(kind: str, count: int, width: int) -> int:
-    """Vectors in a block for so many numbers: whole squares, if they go by squares."""
+    """Number of vectors in a block for `count` numbers, rounded up to whole tiles.
+
+    Rows that are not moved by tiles need no rounding.
+    """
     return -(-count // width) * width if in_squares(kind, count, width) else count
 
 
 def transport_text(kind: str, width: int) -> tuple[str, set[str]]:
-    """Functions `@fetch_KIND` and `@bring_KIND` of one kind of numbers.
+    """Writes the functions `@fetch_KIND` and `@bring_KIND` for one kind of numbers.
 
-    Both go through the numbers of a row, one after another: number k of rod r of the
-    array is at `r * stride + offset + k`. `@fetch_squares_KIND` and
-    `@bring_squares_KIND` do the same a square at a time.
+    `fetch` copies an array to a block, `bring` a block to an array. Both loop over the
+    numbers of a row: number k of rod r is at `r * stride + offset + k` in the array.
+    `@fetch_squares_KIND` and `@bring_squares_KIND` do the same, a tile at a time.
     """
     one = "i8" if kind == "b1" else TYPES[kind]
     many, size = f"<{width} x {one}>", BYTES[kind]
@@ -176,7 +179,11 @@ ret void
 def _turned_over(
     lines: list[str], names: list[str], many: str, width: int
 ) -> list[str]:
-    """Lines that swap rows and columns of a square of vectors: halves, quarters, ..."""
+    """Appends lines that transpose a square tile of vectors, in log2(width) rounds.
+
+    Returns:
+        The names of the transposed vectors.
+    """
     distance = 1
     while distance < width:
         after = list(names)

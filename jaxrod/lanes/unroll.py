@@ -1,9 +1,9 @@
-"""Unrolling: a jaxpr of arrays read as a program of single numbers.
+"""Unrolling: translation of a jaxpr of arrays to a program of single numbers.
 
-Every array becomes an array of nodes of a graph. What only moves numbers about
-(slices, pads, transposes, ...) costs nothing: it relabels. What works on numbers makes
-one node for every number. Loops of a known length are gone through, branches are all
-taken and chosen from, nested calls are entered.
+Every array becomes an array of nodes of a graph. Primitives that only move numbers
+(slices, pads, transposes, ...) cost nothing, because they only relabel nodes. Others
+make nodes for every number. Loops of known length are unrolled, all branches are
+computed and one is selected, and nested calls are inlined.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from jaxrod.jax_internals.equations import (
 from jaxrod.lanes.graph import KINDS, Graph
 
 MOST_NODES = 400_000
-"""Longer programs take minutes to compile."""
+"""Largest number of nodes: longer programs take minutes to compile."""
 
 
 class NotUnrolled(Exception):
-    """A program that cannot be read, or would be too long, in one line of words."""
+    """A program cannot be unrolled, or would be too long; its message is one line."""
 
 
 class Unroller:
-    """Reads jaxprs into one graph."""
+    """Translates jaxprs to nodes of one graph."""
 
     def __init__(self, graph: Graph) -> None:
-        """Begins with nothing read.
+        """Makes an unroller.
 
         Args:
-            graph: What nodes are added to.
+            graph: Graph to which nodes are added.
         """
         self.graph = graph
 
     def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
-        """Arrays of nodes that a closed jaxpr makes of arrays of nodes.
+        """Unrolls a closed jaxpr: takes and returns arrays of nodes.
 
         Raises:
-            NotUnrolled: If something in it is not known here.
+            NotUnrolled: The jaxpr contains something unknown, or is too long.
         """
         jaxpr, constants = program_of(closed)
         values: dict[Any, Any] = {}
@@ -83,17 +83,17 @@ class Unroller:
         return [read(atom) for atom in jaxpr.outvars]
 
     def known(self, value: Any, aval: Any) -> Any:
-        """Nodes of an array whose numbers are known."""
+        """Returns the nodes of an array whose numbers are known."""
         return self.graph.constants(
             np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
         )
 
 
 def kind_of(aval: Any) -> str:
-    """The kind of the numbers of an array.
+    """Returns the kind of the numbers of an array.
 
     Raises:
-        NotUnrolled: If lanes have no such numbers.
+        NotUnrolled: Lanes have no such numbers.
     """
     kind = KINDS.get(np.dtype(aval.dtype)) if _plain(aval.dtype) else None
     if kind is None:
@@ -102,7 +102,7 @@ def kind_of(aval: Any) -> str:
 
 
 def kind_dtype(aval: Any) -> np.dtype:
-    """The type of the numbers of an array, known to lanes."""
+    """Returns the dtype of an array, after a check that lanes know it."""
     kind_of(aval)
     return np.dtype(aval.dtype)
 
@@ -113,11 +113,11 @@ def _plain(dtype: Any) -> bool:
 
 Rule = Callable[..., Any]
 RULES: dict[str, Rule] = {}
-"""By the name of the primitive: `(unroller, equation, *arrays)` to the result."""
+"""Rules by name of the primitive: `(unroller, equation, *arrays)` to the results."""
 
 
 def rule(*names: str) -> Callable[[Rule], Rule]:
-    """Says which primitives a rule is of."""
+    """Registers a rule for primitives (a decorator)."""
 
     def note(function: Rule) -> Rule:
         for name in names:
@@ -128,7 +128,11 @@ def rule(*names: str) -> Callable[[Rule], Rule]:
 
 
 def supported(program: Any) -> str | None:
-    """The reason why names or types forbid unrolling a program, else `None`."""
+    """Returns the reason why a program cannot be unrolled, from names and types.
+
+    Returns:
+        The reason, or `None` if names and types are known.
+    """
     jaxpr = program_of(program).jaxpr
     for variable in (*jaxpr.invars, *jaxpr.constvars):
         if not hasattr(variable.aval, "dtype"):

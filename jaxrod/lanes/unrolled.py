@@ -1,4 +1,4 @@
-"""Runs as graphs: the step of a cycle, and what comes before and after."""
+"""Runs as graphs: the step, and the beginning and end of a run."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from jaxrod.lanes.unroll import NotUnrolled, kind_of
 def unrolled_step(
     cycle: Cycle, shared: tuple[bool, ...], most: int
 ) -> tuple[Step, Unroller, list[Any]]:
-    """A step, what has read it, and the nodes of its inputs.
+    """Unrolls a step; returns it with its unroller and the nodes of its inputs.
 
     Args:
         cycle: The step.
-        shared: Which constants are the same for all rods.
-        most: Operations that a step may have.
+        shared: Whether each constant is the same for all rods.
+        most: Largest number of operations in a step.
 
     Raises:
-        NotUnrolled: If it cannot be read or has more operations.
+        NotUnrolled: The step cannot be unrolled, or has more operations.
     """
     graph = Graph()
     unroller = Unroller(graph)
@@ -48,16 +48,16 @@ def unrolled_step(
 def unrolled_run(
     cycle: Cycle, ends: CycleEnds, shared: tuple[bool, ...], most: int
 ) -> tuple[Step, Ends]:
-    """A step, and what begins and ends a run of it, in one graph.
+    """Unrolls a step, and the beginning and the end of a run of it, into one graph.
 
     Args:
         cycle: The step.
-        ends: What begins and ends the run.
-        shared: Which constants are the same for all rods.
-        most: Operations that all of it may have.
+        ends: Beginning and end of the run.
+        shared: Whether each constant is the same for all rods.
+        most: Largest number of operations of all together.
 
     Raises:
-        NotUnrolled: If it cannot be read or has more operations.
+        NotUnrolled: The run cannot be unrolled, or has more operations.
     """
     step, unroller, inputs = unrolled_step(cycle, shared, most)
     graph, n = step.graph, cycle.n_constants
@@ -79,15 +79,15 @@ def unrolled_run(
 
 
 def entries_of(aval: Any) -> Entries:
-    """An array that changes with every step."""
+    """Returns the entries of an array that changes in every step."""
     return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
 
 
 def check_length(operations: int, most: int) -> None:
-    """Refuses what is too long.
+    """Refuses a program that is too long.
 
     Raises:
-        NotUnrolled: If it is.
+        NotUnrolled: It has more than `most` operations.
     """
     if operations > most:
         raise NotUnrolled(f"a program of {operations} operations is longer than {most}")

@@ -1,7 +1,7 @@
-"""Vector code: nodes of a graph as straight lines of LLVM's language.
+"""Vector code: nodes of a graph as straight-line LLVM IR.
 
-Every node that changes with the rod becomes one vector, a rod in each lane; what all
-rods share is worked out once, as single numbers, and spread where it is used.
+Every node that differs between rods becomes one vector, with a rod in each lane. Nodes
+that all rods share are computed once, as single numbers, and broadcast where used.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ TYPES = {
     "u64": "i64",
     "b1": "i1",
 }
-"""Of single numbers in LLVM's language."""
+"""Types of single numbers in LLVM IR, by kind."""
 BYTES = {
     **{"f32": 4, "f64": 8, "i8": 1, "u8": 1, "i16": 2, "u16": 2},
     **{"i32": 4, "u32": 4, "i64": 8, "u64": 8, "b1": 1},
 }
-"""Of single numbers in memory."""
+"""Sizes of single numbers in memory [bytes], by kind."""
 _FLOAT = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}
 _WHOLE = {"add": "add", "sub": "sub", "mul": "mul"}
 _COMPARE_FLOATS = {
@@ -53,14 +53,14 @@ INTRINSICS = {
     "round_even": "roundeven",
     "round_away": "round",
 }
-"""Operations on floats that LLVM has itself."""
+"""Operations on floats that are LLVM intrinsics, by name."""
 SHORT_MEMORY = 400
-"""Lines after which what was loaded is loaded again rather than kept: registers are
-few, and memory is near."""
+"""Number of lines after which a loaded value is loaded again rather than kept, because
+registers are few and memory is near."""
 
 
 class Writer:
-    """Lines of one function whose values are vectors, or single numbers."""
+    """Writer of the lines of a function whose values are vectors, or single numbers."""
 
     def __init__(
         self,
@@ -71,32 +71,32 @@ class Writer:
         """Begins a function.
 
         Args:
-            graph: Whose nodes are written.
+            graph: Graph whose nodes are written.
             width: Lanes of a vector; 1 for single numbers.
-            load: Writes what brings a node from memory, and returns the name of its
-                value; `None` for a node that is worked out here.
+            load: Function that writes the load of a node from memory and returns the
+                name of its value; it returns `None` for a node that is computed here.
         """
         self.graph, self.width, self.load = graph, width, load
         self.lines: list[str] = []
         self.names: dict[int, str] = {}
         self.loaded: dict[int, tuple[str, int]] = {}
         self.needs: set[tuple[str, str]] = set()
-        """Functions of `functions.py` that are called: operation and kind."""
+        """Called functions of `functions.py`: operation and kind."""
         self.declared: set[str] = set()
 
     def type(self, kind: str) -> str:
-        """The type of the values of a kind."""
+        """Returns the type of the values of a kind."""
         one = TYPES[kind]
         return one if self.width == 1 else f"<{self.width} x {one}>"
 
     def new(self, text: str) -> str:
-        """A line that makes a value; its name."""
+        """Appends a line that computes a value, and returns its name."""
         name = f"%v{len(self.lines)}"
         self.lines.append(f"{name} = {text}")
         return name
 
     def literal(self, value: Any, kind: str) -> str:
-        """A known number."""
+        """Returns a known number as text, in every lane."""
         text = literal(value, kind)
         if self.width == 1:
             return text
@@ -104,7 +104,7 @@ class Writer:
         return "<" + ", ".join([entry] * self.width) + ">"
 
     def spread(self, name: str, kind: str) -> str:
-        """One number in every lane."""
+        """Broadcasts one number to every lane."""
         if self.width == 1:
             return name
         one, many = TYPES[kind], self.type(kind)
@@ -115,7 +115,7 @@ class Writer:
         )
 
     def write(self, nodes: Iterable[int], after: Callable[[int], None]) -> None:
-        """Writes nodes in this order; `after` is told of each that is ready."""
+        """Writes nodes in this order, and calls `after` with each finished node."""
         for node in nodes:
             if node in self.names:
                 continue
@@ -124,7 +124,7 @@ class Writer:
             after(node)
 
     def value(self, node: int) -> str:
-        """The name of a node's value."""
+        """Returns the name of a node's value."""
         name = self.names.get(node)
         if name is not None:
             return name
@@ -141,7 +141,7 @@ class Writer:
         return name
 
     def operation(self, node: int) -> str:
-        """The line of one operation."""
+        """Writes one operation, and returns the name of its value."""
         graph = self.graph
         operation, kind = graph.operations[node], graph.kinds[node]
         sources = graph.arguments[node]
@@ -197,7 +197,7 @@ class Writer:
         return self._shift(operation, names, kind)
 
     def _divide(self, operation: str, names: list[str], kind: str) -> str:
-        """As XLA defines it where the machine does not: by zero, and of the least."""
+        """Divides integers as XLA does, by zero too, and the least integer by -1."""
         many, (number, by) = self.type(kind), names
         signed = kind[0] == "i"
         zero, one = self.literal(0, kind), self.literal(1, kind)
@@ -218,7 +218,7 @@ class Writer:
         return self._select([nothing, self.literal(-1, kind), made], kind)
 
     def _shift(self, operation: str, names: list[str], kind: str) -> str:
-        """Zero, or all signs, for a shift by more than there are bits."""
+        """Shifts; a shift by more than the number of bits gives zero, or all signs."""
         many, (number, by) = self.type(kind), names
         bits = 8 * BYTES[kind]
         inside = self.new(f"icmp ult {many} {by}, {self.literal(bits, kind)}")
@@ -249,7 +249,7 @@ class Writer:
     def _extreme(
         self, operation: str, sources: tuple[int, ...], names: list[str], kind: str
     ) -> str:
-        """The smaller or larger one; not-a-number, if one of them is."""
+        """Writes the smaller or larger number; NaN if one of them is NaN."""
         many, (a, b) = self.type(kind), names
         if kind[0] != "f":
             sign = "s" if kind[0] == "i" else "u"
@@ -257,7 +257,8 @@ class Writer:
             first = self.new(f"icmp {sign}{test} {many} {a}, {b}")
             return self._select([first, a, b], kind)
         if self.graph.value(sources[1]) is not None:
-            # Not-a-number is not smaller: the second one is taken.
+            # Comparison with NaN is false, so that the second operand is taken: it
+            # must be the one that is not a constant.
             a, b = b, a
         test = "olt" if operation == "min" else "ogt"
         first = self.new(f"fcmp {test} {many} {a}, {b}")
@@ -299,7 +300,7 @@ class Writer:
 
 
 def literal(value: Any, kind: str) -> str:
-    """A number as LLVM writes it: floats by their bits."""
+    """Returns a number as LLVM writes it: floats by their bits."""
     if kind == "b1":
         return "true" if value else "false"
     if kind[0] == "f":
