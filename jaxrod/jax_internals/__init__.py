@@ -1,15 +1,15 @@
-"""Parts of JAX for which it promises no compatibility, used from here alone.
+"""Internals of JAX without a promise of compatibility, used only through this package.
 
-- `primitives`: operations of jaxrod's own, and the rules that JAX keeps for them.
-- `equations`: the names of the parameters of equations.
+- `primitives`: jaxrod's own primitives, and their rules in JAX.
+- `equations`: names of the parameters of equations.
 - `foreign_call`: the binary interface by which XLA calls machine code.
 - `mesh_axes`: the part of an array's type that `jax.shard_map` adds.
 
-One more such fact, whether JAX has computed yet, stands beside its only user in
-`jaxrod.installation.backend`.
+There is one more such internal, whether JAX has computed yet. It is next to its only
+user, in `jaxrod.installation.backend`.
 
-Nothing here imports `jax.extend`: that would import Pallas, which registers options,
-and JAX compiles everything traced before once more when an option appears.
-`tests/jax_internals` checks each fact by itself, so that a new release of JAX fails
-there first. Whatever is not as expected leaves the whole run to XLA.
+Nothing here imports `jax.extend`. That would import Pallas, which registers options,
+and when a new option appears JAX compiles again everything that was traced before.
+`tests/jax_internals` checks each assumption separately, so that a new release of JAX
+fails there first. If anything is not as expected, the whole run is left to XLA.
 """

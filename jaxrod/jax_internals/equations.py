@@ -1,7 +1,7 @@
-"""Equations of programs: the parameters they have, and what those mean.
+"""Equations of jaxprs: their parameters, and the meaning of those.
 
-A parameter that is not listed here may change what an equation means. A program with
-one is left to XLA.
+A parameter that is not listed here may change the meaning of an equation. A program
+with such a parameter is left to XLA.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 _PARAMETERS: dict[str, str] = {
-    # Numbers of an array moved about.
+    # Primitives that only move numbers.
     "broadcast_in_dim": "broadcast_dimensions shape",
     "concatenate": "dimension",
     "expand_dims": "dimensions",
@@ -26,7 +26,7 @@ _PARAMETERS: dict[str, str] = {
     "tile": "reps",
     "transpose": "permutation",
     "unstack": "axis",
-    # Numbers picked by their places.
+    # Indexing.
     "dynamic_slice": "slice_sizes",
     "gather": "dimension_numbers fill_value indices_are_sorted mode slice_sizes "
     "unique_indices",
@@ -35,7 +35,7 @@ _PARAMETERS: dict[str, str] = {
         "dimension_numbers indices_are_sorted mode unique_indices update_consts "
         "update_jaxpr",
     ),
-    # Numbers joined.
+    # Reductions.
     **dict.fromkeys(("argmax", "argmin"), "axes index_dtype"),
     **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), "axis reverse"),
     "dot_general": "dimension_numbers precision preferred_element_type",
@@ -44,7 +44,7 @@ _PARAMETERS: dict[str, str] = {
         "axes",
     ),
     "reduce_xor": "axes",
-    # Numbers one by one.
+    # Elementwise operations.
     "convert_element_type": "new_dtype weak_type",
     "integer_pow": "y",
     "round": "rounding_method",
@@ -64,12 +64,12 @@ _PARAMETERS: dict[str, str] = {
     "scan": "ft_in ft_out jaxpr length num_carry num_consts reverse unroll",
     "while": "body_jaxpr body_nconsts cond_jaxpr cond_nconsts",
 }
-"""Names of parameters by the name of the primitive; a primitive not listed has none."""
+"""Names of parameters by name of the primitive; a primitive not listed has none."""
 _NONE_ONLY = frozenset({"accuracy", "out_dtype"})
 """Parameters that any primitive may have, as long as they are `None`."""
 _SHARDINGS = frozenset({"dst_sharding", "out_sharding", "sharding"})
-"""Parameters that any primitive may have, as long as they divide no axis: within
-`jax.shard_map` they name a mesh even then."""
+"""Parameters that any primitive may have, as long as they divide no axis. Within
+`jax.shard_map` they are not `None` even then, because they name a mesh."""
 _CALLS = {
     "closed_call": "call_jaxpr",
     "custom_jvp_call": "call_jaxpr",
@@ -78,11 +78,11 @@ _CALLS = {
     "remat2": "jaxpr",
 }
 CALLS = tuple(_CALLS)
-"""Primitives that only call a program within."""
+"""Primitives that only call an inner program."""
 
 
 def unknown_parameter(equation: Any) -> str | None:
-    """The reason why an equation cannot be read; `None` if all is known.
+    """Returns the reason why an equation is not understood; `None` if all is known.
 
     Args:
         equation: An equation of a jaxpr.
@@ -104,7 +104,7 @@ def unknown_parameter(equation: Any) -> str | None:
 
 
 def _divides_nothing(sharding: Any) -> bool:
-    """Whether every device has the whole of an array with this sharding."""
+    """Whether every device holds the whole of an array with this sharding."""
     if sharding is None:
         return True
     spec = getattr(sharding, "spec", None)
@@ -121,27 +121,27 @@ class Parts(NamedTuple):
 
 
 def program_of(jaxpr: Any) -> Parts:
-    """A jaxpr and its constants, whether JAX keeps them in one object or in two."""
+    """Returns a jaxpr and its constants, from a closed jaxpr or a plain one."""
     return Parts(getattr(jaxpr, "jaxpr", jaxpr), tuple(getattr(jaxpr, "consts", ())))
 
 
 def operand_types(closed: Any) -> list[Any]:
-    """Types of the operands of a program."""
+    """Returns the types of the operands of a program."""
     return [variable.aval for variable in program_of(closed).jaxpr.invars]
 
 
 def result_types(closed: Any) -> list[Any]:
-    """Types of the results of a program."""
+    """Returns the types of the results of a program."""
     return [atom.aval for atom in program_of(closed).jaxpr.outvars]
 
 
 def is_literal(atom: Any) -> bool:
-    """Whether an operand of an equation is a number written in it."""
+    """Whether an operand of an equation is a literal number."""
     return hasattr(atom, "val")
 
 
 def programs_within(equation: Any) -> Iterator[Any]:
-    """Jaxprs among the parameters of an equation."""
+    """Yields the jaxprs among the parameters of an equation."""
     for value in equation.params.values():
         for inner in value if isinstance(value, tuple | list) else (value,):
             inside = getattr(inner, "jaxpr", inner)
@@ -150,7 +150,7 @@ def programs_within(equation: Any) -> Iterator[Any]:
 
 
 def called_program(equation: Any) -> Any:
-    """The program that a call, one of `CALLS`, runs."""
+    """Returns the program that an equation calls, whose primitive is in `CALLS`."""
     return equation.params[_CALLS[equation.primitive.name]]
 
 
@@ -166,9 +166,9 @@ class Scan:
 
 
 def scan_of(equation: Any) -> Scan:
-    """The parts of a `scan`.
+    """Returns the parts of a `scan` equation.
 
-    JAX 0.12 describes operands by trees: of constants, of the carry, of rows.
+    JAX 0.12 describes the operands by trees: of constants, of the carry, of rows.
     """
     given = equation.params
     if "ft_in" in given:
@@ -184,14 +184,14 @@ class While:
 
     condition: Any
     n_condition: int
-    """Constants of the condition, the first operands."""
+    """Number of constants of the condition, the first operands."""
     body: Any
     n_body: int
-    """Constants of the body, the next operands."""
+    """Number of constants of the body, the next operands."""
 
 
 def while_of(equation: Any) -> While:
-    """The parts of a `while`."""
+    """Returns the parts of a `while` equation."""
     given = equation.params
     return While(
         given["cond_jaxpr"],

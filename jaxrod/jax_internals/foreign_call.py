@@ -1,9 +1,9 @@
-"""The binary interface by which XLA calls a kernel: its foreign functions, by offsets.
+"""The binary interface by which XLA calls a kernel (FFI), accessed by byte offsets.
 
-A handler is a function of one pointer, to a frame that names the buffers. The layout of
-the frame is that of `xla/ffi/api/c_api.h`, which comes with jaxlib. The offsets used
-here hold only while that file describes the structures listed below, so it is read
-before the first call.
+A handler is a function of one pointer, to a call frame that refers to the buffers. The
+layout of the frame is that of `xla/ffi/api/c_api.h`, which comes with jaxlib. The
+offsets used here are only valid for the structures listed below. So that file is
+checked against them before the first call.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 
 _EXTENSIONS = ("XLA_FFI_InternalExtension", "XLA_FFI_Extension_Base")
-"""Names of one structure: since jaxlib 0.11, and before."""
+"""Names of the same structure: since jaxlib 0.11, and before."""
 _EXTENSION = ("struct_size", "type", "next")
 _EXPECTED = {
     "XLA_FFI_Api_Version": (
@@ -40,12 +40,12 @@ _BEGINNINGS = {
         "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create)",
     ),
 }
-"""First fields of structures that may grow."""
+"""First fields of structures that may have more fields."""
 
 
 @cache
 def header() -> str:
-    """The header of the interface, without comments; empty if it is not there."""
+    """Returns the header of the interface, without comments; empty if not found."""
     try:
         file = Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h"
         return re.sub(r"//[^\n]*", "", file.read_text())
@@ -55,7 +55,7 @@ def header() -> str:
 
 @cache
 def unknown_layout() -> str | None:
-    """The reason why the interface is not the one known here; `None` if it is."""
+    """Returns the reason why the interface is not the expected one; `None` if it is."""
     if not header():
         return "jaxlib's header of foreign functions is not found"
     if not any(_fields(name) == _EXTENSION for name in _EXTENSIONS):
@@ -78,7 +78,7 @@ def unknown_layout() -> str | None:
 
 
 def api_version() -> tuple[int | None, int | None]:
-    """Major and minor version of the interface, read in the header."""
+    """Returns the major and minor version of the interface, read from the header."""
     numbers: list[int | None] = []
     for word in ("MAJOR", "MINOR"):
         found = re.search(rf"#define XLA_FFI_API_{word} (\d+)", header())
@@ -87,10 +87,10 @@ def api_version() -> tuple[int | None, int | None]:
 
 
 def handler_text(name: str, n_operands: int, n_results: int) -> str:
-    """The handler of a kernel in LLVM's language.
+    """Writes the handler of a kernel in LLVM IR.
 
-    It answers XLA's questions when it is registered, refuses a call with other numbers
-    of buffers than the kernel's, and calls `@kernel`.
+    It answers XLA's query of its version when it is registered, refuses a call with
+    another number of buffers than the kernel has, and otherwise calls `@kernel`.
     """
     major, minor = api_version()
     words = f"jaxrod: a kernel of {n_operands} operands was called with others"

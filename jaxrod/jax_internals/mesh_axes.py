@@ -1,7 +1,7 @@
-"""Axes of a mesh over which arrays vary: within `jax.shard_map`, part of their type.
+"""Mesh axes over which arrays vary; they are part of types within `jax.shard_map`.
 
-Everything that goes through one operation varies over the same axes, as loops of JAX
-ask of what they carry.
+All operands and results of one operation vary over the same axes, as JAX's loops
+require of their carry.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 
 
 def axes_of(*avals: Any) -> frozenset[str]:
-    """Axes over which at least one of some arrays varies."""
+    """Returns the axes over which at least one of the arrays varies."""
     found: frozenset[str] = frozenset()
     for aval in avals:
         kind = getattr(aval, "manual_axis_type", None)
@@ -25,7 +25,7 @@ def axes_of(*avals: Any) -> frozenset[str]:
 
 
 def varied(arrays: Sequence[Any], axes: frozenset[str]) -> list[Any]:
-    """The same arrays, all varying over some axes."""
+    """Returns the same arrays, all marked as varying over these axes."""
     made = []
     for array in arrays:
         missing = sorted(axes - axes_of(jax.typeof(array)))
@@ -36,7 +36,7 @@ def varied(arrays: Sequence[Any], axes: frozenset[str]) -> list[Any]:
 
 
 def varying_aval(shape: tuple[int, ...], dtype: Any, like: Sequence[Any]) -> Any:
-    """The type of an array that varies over all axes over which some others vary."""
+    """Returns the type of an array that varies over all axes of the arrays `like`."""
     axes = axes_of(*like)
     if not axes:
         return jax.core.ShapedArray(shape, dtype)
@@ -44,7 +44,7 @@ def varying_aval(shape: tuple[int, ...], dtype: Any, like: Sequence[Any]) -> Any
 
 
 def varying_shape(aval: Any) -> jax.ShapeDtypeStruct:
-    """The shape and type of an array, and the axes over which it varies."""
+    """Returns the shape and dtype of an array, with the axes over which it varies."""
     axes = axes_of(aval)
     if not axes:
         return jax.ShapeDtypeStruct(aval.shape, aval.dtype)
@@ -52,7 +52,7 @@ def varying_shape(aval: Any) -> jax.ShapeDtypeStruct:
 
 
 def _placed(axes: frozenset[str], like: Sequence[Any]) -> dict[str, Any]:
-    """Mesh and axes, as types of arrays are given them."""
+    """Returns mesh and axes as keyword arguments for types of arrays."""
     mesh = next(aval.sharding.mesh for aval in like if axes_of(aval))
     return {
         "sharding": NamedSharding(mesh, PartitionSpec()),

@@ -1,4 +1,4 @@
-"""Operations of jaxrod's own, and the rules by which JAX transforms and lowers them."""
+"""jaxrod's own primitives, and the rules by which JAX transforms and lowers them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEEDED = {
     "interpreters.batching": ("primitive_batchers",),
     "interpreters.mlir": ("lower_fun", "register_lowering"),
 }
-"""Names of JAX's modules that operations need."""
+"""Names in JAX's modules that jaxrod's primitives need."""
 _METHODS = ("bind", "def_abstract_eval", "def_impl")
 
 Rule = Callable[..., Any]
@@ -30,7 +30,11 @@ Program = Callable[..., Any]
 
 @cache
 def unknown_rules() -> str | None:
-    """The reason why this JAX takes no operations from jaxrod; `None` if it does."""
+    """Returns the reason why this JAX does not support primitives of jaxrod's own.
+
+    Returns:
+        The reason, or `None` if JAX supports them.
+    """
     import importlib
 
     for module, names in _NEEDED.items():
@@ -48,7 +52,7 @@ def unknown_rules() -> str | None:
 
 
 def new_primitive(name: str) -> Any:
-    """A primitive with several results; `define` gives it its rules.
+    """Makes a primitive with several results; `define` gives it its rules.
 
     Args:
         name: Name in printed programs.
@@ -72,15 +76,15 @@ def define(
     """Tells JAX how to run, batch and differentiate a primitive.
 
     Args:
-        primitive: From `new_primitive`.
+        primitive: Primitive from `new_primitive`.
         meaning: The same operation as a function that JAX can trace.
-        static: Name of the one parameter that is not an array. JAX looks for programs
-            among parameters and takes those it finds for its own, so the parameter has
-            to keep its programs inside an object.
-        shapes: Types of the results from types of the operands.
-        batched: The rule for `jax.vmap`.
-        jvp: The rule for forward mode.
-        transpose: The rule for the cotangents of a linear operation.
+        static: Name of the one parameter that is not an array. JAX searches parameters
+            for programs and treats those it finds as its own, so this parameter must
+            hide its programs inside an object.
+        shapes: Rule that takes the types of the operands to those of the results.
+        batched: Rule for `jax.vmap`.
+        jvp: Rule for forward mode.
+        transpose: Rule for the cotangents of a linear operation.
     """
     from jax.interpreters import ad, batching, mlir
 
@@ -99,15 +103,15 @@ def lower_on(
     meaning: Program,
     choose: Callable[[str | None, Sequence[Any], Mapping[str, Any]], Program | None],
 ) -> None:
-    """Gives a primitive another program on one platform, where there is one.
+    """Registers a special program for a primitive on one platform.
 
     Args:
-        platform: "cpu" or "cuda".
+        platform: Platform, "cpu" or "cuda".
         primitive: A defined primitive.
-        meaning: The program where `choose` has none.
-        choose: The program to compile, or `None`, from the reason why no kernel may be
-            part of what is being compiled (`None` if one may), from the types of the
-            results, and from the parameters.
+        meaning: Program that is lowered if `choose` returns `None`.
+        choose: Function that returns the program to compile, or `None`. It takes the
+            reason why the compiled program may not contain kernels (`None` if it may),
+            the types of the results, and the parameters.
     """
     from jax.interpreters import mlir
 
@@ -116,7 +120,7 @@ def lower_on(
     def rule(context: Any, *operands: Any, **parameters: Any) -> Any:
         try:
             unfit, results = no_kernels_in(context), context.avals_out
-            # A kernel runs on one device: mesh axes are not part of its types.
+            # A kernel runs on one device, so that its types have no mesh axes.
             plain = [jax.core.ShapedArray(a.shape, a.dtype) for a in context.avals_in]
             alone = context.replace(avals_in=plain)
         except (AttributeError, TypeError) as error:
@@ -130,12 +134,12 @@ def lower_on(
 
 
 def no_kernels_in(context: Any) -> str | None:
-    """The reason why a program may not contain kernels; `None` if it may.
+    """Returns the reason why a program may not contain kernels; `None` if it may.
 
-    Within `jax.shard_map` each device has rods of its own, and a kernel for them.
+    Within `jax.shard_map` each device has its own rods, and a kernel for them.
 
     Args:
-        context: JAX's context of lowering one equation.
+        context: JAX's context for lowering one equation.
     """
     module = context.module_context
     if len(module.platforms) > 1:
@@ -157,11 +161,14 @@ def no_kernels_in(context: Any) -> str | None:
 
 
 def evaluate(closed: Any, *arrays: Any) -> list[Any]:
-    """The results of a program for some operands.
+    """Evaluates a program.
 
     Args:
         closed: A jaxpr with its constants, from `jax.make_jaxpr`.
-        *arrays: Its operands.
+        *arrays: Operands of the program.
+
+    Returns:
+        The results of the program.
     """
     jaxpr, constants = program_of(closed)
     return list(jax.core.eval_jaxpr(jaxpr, constants, *arrays))
@@ -175,14 +182,14 @@ def is_zero(tangent: Any) -> bool:
 
 
 def no_tangent(array: Any) -> Any:
-    """The tangent of an array that has none: of whole numbers and truths."""
+    """Returns the symbolic zero tangent of an array, such as of integers, booleans."""
     from jax.interpreters import ad
 
     return ad.Zero(jax.typeof(array).to_tangent_aval())
 
 
 def filled_in(tangent: Any) -> Any:
-    """A tangent or cotangent as an array, zeros included."""
+    """Returns a tangent or cotangent as an array; symbolic zeros become zeros."""
     from jax.interpreters import ad
 
     return ad.instantiate_zeros(tangent)

@@ -1,4 +1,4 @@
-"""Scans that may have no steps."""
+"""Scans that may have zero steps."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def scan(
     length: int | None = None,
     reverse: bool = False,
 ) -> tuple[Any, Any]:
-    """The same as `lax.scan`, which under `jax.disable_jit()` refuses to have no steps.
+    """Runs `lax.scan`, and allows zero steps under `jax.disable_jit()` too.
 
     Args:
-        function: Makes a carry and a row of results from a carry and a row.
-        carry: The first carry.
-        rows: What it goes along, by the leading axis.
-        length: Number of steps; by default that of the rows.
-        reverse: Whether it begins with the last row.
+        function: Takes a carry and a row, and returns a carry and a row of results.
+        carry: First carry.
+        rows: Pytree of arrays, scanned along their leading axis.
+        length: Number of steps; by default the number of rows.
+        reverse: Whether the scan begins with the last row.
     """
     leaves = jax.tree.leaves(rows)
     steps = len(leaves[0]) if length is None else length
