@@ -121,7 +121,7 @@ class Parts(NamedTuple):
 
 
 def program_of(jaxpr: Any) -> Parts:
-    """Returns a jaxpr and its constants, from a closed jaxpr or a plain one."""
+    """Returns a jaxpr and its constants, which JAX keeps in one object or in two."""
     return Parts(getattr(jaxpr, "jaxpr", jaxpr), tuple(getattr(jaxpr, "consts", ())))
 
 

@@ -182,7 +182,7 @@ def is_zero(tangent: Any) -> bool:
 
 
 def no_tangent(array: Any) -> Any:
-    """Returns the symbolic zero tangent of an array, such as of integers, booleans."""
+    """Returns a symbolic zero as the tangent of an array of integers or booleans."""
     from jax.interpreters import ad
 
     return ad.Zero(jax.typeof(array).to_tangent_aval())
