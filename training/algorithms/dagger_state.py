@@ -69,9 +69,9 @@ class DAggerConfig(LearnerConfig):
     """Control steps of the run over which the share of decisions in which the planner
     acts falls from 1 to 0, linearly."""
     learning_rate: Scalar = 1e-3
-    """Initial step size of Adam."""
+    """Step size of Adam at the start."""
     final_learning_rate: Scalar = 1e-4
-    """Final step size, reached linearly."""
+    """Step size at the end, reached linearly."""
 
 
 @pytree

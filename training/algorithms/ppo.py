@@ -56,9 +56,9 @@ class PPOConfig(OnPolicyConfig):
     minibatches: int = static(default=8)
     """Gradient steps of one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 1e-3
-    """Initial step size of Adam."""
+    """Step size of Adam at the start."""
     final_learning_rate: Scalar = 5e-5
-    """Final step size, reached linearly."""
+    """Step size at the end, reached linearly."""
     clip: Scalar = 0.2
     """Clipping range epsilon of the probability ratio."""
     discount: Scalar = 0.98

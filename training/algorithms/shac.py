@@ -83,9 +83,9 @@ class SHACConfig(OnPolicyConfig):
     minibatches: int = static(default=4)
     """Gradient steps of one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 2e-3
-    """Initial step size of Adam for the policy."""
+    """Step size of Adam for the policy at the start."""
     final_learning_rate: Scalar = 2e-4
-    """Final step size, reached linearly."""
+    """Step size at the end, reached linearly."""
     critic_learning_rate: Scalar = 1e-3
     """Step size of Adam for the critic."""
     target_rate: Scalar = 0.2
