@@ -32,23 +32,23 @@ from jaxrod.validation import Numbers, as_array, check_kind, numeric
 
 @pytree
 class ElementCouples(Effect):
-    """A given couple on every element, turning with it. The channel of control."""
+    """Given couples on all elements, turning with them. The channel of control."""
 
     couples: Float[Array, "3 n"]
-    """Material frame [N m]."""
+    """Couples, material frame [N m]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The couples as they are."""
+        """Couples on the elements."""
         return Loads(couples=(self.couples[0], self.couples[1], self.couples[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
-        """They turn with the elements."""
+        """Tangent of couples that turn with the elements."""
         couples = vectors.split(self.couples)
         return skew(to_world(directors(motion.orientation), couples))
 
     @property
     def twists(self) -> str:
-        """All of it."""
+        """Name of the couples, all of which turn with the elements."""
         return "couples in the material frame"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> ElementCouples:
@@ -64,26 +64,26 @@ class ElementCouples(Effect):
 
 @pytree
 class SplineCouples(Schedule):
-    """Couples in proportion to a spline, whose values or density depend on time."""
+    """Couples in proportion to a spline whose values or density depend on time."""
 
     averages: ElementAverages
     """The spline's averages over the elements."""
     controls: Any
     """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of such [1]."""
     couple_density: Any
-    """Couple per rest length for a control value of one, or a schedule of such; one or
-    three [N m/m]."""
+    """Couple per rest length for a control value of one, or a schedule of it; one
+    number or three [N m/m]."""
     lengths: Float[Array, " n"]
     """Rest lengths of the elements [m]."""
 
     def __call__(self, clock: Clock) -> Float[Array, "3 n"]:
-        """The couples at a time [N m]."""
+        """Couples at a time [N m]."""
         controls, density = at_clock((self.controls, self.couple_density), clock)
         return _couples(self.averages, controls, density, self.lengths)
 
     @property
     def largest(self) -> Float[Array, "3 n"]:
-        """Every control value adding up, at its largest [N m]."""
+        """Couples when all controls are largest and their absolute values add [N m]."""
         averages, controls, density = jax.tree.map(
             jnp.abs, (self.averages, *at_largest((self.controls, self.couple_density)))
         )
@@ -106,17 +106,17 @@ def spline_couples(
 ) -> ElementCouples:
     """Couples distributed along the rod in proportion to a spline, per rest length.
 
-    The resolution-independent form: the couple on an element is the integral of the
-    density over it, so that refining the rod does not change the load.
+    The form does not depend on the resolution: the couple on an element is the integral
+    of the density over it, so refining the rod does not change the load.
 
     Args:
         rod: The rod.
-        spline: From `control_spline`; or its averages over the elements of this rod,
-            `spline.averaged(rod)`, where controls change often.
+        spline: Spline from `control_spline`; or its averages over the elements of this
+            rod, `spline.averaged(rod)`, if controls change often.
         controls: Control values [1] about d1, d2 (bending) and d3 (twist)
             `(3, n_controls)`, or a schedule of such.
         couple_density: Couple per rest length for a control value of one [N m/m];
-            one number, or one per direction `(3,)`, or a schedule of such.
+            one number, or one per direction `(3,)`, or a schedule of either.
 
     Returns:
         An effect to list in a scene.
@@ -142,16 +142,16 @@ def limit_rate(
     commanded: Numbers,
     largest_change: Numbers,
 ) -> Float[Array, "*shape"]:
-    """Moves applied control values towards the commanded ones, but not faster.
+    """Moves applied control values towards the commanded ones at a limited rate.
 
     Args:
-        applied: What the actuator does now.
-        commanded: What it should do.
-        largest_change: The most any value may change, in the unit of the values:
+        applied: Values that the actuator applies now.
+        commanded: Values that it should apply.
+        largest_change: Largest change of any value, in the unit of the values:
             the actuator's rate times the time since the last call.
 
     Returns:
-        What the actuator does next.
+        Values that the actuator applies next.
 
     Raises:
         ValueError: If `largest_change` is negative.
@@ -168,7 +168,7 @@ def limit_rate(
     bound = as_array(
         "largest_change", largest_change, "", allowed, non_negative=True, dtype=kind
     )
-    # Commands that are not finite are data, for health to find.
+    # Commands that are not finite are data, for `health` to find.
     with np.errstate(over="ignore"):
         now, wanted = jnp.asarray(now, kind), jnp.asarray(wanted, kind)
     return now + jnp.clip(wanted - now, -bound, bound)

@@ -1,7 +1,7 @@
 """The base of every influence on a rod, and the hooks it may have.
 
 An effect is a frozen pytree whose numbers are traced leaves. It overrides the hooks
-it needs; the ones it leaves alone cost nothing in the compiled step.
+it needs; the others cost nothing in the compiled step.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 
 Reach = Literal["neighbours", "any"]
-"""How far along the rod the loads of an effect may see."""
+"""Range along the rod over which the loads of an effect may depend on the state."""
 
 
 @pytree
 class StabilityBound:
-    """Upper bounds of what an effect adds to the stiffness and drag of a rod.
+    """Upper bounds of an effect's contribution to the stiffness and drag of a rod.
 
-    Each is one number, or one per node or element, or `None` where there is none.
+    Each is one number, or one per node or element, or `None` if there is none.
     `stable_dt` adds them up.
     """
 
     nodes: Array | None = None
-    """Stiffness against moving a node [N/m]."""
+    """Stiffness against displacement of a node [N/m]."""
     elements: Array | None = None
-    """Stiffness against turning an element [N m]."""
+    """Stiffness against rotation of an element [N m]."""
     node_drag: Array | None = None
-    """Force on a node per speed, where `loads` has it (explicit drag) [kg/s]."""
+    """Drag force on a node per speed, if `loads` contains it (explicit drag) [kg/s]."""
     element_drag: Array | None = None
-    """Couple on an element per angular velocity, likewise [N m s]."""
+    """Drag couple on an element per angular velocity, if in `loads` [N m s]."""
 
 
 @pytree
@@ -48,15 +48,15 @@ class Reaction:
     """Force, couple and power of a support on a rod."""
 
     force: Float[Array, "3"]
-    """On the node it holds, world frame [N]."""
+    """Force on the node it holds, world frame [N]."""
     couple: Float[Array, "3"]
-    """On the element it holds, world frame [N m]."""
+    """Couple on the element it holds, world frame [N m]."""
     power: Float[Array, ""]
-    """Work per time on the rod; zero for one that stands still [W]."""
+    """Power put into the rod; zero for a support that does not move [W]."""
 
     @staticmethod
     def of(force: Vec3, couple: Vec3 | None = None, power: Any = None) -> Reaction:
-        """From components; what is not given is zero."""
+        """Makes a reaction from components; those not given are zero."""
         none = jnp.zeros_like(force[0])
         turn = (none, none, none) if couple is None else couple
         return Reaction(
@@ -68,28 +68,28 @@ class Effect:
     """Base of all effects: every hook does nothing.
 
     Hooks are pure. `loads` is called at the configuration in the middle of a step;
-    `constrain_rates` and `dissipate` after the rates were changed by all loads;
-    `constrain` after every change of configuration. What holds something has both.
-
+    `constrain_rates` and `dissipate` after all loads have changed the rates;
+    `constrain` after every change of configuration. A support has both constraints.
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
-    need to know more than their values. Without them every method is right or refuses
-    the effect; with them implicit steps and equilibria cost less, and a scene without
-    twist knows how the rod is held. A subclass that has loads of its own does not
-    inherit them, and one that has constraints of its own does not inherit `held`.
+    need to know more than its values. Without them every method is right or refuses
+    the effect. With them implicit steps and equilibria cost less, and a scene without
+    twist knows how the rod is held. A subclass that overrides `loads` does not inherit
+    them, and one that overrides constraints does not inherit `held`.
     """
 
     reach: ClassVar[Reach] = "any"
-    """How far along the rod `loads` see.
+    """Range along the rod over which `loads` depend on the state.
 
     "neighbours" promises that the force on node `k` and the couple on element `k`
     depend on nodes and elements `k - 1`, `k` and `k + 1` alone. Then the linear systems
     of implicit steps and of `equilibrium` stay block-tridiagonal, with work in
     proportion to the number of elements; with "any" they are dense. A broken promise
-    would be a wrong derivative: both try the effect out and refuse it if they can tell.
+    would give a wrong derivative. Both methods therefore test the effect numerically
+    and refuse it if they detect one.
     """
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Forgets what a base says of hooks that this class replaces."""
+        """Drops inherited declarations about hooks that this class overrides."""
         super().__init_subclass__(**kwargs)
         if cls.reach not in get_args(Reach):
             raise ValueError(
@@ -100,8 +100,8 @@ class Effect:
             if _says_of_others(cls, name, ("loads",)):
                 setattr(cls, name, vars(Effect)[name])
         if _says_of_others(cls, "held", ("constrain", "constrain_rates")):
-            # A class of its own says what it holds, or nothing. Checkers take what is
-            # assigned to a class for a mistake; here it is the inherited hook again.
+            # The class must declare itself what it holds. Type checkers take this
+            # assignment for a mistake; it restores the hook of the base class.
             cls.held = Effect.held  # type: ignore[method-assign]
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
@@ -109,13 +109,13 @@ class Effect:
         return Loads()
 
     def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
-        """`loads`, for an effect that answers what acts on the rod already.
+        """Loads of an effect that reacts to the loads already acting on the rod.
 
         Args:
             rod: The rod.
-            motion: Where it is and how it moves.
-            before: Internal loads and those of the effects listed earlier. What is not
-                looked at costs nothing.
+            motion: Its configuration and rates.
+            before: Internal loads and those of the effects listed earlier. Components
+                that are not used cost nothing.
         """
         return self.loads(rod, motion)
 
@@ -128,29 +128,29 @@ class Effect:
         return motion
 
     def dissipate(self, scene: Any, motion: Motion, dt: Array) -> Motion:
-        """The motion after rates have decayed for a step, at this configuration.
+        """Motion after rates have decayed for one step, at this configuration.
 
-        For damping that is solved by itself, so that it has no bound on the step. After
-        loads and `damping_rates` have changed the rates and `constrain_rates` has held
-        what is held, which it does once more afterwards.
+        For damping that is solved separately, so that it does not limit the step. It is
+        called after loads and `damping_rates` have changed the rates and after
+        `constrain_rates`, which is called once more afterwards.
 
         Args:
             scene: The scene, with all effects.
-            motion: Where the rod is and how it moves.
+            motion: Configuration and rates of the rod.
             dt: Step size [s].
         """
         return motion
 
     def after_step(self, rod: Rod, motion: Motion, dt: Array) -> Effect:
-        """Itself with what it remembers one step later.
+        """The effect with its memory one step later.
 
-        For fields declared with `jaxrod.memory()`; other changes are not kept. Called
-        once a step, where loads act, with the rates that follow from them (in implicit
-        steps at their end).
+        Only changes of fields declared with `jaxrod.memory()` are kept. Called once a
+        step, at the configuration where loads act, with the rates that follow from
+        them. In implicit steps it is called at the end of the step.
 
         Args:
             rod: The rod.
-            motion: Where it is and how it moves.
+            motion: Its configuration and rates.
             dt: Step size [s].
         """
         return self
@@ -160,42 +160,42 @@ class Effect:
         return None
 
     def drag(self, rod: Rod, motion: Motion) -> Drag | None:
-        """Decay rates along and across the rod, relative to what surrounds it.
+        """Decay rates along and across the rod, relative to the surrounding fluid.
 
-        Explicit steps of the consistent law solve drag with the loads, so that it never
-        limits the step. Other methods take the same from `loads`, as
-        `jaxrod.rods.drag.drag_loads` makes them, with the `stability_bound` of these;
-        an effect with drag has no loads but those.
+        Explicit steps of the consistent law solve drag together with the loads, so that
+        it never limits the step. Other methods take the drag from `loads`, which must
+        be `jaxrod.rods.drag.drag_loads` of it, with their `stability_bound`. An effect
+        with drag has no other loads.
         """
         return None
 
     def stability_bound(self, rod: Rod) -> StabilityBound | None:
-        """Bounds on how steeply `loads` change, for the stability bound.
+        """Bounds on the derivatives of `loads`, for the stability bound.
 
-        An effect whose loads depend on where the rod is or how it moves must have
+        An effect whose loads depend on the rod's configuration or rates must have
         this, or `stable_dt` does not know of it. Constant loads need nothing.
         """
         return None
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """Potential energy of the effect [J], zero where there is none."""
+        """Potential energy of the effect [J], zero if there is none."""
         return 0.0
 
     def violation(self, rod: Rod, state: RodState) -> Array | None:
-        """How far a state is from what the effect ties the rod to [1].
+        """Deviation of a state from the constraint of the effect [1].
 
-        Zero where that is kept, above one where no sound simulation gets: then
-        `health` flags the state. `None` for an effect that is the same wherever the
-        rod is.
+        Zero where the constraint is met. No sound simulation exceeds one: then
+        `health` flags the state. `None` for an effect that does not tie the rod to a
+        place or orientation.
         """
         return None
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction | None:
-        """Force, couple and power that hold the rod; `None` if the effect does not.
+        """Force, couple and power that hold the rod; `None` if nothing is held.
 
         Args:
             rod: The rod.
-            motion: Where it is and how it moves.
+            motion: Its configuration and rates.
             needed: The loads that would balance all others, so that no node and no
                 element accelerates.
         """
@@ -204,21 +204,21 @@ class Effect:
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """Nodes and elements that the effect holds, by structure alone.
 
-        `make_scene` refuses two effects that hold the same one. Of an effect without
-        this hook it knows nothing.
+        `make_scene` refuses two effects that hold the same one. It cannot check effects
+        without this hook.
         """
         return ()
 
     def check(self, rod: Rod) -> None:
-        """Warns or raises where the effect does not fit the rod; for `make_scene`.
+        """Warns or raises if the effect does not fit the rod; called by `make_scene`.
 
-        Numbers may be traced, and then cannot be looked at.
+        Numbers may be traced; their values cannot be checked then.
         """
 
     def force_directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
-        """Unit vectors along which forces may act that `loads` does not have yet.
+        """Unit vectors of forces that may act later but are not in `loads` yet.
 
-        For checking that they are in the plane of a planar scene.
+        Used to check that they are in the plane of a planar scene.
         """
         return None
 
@@ -230,47 +230,51 @@ class Effect:
         return self
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Effect:
-        """The same influence on a rod with ends that may go on in other rods.
+        """The same influence on a rod whose ends may be tied to other rods.
 
-        `make_system` calls it where ends are tied, for effects to which a free end is
-        something else than the rest of the rod.
+        `make_system` calls it where ends are tied, for effects that treat a free end
+        differently from the rest of the rod.
 
         Args:
-            free: One for the first and the last end if it is free, zero where it is
-                tied; of equal rods with a leading axis.
+            free: One at the first and at the last end if it is free, zero if it is
+                tied; with a leading axis for equal rods.
         """
         return self
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Derivative of minus the couples by the elements' own turns, world frame.
+        """Negative derivative of the couples by the elements' rotations, world frame.
 
-        For effects whose loads change with nothing else: forces are constant, and so
-        are couples in the world frame but for this. `None` if they are constant, too.
-        An effect without this hook is differentiated automatically.
+        For effects whose loads depend on nothing else: their forces are constant, and
+        the couple on an element changes with the element's own rotation only. `None`
+        if the couples in the world frame are constant, too. An effect without this hook
+        is differentiated automatically.
         """
-        # Not `return None`, which says that the couples are constant.
+        # Not `return None`, which means that the couples are constant.
         raise NotImplementedError
 
     @property
     def twists(self) -> str | None:
-        """The part that twists a rod or turns with it about its axis, in words.
+        """Name of the part that twists a rod, or turns with it about its axis.
 
-        A scene without twist refuses such an effect whatever its numbers; what it can
-        find out by calling `loads` needs not be said.
+        A scene without twist refuses such an effect whatever its numbers. Anything that
+        it can find out by calling `loads` need not be declared.
         """
         return None
 
     def wall(self, rod: Rod) -> Wall | None:
-        """The wall that holds the orientation at an end, if this effect holds one.
+        """The wall that holds the orientation at an end, if this effect has one.
 
-        A scene without twist takes the frames of elements from there. The couple of an
-        elastic joint has to be all there is to `loads`.
+        A scene without twist takes the frames of elements from there. `loads` must then
+        contain nothing but the couple of the wall's elastic joint.
         """
         return None
 
 
 def _says_of_others(kind: type, name: str, hooks: tuple[str, ...]) -> bool:
-    """Whether what a class inherits by a name was said of hooks that it replaced."""
+    """Whether the inherited declaration `name` was made for hooks that were overridden.
+
+    That is the case if a class overrides one of the hooks without declaring `name`.
+    """
     for base in kind.__mro__:
         if name in vars(base):
             return False

@@ -1,4 +1,4 @@
-"""Held ends: a wall that acts through half an element; an element held fast."""
+"""Held ends: a wall that acts through half an element; an element held rigidly."""
 
 from __future__ import annotations
 
@@ -43,30 +43,30 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import check_kind
 
 _LARGEST_ANGLE = 2.5
-"""Beyond this a wall joint is folded, as other joints are to `HealthLimits` [rad]."""
+"""Angle above which a wall joint counts as folded, as in `HealthLimits` [rad]."""
 
 
 @pytree
 class Clamp(Effect):
     """A wall: the end node held in place, the end element joined to the wall's frame.
 
-    Between wall and end element lies half an element, so the wall acts through an
-    elastic joint of that length, with the end element's own bending stiffness. The
+    Between wall and end element lies half an element. The wall therefore acts through
+    an elastic joint of that length, with the end element's own bending stiffness. The
     static error is then second order in the number of elements: +0.5/n^2 for a
-    cantilever, against -1.5/n when the end element itself is held.
+    cantilever, compared with -1.5/n if the end element itself is held.
     """
 
     orientation: Float[Array, "4"]
-    """The wall's frame, as the end element's would be at rest (w, x, y, z)."""
+    """Frame of the wall: the end element's orientation at rest (w, x, y, z)."""
     end: End = static(default="start")
-    """Which end is clamped."""
+    """The end that is clamped."""
     position: Float[Array, "3"] | None = None
-    """Where the wall is [m]; only `health` asks. `None`: wherever the end node is."""
+    """Position of the wall [m], used by `health` only. `None`: that of the end node."""
     made_for: int | None = static(default=None)
-    """Elements of the rod whose state it was made from, if it was."""
+    """Number of elements of the state it was made from; `None` if not known."""
 
     def check(self, rod: Rod) -> None:
-        """Raises if it was made from a state of another rod."""
+        """Raises ValueError if it was made from a state of another rod."""
         check_made_for("clamp", self.made_for, rod)
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
@@ -79,13 +79,13 @@ class Clamp(Effect):
         return rotation, coupling, vectors.multiply(stiffness, rotation)
 
     def _stiffness(self, rod: Rod) -> Float[Array, "3"]:
-        """Of the joint [N m]: that of half an element."""
+        """Stiffness of the joint [N m], equal to that of half an element."""
         index = 0 if self.end == "start" else -1
         half = 0.5 * rod.rest_lengths[..., index, None]
         return rod.bend_twist_stiffness[..., index] / half
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The wall joint's couple on the end element."""
+        """Couple of the wall joint on the end element."""
         orientation = at_end(motion.orientation, self.end)
         rotation, coupling, moment = self._joint(rod, orientation)
         odd, even = joint_couples(rotation, coupling, moment)
@@ -94,7 +94,7 @@ class Clamp(Effect):
         )
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
-        """Of the joint, on the end element."""
+        """Tangent of the joint's couple on the end element."""
         orientation = at_end(motion.orientation, self.end)
         rotation, coupling, moment = self._joint(rod, orientation)
         stiffness = vectors.split(self._stiffness(rod))
@@ -104,7 +104,7 @@ class Clamp(Effect):
         return x, y, z
 
     def wall(self, rod: Rod) -> Wall:
-        """The wall, and the joint to it."""
+        """The wall and its joint."""
         return Wall(self.orientation, self._stiffness(rod), self.end)
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
@@ -112,12 +112,12 @@ class Clamp(Effect):
         return replace(motion, velocity=zero_at_end(motion.velocity, self.end))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The stiffness of the wall joint, on the end element."""
+        """Stiffness of the wall joint, on the end element."""
         stiffness = jnp.max(self._stiffness(rod))
         return StabilityBound(elements=place(stiffness, rod.n_elements, self.end))
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
-        """Held by the middle of the new end element, which a curved rod turns."""
+        """Clamp for the new end element, whose middle has another frame if curved."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(
             self, orientation=frame, made_for=made_again_for(self.made_for, new_rod)
@@ -128,9 +128,10 @@ class Clamp(Effect):
         return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Of the end node's distance from the wall and the wall joint's angle.
+        """Larger of the end node's distance from the wall and the joint's angle.
 
-        One at a radius, and at the angle at which joints are flagged.
+        It is one at a distance of one radius, or at the angle at which joints are
+        flagged.
         """
         orientation = at_end(split_quaternion(state.orientations), self.end)
         rotation, _, _ = self._joint(rod, orientation)
@@ -140,7 +141,7 @@ class Clamp(Effect):
         return jnp.maximum(_offset(self.position, self.end, rod, state), folded)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """The force that keeps the end node in place, and the wall joint's couple."""
+        """Force that keeps the end node in place, and couple of the wall joint."""
         couples = self.loads(rod, motion).couples
         assert couples is not None
         return _reaction_at(self.end, motion, needed, couples)
@@ -156,24 +157,24 @@ class Clamp(Effect):
 class FixedEnd(Effect):
     """The end node and the whole end element held: PyElastica's `OneEndFixedBC`.
 
-    First order in the number of elements (see `Clamp`); for comparisons.
+    It is first order in the number of elements (see `Clamp`); for comparisons.
     """
 
     position: Float[Array, "3"]
-    """Where the end node is held [m]."""
+    """Position at which the end node is held [m]."""
     orientation: Float[Array, "4"]
-    """How the end element is held (w, x, y, z)."""
+    """Orientation at which the end element is held (w, x, y, z)."""
     end: End = static(default="start")
-    """Which end is held."""
+    """The end that is held."""
     made_for: int | None = static(default=None)
-    """Elements of the rod whose state it was made from, if it was."""
+    """Number of elements of the state it was made from; `None` if not known."""
 
     def check(self, rod: Rod) -> None:
-        """Raises if it was made from a state of another rod."""
+        """Raises ValueError if it was made from a state of another rod."""
         check_made_for("fixed_end", self.made_for, rod)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
-        """Held by the middle of the new end element, which a curved rod turns."""
+        """Support for the new end element, whose middle has another frame if curved."""
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(
             self, orientation=frame, made_for=made_again_for(self.made_for, new_rod)
@@ -184,7 +185,10 @@ class FixedEnd(Effect):
         return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """How far the end section's rim is from where it is held, over the radius."""
+        """Displacement of the end section's rim from where it is held, over the radius.
+
+        It is the end node's distance over the radius plus twice sin(angle / 2).
+        """
         actual = at_end(split_quaternion(state.orientations), self.end)
         held = split_quaternion(self.orientation)
         _, x, y, z = multiply_quaternions(conjugate(held), actual)
@@ -192,11 +196,11 @@ class FixedEnd(Effect):
         return _offset(self.position, self.end, rod, state) + turned
 
     def wall(self, rod: Rod) -> Wall:
-        """The end element itself, held fast."""
+        """The end element itself, held rigidly."""
         return Wall(self.orientation, None, self.end)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """The force and couple that keep the end node and the end element."""
+        """Force and couple that keep the end node and the end element in place."""
         assert needed.couples is not None
         return _reaction_at(self.end, motion, needed, needed.couples)
 
@@ -222,7 +226,7 @@ class FixedEnd(Effect):
 
 
 def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:
-    """The force needed at an end node, and a couple on the end element."""
+    """Reaction of the force needed at an end node and a couple on the end element."""
     assert needed.forces is not None
     index = 0 if end == "start" else -1
     fx, fy, fz = (component[index] for component in needed.forces)
@@ -239,7 +243,7 @@ def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
 
 
 def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
-    """An end element's frame, carried along the rest curvature to another middle."""
+    """Frame of an end element, carried along the rest curvature to another middle."""
     index, sign = (0, 1) if end == "start" else (-1, -1)
     way = sign * 0.5 * (new_rod.rest_lengths[index] - rod.rest_lengths[index])
     turn = vectors.split(way * rod.rest_curvatures[:, index])
@@ -248,7 +252,7 @@ def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -
 
 
 def clamp(state: RodState, end: End = "start") -> Clamp:
-    """A wall at one end of a rod, where the given state has it.
+    """A wall at one end of a rod, at the position and orientation in a given state.
 
     The wall's frame is the end element's orientation in `state`.
     """

@@ -1,8 +1,9 @@
 r"""Splines through a few control values along a rod.
 
-The interpolating cubic with not-a-knot ends through the control values at the control
-points and through zero at both ends of the rod. It overshoots between control points:
-with six equidistant ones it reaches 1.67 times the largest value.
+The spline is the interpolating cubic with not-a-knot ends. It passes through the
+control values at the control points and through zero at both ends of the rod. It
+overshoots between control points: with six equidistant ones it reaches 1.67 times the
+largest value.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from jaxrod.validation import (
 )
 
 MOST_CONTROLS = 1000
-"""More are taken for a mistake: the spline's equations are of full size."""
+"""Largest number of controls. More are taken for a mistake: the system is dense."""
 
 
 @pytree
@@ -36,13 +37,13 @@ class ControlSpline:
 
     Called with control values `(..., n_controls)` and positions `(m,)` [m] it gives
     the spline's values `(..., m)`, in the unit of the control values. Beyond the
-    ends the outer cubics go on.
+    ends of the rod the outer cubics are extrapolated.
     """
 
     breaks: Float[Array, " pieces-1"]
-    """Where one cubic ends and the next begins [m]."""
+    """Arc lengths at which one cubic ends and the next begins [m]."""
     origins: Float[Array, " pieces"]
-    """Where each cubic's local coordinate is zero [m]."""
+    """Arc lengths at which each cubic's local coordinate is zero [m]."""
     coefficients: Float[Array, "pieces 4 n_controls"]
     """Coefficient of each power of the local coordinate, per unit of each control."""
 
@@ -65,10 +66,10 @@ class ControlSpline:
         return jnp.sum(self.coefficients[piece] * powers.T[:, :, None], axis=1)
 
     def averaged(self, rod: Rod) -> ElementAverages:
-        """The spline's averages over the elements of a rod, worked out once.
+        """Averages of the spline over the elements of a rod, computed once.
 
-        What the elements as a whole get is then what the spline has, however few
-        they are. Two points of Gauss' rule: exact for a cubic.
+        With them the sum over the elements is the integral of the spline, however few
+        elements there are. They use the two-point Gauss rule, exact for a cubic.
         """
         middles = rod.arc_length_midpoints
         offset = rod.rest_lengths / (2 * math.sqrt(3))
@@ -82,7 +83,7 @@ class ElementAverages:
     """A control spline averaged over each element of a rod; linear in its controls."""
 
     basis: Float[Array, "n n_controls"]
-    """Average over each element of what each control value contributes [1]."""
+    """Average over each element of each control value's contribution [1]."""
 
     @property
     def n_controls(self) -> int:
@@ -122,7 +123,7 @@ def control_spline(
     if not is_traced(end):
         with np.errstate(all="ignore"):
             check_held("cube of length", end**3, "m^3", kind, each=True)
-    # Worked in units of the length: of equidistant points all is known but the length.
+    # In units of the length: with equidistant points only the length is then unknown.
     if isinstance(controls, int | np.integer):
         count = check_count("controls", controls, 2, MOST_CONTROLS)
         inner = np.arange(1, count + 1) / (count + 1)
@@ -151,7 +152,7 @@ def control_spline(
 
 
 def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
-    """Given control points, in units of the length."""
+    """Control points in units of the length."""
     points = numeric("controls", controls, "m")
     if points.ndim != 1 or points.size < 2:
         raise ValueError(f"controls must be at least 2 positions, got {controls}")
@@ -171,16 +172,17 @@ def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
 def _cardinal_coefficients(knots: Any) -> Any:
     """Piecewise coefficients of the splines that are one at a single control point.
 
-    Unknowns: the second derivatives at the knots. Between knots the first derivative
-    is continuous; at the first and last knot but one the third is (not a knot), so
-    the outer two intervals at either end share a cubic.
+    The unknowns are the second derivatives at the knots. The first derivative is
+    continuous at the inner knots. The third derivative is continuous at the first and
+    the last inner knot (not-a-knot), so the outer two intervals at either end share a
+    cubic.
 
     Args:
         knots: Ends and control points, in units of the length `(controls + 2,)`.
 
     Returns:
         `(pieces, 4, controls)`, in units of the length; not finite where knots are too
-        near each other.
+        close together.
     """
     xp = jnp if is_traced(knots) else np
     count = len(knots)
@@ -191,7 +193,7 @@ def _cardinal_coefficients(knots: Any) -> Any:
     before, after = np.eye(count)[inner - 1], np.eye(count)[inner + 1]
     at, one, two = np.eye(count)[inner], h[:-1, None], h[1:, None]
     smooth = one * before + 2 * (one + two) * at + two * after
-    # The third derivative before a knot and the one after it, times both intervals.
+    # Third derivatives before and after a knot, both multiplied by both intervals.
     same = two * before - (one + two) * at + one * after
     system = xp.concatenate([same[:1], smooth, same[-1:]])
     bends = 6 * (slopes[1:] - slopes[:-1])

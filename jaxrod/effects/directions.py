@@ -1,8 +1,8 @@
 r"""Unit vectors as directions of elements: angles between them, frames along them.
 
-Everything here is a polynomial or a square root of squares of sums, so that nothing is
-divided by an angle: exact to round-off and with finite gradients for parallel
-directions, and up to opposite ones, between which no direction of turning is special.
+Everything here is a polynomial or a square root of sums of squares, so nothing is
+divided by an angle. It is exact to round-off and has finite gradients for parallel
+directions and up to opposite ones, for which the axis of rotation is undefined.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from jaxrod.geometry.vectors import Vec3, add, cross, dot, scale
 
 
 def half_angle_cosine(a: Vec3, b: Vec3) -> Array:
-    r"""$\cos(\theta/2) = |a + b|/2$, at least the rounding unit."""
+    r"""$\cos(\theta/2) = |a + b|/2$, at least the machine epsilon."""
     middle = add(a, b)
     squared = 0.25 * dot(middle, middle)
     least = jnp.finfo(squared.dtype).eps ** 2
@@ -31,7 +31,7 @@ def half_angle_cosine(a: Vec3, b: Vec3) -> Array:
 
 
 def angle_over_sine(a: Vec3, b: Vec3) -> Array:
-    r"""$\theta/\sin\theta$ of the angle between two directions.
+    r"""Ratio $\theta/\sin\theta$ of the angle between two directions.
 
     With $q = \cos(\theta/4)$ and $u = \tan^2(\theta/8) = (1 - q)/(1 + q)$ it is
     $2\,\arctan(\sqrt u)/\sqrt u$ over $q\,(1 + q) \cos(\theta/2)$.
@@ -44,16 +44,17 @@ def angle_over_sine(a: Vec3, b: Vec3) -> Array:
 
 
 def smallest_rotation(a: Vec3, b: Vec3) -> Quaternion:
-    """The rotation by the angle between two directions that takes one to the other."""
+    """Smallest rotation that takes one direction to the other."""
     half = half_angle_cosine(a, b)
     return (half, *scale(0.5 / half, cross(a, b)))
 
 
 def frame_along(direction: Vec3) -> Quaternion:
-    """Some frame whose d3 is the given direction; which one is of no importance.
+    """A frame whose d3 is the given direction; d1 and d2 are arbitrary.
 
-    The smallest rotation of the z axis, in the lower half of space after a half turn
-    about x: never a rotation by nearly half a turn, which has no axis.
+    It is the smallest rotation of the z axis; in the lower half of space a half turn
+    about x precedes it. It is never a rotation by nearly half a turn, whose axis would
+    be ill-defined.
     """
     x, y, z = direction
     half = jnp.sqrt(0.5 * (1 + jnp.abs(z)))
@@ -69,18 +70,18 @@ def frame_along(direction: Vec3) -> Quaternion:
 
 
 def turned_to(orientation: Quaternion, direction: Vec3) -> Quaternion:
-    """Orientations turned by the smallest rotation that gives d3 a direction."""
+    """Orientations turned by the smallest rotation that aligns d3 with a direction."""
     d3 = directors(orientation)[2]
     turn = smallest_rotation(d3, direction)
     return normalise(multiply_quaternions(turn, orientation))
 
 
 def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
-    """A frame carried without twist from the element at one end along all others.
+    """Frames carried without twist from the element at one end along the rod.
 
     Args:
-        root: The end element's orientation; single numbers.
-        direction: The directions of all elements.
+        root: Orientation of the end element; scalars.
+        direction: Directions of all elements.
         end: The end at which the root is.
     """
     way = 1 if end == "start" else -1
@@ -91,13 +92,13 @@ def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
         for first, following in zip(root, turns, strict=True)
     )
     carried = _products((w, i, j, k))
-    # What rounding has added up along the rod is taken away.
+    # Removes the round-off that has accumulated along the rod.
     w, i, j, k = turned_to(carried, (x, y, z))
     return w[::way], i[::way], j[::way], k[::way]
 
 
 def _products(q: Quaternion) -> Quaternion:
-    """Of each quaternion all those up to it, the last on the left."""
+    """Cumulative products of quaternions; later ones multiply from the left."""
 
     def further(
         product: Quaternion, factor: Quaternion
@@ -106,5 +107,5 @@ def _products(q: Quaternion) -> Quaternion:
         return product, product
 
     one, zero = jnp.ones((), q[0].dtype), jnp.zeros((), q[0].dtype)
-    # One after the other: doublings take compilers minutes, and this is done once.
+    # Sequential: an associative scan takes minutes to compile, and this runs once.
     return lax.scan(further, (one, zero, zero, zero), q)[1]

@@ -1,4 +1,4 @@
-"""Driven ends: moved along a path, turned with a wall."""
+"""Driven ends: the node follows a path, and a wall may turn the element."""
 
 from __future__ import annotations
 
@@ -50,24 +50,24 @@ from jaxrod.validation import Numbers, check_kind
 
 @pytree
 class Driven(Effect):
-    """An end moved along a path, its element turned with a wall or free to turn.
+    """An end that follows a path; a wall turns its element, or it turns freely.
 
-    The wall acts through an elastic joint of half an element, as that of a `Clamp`, or
+    The wall acts through an elastic joint of half an element, as in a `Clamp`, or it
     holds the element itself, as a `FixedEnd` does.
     """
 
     place: Placed | Schedule
-    """Where the end node is, and how it moves: a schedule of such."""
+    """Position and motion of the end node; usually a schedule of them."""
     turn: Turned | Schedule | None
-    """The wall's frame, and how it turns; `None` if the element turns freely."""
+    """Frame and rotation of the wall; `None` if the element turns freely."""
     end: End = static(default="start")
-    """Which end."""
+    """The end that is driven."""
     axes: Axes = static(default=(True, True, True))
-    """World axes along which the node is driven; along others it is free."""
+    """World axes along which the node is driven; along the others it is free."""
     holds_element: bool = static(default=False)
     """Whether the wall holds the end element itself."""
     made_for: int | None = static(default=None)
-    """Elements of the rod whose state it was made from, if it was."""
+    """Number of elements of the state it was made from; `None` if not known."""
 
     @property
     def _placed(self) -> Placed:
@@ -76,7 +76,7 @@ class Driven(Effect):
 
     @property
     def _joint(self) -> Clamp | None:
-        """The wall's joint."""
+        """Joint between the wall and the end element; `None` if there is none."""
         if self.turn is None or self.holds_element:
             return None
         return Clamp(self._turned.orientation, self.end)
@@ -87,12 +87,12 @@ class Driven(Effect):
         return self.turn
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The wall joint's couple on the end element."""
+        """Couple of the wall joint on the end element."""
         joint = self._joint
         return Loads() if joint is None else joint.loads(rod, motion)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Of the joint, on the end element."""
+        """Tangent of the joint's couple on the end element."""
         joint = self._joint
         return None if joint is None else joint.turning_tangent(rod, motion)
 
@@ -102,17 +102,17 @@ class Driven(Effect):
         return 0.0 if joint is None else joint.energy(rod, state)
 
     def stability_bound(self, rod: Rod) -> StabilityBound | None:
-        """The stiffness of the wall joint, on the end element."""
+        """Stiffness of the wall joint, on the end element."""
         joint = self._joint
         return None if joint is None else joint.stability_bound(rod)
 
     @property
     def twists(self) -> str | None:
-        """The wall, which may turn about the rod's axis."""
+        """Name of the wall, which may turn about the rod's axis."""
         return None if self.turn is None else "a wall that is driven"
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Puts the end node where it is driven, and the element that a wall holds."""
+        """Puts the end node on its path, and a held element in the wall's frame."""
         if self.holds_element:
             w, x, y, z = (
                 replace_end(a, b, self.end)
@@ -132,7 +132,7 @@ class Driven(Effect):
         )
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Gives the end node the velocity of the path, a held element the wall's."""
+        """Gives the end node the path's velocity, and a held element the wall's."""
         if self.holds_element:
             velocity, momentum = self._turning_element(rod)
             spin = velocity if motion.spin_is_velocity else momentum
@@ -146,7 +146,7 @@ class Driven(Effect):
         return replace(motion, velocity=velocity)
 
     def _turning_element(self, rod: Rod) -> tuple[Vec3, Vec3]:
-        """Rates of an element that the wall holds.
+        """Rates of rotation of an element that the wall holds.
 
         Returns:
             Angular velocity, material frame [rad/s], and angular momentum, world frame
@@ -157,15 +157,15 @@ class Driven(Effect):
         return local, to_world(frame, vectors.multiply(self._inertia(rod), local))
 
     def _inertia(self, rod: Rod) -> Vec3:
-        """Of the end element, about its axes [kg m^2]."""
+        """Moments of inertia of the end element, about its axes [kg m^2]."""
         index = 0 if self.end == "start" else -1
         return vectors.split(rod.principal_inertias[:, index])
 
     def violation(self, rod: Rod, state: RodState) -> Array:
         """Distance of the end node from the path along the axes, over the radius.
 
-        Or the wall joint's angle as a `Clamp` has it; of an element that is held by how
-        much it is turned besides.
+        With a wall joint it is the larger of this and the joint's violation, as in
+        `Clamp`. For a held element the angle between it and the wall is added.
         """
         node = end_node(rod, self.end)
         apart = distance_from(self._placed.position, node, self.axes, rod, state)
@@ -180,12 +180,12 @@ class Driven(Effect):
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node, and the end element if a wall turns it."""
+        """The end node, and also the end element if a wall turns it."""
         end = held_end(self.end, self.axes)
         return (end if self.turn is not None else replace(end, element=None),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
-        """The same path and wall; a rod that is curved there has no counterpart."""
+        """The same path and wall; raises if the rod's end is curved at rest."""
         check_straight_end(rod, self.end)
         return replace(self, made_for=made_again_for(self.made_for, new_rod))
 
@@ -194,7 +194,7 @@ class Driven(Effect):
         check_made_for("driven", self.made_for, rod)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """The force along the path's axes, the wall's couple, and their power."""
+        """Force along the driven axes, couple of the wall, and their power."""
         node = end_node(rod, self.end)
         mass = rod.node_masses[node]
         push = vectors.split(mass * self._placed.acceleration)
@@ -215,7 +215,10 @@ class Driven(Effect):
         return Reaction.of(force, couple, power + vectors.dot(couple, turning))
 
     def _couple_on_held(self, rod: Rod, motion: Motion, needed: Loads) -> Vec3:
-        """What balances all couples on the held element and turns it, world frame."""
+        """Couple that makes the held element turn with the wall, world frame [N m].
+
+        It also balances all other couples on the element.
+        """
         assert needed.couples is not None
         index = 0 if self.end == "start" else -1
         a, b, c = (component[index] for component in needed.couples)
@@ -240,23 +243,24 @@ def driven(
 ) -> Driven:
     """Moves an end along a path, and turns the wall that holds its element.
 
-    `jaxrod.reactions` says what it takes, in force, couple and power.
+    `jaxrod.reactions` gives the force, couple and power that this takes.
 
     Args:
-        state: The state of the rod: displacement and angle count from there.
-        end: Which end.
-        displacement: Of the end node, world frame: a schedule of `(3,)` [m].
-        axes: World axes along which it is driven; along others it is free.
-        axis: What the wall turns about, world frame, of any length `(3,)`.
-        angle: By how much: a schedule [rad].
+        state: The state of the rod, from which displacement and angle are counted.
+        end: The end that is driven.
+        displacement: Displacement of the end node, world frame: `(3,)`, or a schedule
+            of such [m].
+        axes: World axes along which it is driven; along the others it is free.
+        axis: Axis about which the wall turns, world frame, of any length `(3,)`.
+        angle: Angle by which the wall turns, or a schedule of it [rad].
         free_to_turn: Whether the end element turns freely, as on a ball joint.
-        holds_element: Whether the wall holds the end element itself, as `fixed_end`,
-            and not by an elastic joint of half an element, as `clamp`. First order in
-            the number of elements; for comparisons.
+        holds_element: Whether the wall holds the end element itself, as `fixed_end`
+            does, and not through an elastic joint of half an element, as `clamp` does.
+            This is first order in the number of elements; it is for comparisons.
 
     Raises:
         ValueError: If an argument is out of range.
-        TypeError: If `state` is something else.
+        TypeError: If `state` is not a `RodState`.
     """
     check_kind("state", state, RodState)
     check_one(state)

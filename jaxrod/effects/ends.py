@@ -1,4 +1,4 @@
-"""The two ends of a rod: reading and writing the entries of a field there."""
+"""The two ends of a rod: access to the entries of a field there."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ End = Literal["start", "finish"]
 
 @pytree
 class Wall:
-    """Support of the orientation of the element at one end of a rod."""
+    """Support for the orientation of the element at one end of a rod."""
 
     orientation: Float[Array, "4"]
     """The element's orientation at rest (w, x, y, z)."""
     stiffness: Float[Array, "3"] | None = None
-    """Of the elastic joint between wall and element, about its axes [N m]; `None`
-    for an element held fast."""
+    """Stiffness of the elastic joint between wall and element, about the element's
+    axes [N m]; `None` for an element that is held rigidly."""
     end: End = static(default="start")
-    """Which end."""
+    """The end that is held."""
 
 
 def zero_one_end(field: Array, end: End) -> Array:
-    """The field with zero at one end."""
+    """Field with the entry at one end set to zero."""
     if end == "start":
         return vectors.pad(field[1:], 1, 0)
     return vectors.pad(field[:-1], 0, 1)
 
 
 def replace_end(field: Array, value: Array, end: End) -> Array:
-    """The field with another value at one end."""
+    """Field with the entry at one end replaced."""
     return zero_one_end(field, end) + place(value, field.shape[0], end)
 
 
 def zero_at_end(field: Vec3, end: End) -> Vec3:
-    """A vector field with zero at one end."""
+    """Vector field with the entry at one end set to zero."""
     a, b, c = (zero_one_end(component, end) for component in field)
     return a, b, c
 
@@ -54,30 +54,30 @@ def at_end(field: Quaternion, end: End) -> Quaternion:
 
 
 def place(value: Array, size: int, end: End) -> Array:
-    """A field that is zero but for one end."""
+    """Field that is zero except at one end."""
     before, after = (0, size - 1) if end == "start" else (size - 1, 0)
     return vectors.pad(value[None], before, after)
 
 
 def only_at_end(value: Vec3, size: int, end: End) -> Vec3:
-    """A vector field that is zero but for one end."""
+    """Vector field that is zero except at one end."""
     a, b, c = (place(component, size, end) for component in value)
     return a, b, c
 
 
 def check_end(end: End) -> End:
-    """Returns the name of an end, or raises if it is none."""
+    """Returns the name of an end; raises ValueError if it is not one."""
     if not isinstance(end, str) or end not in ("start", "finish"):
         raise ValueError(f'end must be "start" or "finish", got {end!r}')
     return end
 
 
 def check_made_for(name: str, count: int | None, rod: Rod) -> None:
-    """Raises where a support was made from a state with another number of elements.
+    """Raises ValueError if a support was made from a state with other elements.
 
     Args:
-        name: Name of its factory.
-        count: Elements of the rod whose state it was made from, if it was.
+        name: Name of the support's factory.
+        count: Number of elements of the state it was made from; `None` if not known.
         rod: The rod it holds.
     """
     if count is not None and count != rod.n_elements:
@@ -88,5 +88,5 @@ def check_made_for(name: str, count: int | None, rod: Rod) -> None:
 
 
 def made_again_for(count: int | None, rod: Rod) -> int | None:
-    """The elements of another rod, for a support that was made for one."""
+    """Number of elements to record when a support is resampled for another rod."""
     return None if count is None else rod.n_elements

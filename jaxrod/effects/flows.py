@@ -1,4 +1,4 @@
-"""Flows: the velocity of what surrounds a rod, where it is and as time goes."""
+"""Flows: velocity of the surrounding fluid in space and time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class UniformFlow:
     """A flow that is the same everywhere."""
 
     velocity: Float[Array, "3"]
-    """World frame [m/s]."""
+    """Velocity, world frame [m/s]."""
 
     def at(self, points: Vec3) -> Vec3:
         """The velocity at each point [m/s]."""
@@ -31,7 +31,7 @@ class UniformFlow:
 
 @pytree
 class FlowField:
-    """A flow given by a function of place."""
+    """A flow given by a function of position."""
 
     parameters: Any
     """Traced numbers of the flow: any pytree of arrays and schedules."""
@@ -51,19 +51,19 @@ Flow = UniformFlow | FlowField
 def flow_field(
     function: Callable[[Any, Any], ArrayLike], parameters: Any = ()
 ) -> FlowField:
-    """A flow that differs from place to place, and in time if a parameter does.
+    """A flow that varies in space, and in time if a parameter does.
 
     Args:
-        function: Pure; from one point `(3,)` [m] and `parameters` to the velocity of
-            the fluid there `(3,)`, world frame [m/s]. A program is compiled for each
-            function, so use the same one again.
+        function: Pure function from one point `(3,)` [m] and `parameters` to the
+            velocity of the fluid there `(3,)`, world frame [m/s]. A program is compiled
+            for each function, so use the same one again.
         parameters: Traced numbers of the flow: any pytree of numbers and schedules,
-            `jaxrod.time()` among them.
+            such as `jaxrod.time()`.
 
     Raises:
         ValueError: If the function does not give three numbers at a point, or a
             parameter is not a number that can be stored.
-        TypeError: If the function is none.
+        TypeError: If `function` is not callable.
     """
     if not callable(function):
         raise TypeError(f"function must be callable, got {type(function).__name__}")
@@ -87,10 +87,10 @@ def flow_field(
 
 
 def as_flow(flow: Flow | Timed | None) -> Flow | None:
-    """An argument that may be a flow, a velocity or nothing, checked.
+    """Checks an argument that may be a flow, a velocity or `None`.
 
     Raises:
-        ValueError: If it is none of them.
+        ValueError: If it is not one of them.
     """
     if flow is None or isinstance(flow, UniformFlow | FlowField):
         return flow

@@ -1,16 +1,16 @@
-r"""Drag of a fluid on a rod: linear (Stokes), or with the square of the speed.
+r"""Drag of a fluid on a rod: linear (Stokes), or quadratic in the speed.
 
 Per length of rod, with the velocity relative to the flow along the rod ($w_\parallel$)
-and across it ($w_\perp$),
+and across it ($w_\perp$), the force is
 
 $$f = -\zeta_\parallel w_\parallel - \zeta_\perp w_\perp, \qquad
   f = -\tfrac12\rho\, 2r\,[c_\perp |w_\perp| w_\perp + \pi c_\parallel |w_\parallel|
   w_\parallel],$$
 
-and about the rod's axis the couple $-\zeta_\omega\omega_3$. Resistive-force theory:
-the fluid is as it would be without the rod, and no part of the rod sees another.
-Explicit steps of the consistent law solve drag with the loads (`jaxrod.methods.
-drag_kick`): it never limits the step.
+and the couple about the rod's axis is $-\zeta_\omega\omega_3$. This is resistive-force
+theory: the rod does not change the flow, and its parts do not interact through it.
+Explicit steps of the consistent law solve drag together with the loads
+(`jaxrod.methods.drag_kick`), so it never limits the step.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 @pytree
 class FluidDrag(Effect):
-    """Base of drags by a fluid that flows."""
+    """Base of drag in a fluid that may flow."""
 
     flow: Flow | None
-    """Velocity of the fluid; `None` at rest."""
+    """Velocity of the fluid; `None` for a fluid at rest."""
 
     reach: ClassVar[Reach] = "neighbours"
 
@@ -50,7 +50,7 @@ class FluidDrag(Effect):
         """Rates of decay along and across the rod."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The same as forces and couples, for methods that do not solve drag."""
+        """Drag as forces and couples, for methods that do not solve it."""
         return drag_loads(rod, motion, self.drag(rod, motion))
 
     def flow_at(self, motion: Motion) -> Vec3 | None:
@@ -67,12 +67,12 @@ class StokesDrag(FluidDrag):
     across: Float[Array, "*n"]
     """Force per length and speed across the rod [kg/(m s)]."""
     turning: Float[Array, "*n"] | None
-    """Couple per length and rate of turning about the axis [kg m/s]."""
+    """Couple per length and angular velocity about the axis [kg m/s]."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Drag coefficients of the nodes over their masses, and of the elements."""
+        """Drag coefficients of nodes and elements, over mass or rotary inertia."""
         masses, turning = rod.node_masses, None
         if self.turning is not None:
             about = self.turning / rod.rotary_inertia[1]
@@ -85,7 +85,7 @@ class StokesDrag(FluidDrag):
         )
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The coefficients."""
+        """Largest drag coefficients of nodes and elements."""
         turning = self.turning
         return StabilityBound(
             node_drag=on_nodes(rod, jnp.maximum(self.along, self.across)),
@@ -93,10 +93,10 @@ class StokesDrag(FluidDrag):
         )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> StokesDrag:
-        """The same if it is the same all along.
+        """The same drag if its coefficients are uniform along the rod.
 
         Raises:
-            ValueError: If it differs from element to element.
+            ValueError: If they differ from element to element.
         """
         if any(map(jnp.ndim, jax.tree.leaves(replace(self, flow=None)))):
             raise ValueError(
@@ -108,19 +108,19 @@ class StokesDrag(FluidDrag):
 
 @pytree
 class QuadraticDrag(FluidDrag):
-    """Drag with the square of the speed; see `quadratic_drag`."""
+    """Drag in proportion to the square of the speed; see `quadratic_drag`."""
 
     density: Float[Array, ""]
-    """Of the fluid [kg/m^3]."""
+    """Density of the fluid [kg/m^3]."""
     across: Float[Array, ""]
-    """Coefficient of drag across the rod, of its frontal area [1]."""
+    """Drag coefficient across the rod, referred to its frontal area [1]."""
     along: Float[Array, ""]
-    """Coefficient of friction along the rod, of its surface [1]."""
+    """Friction coefficient along the rod, referred to its surface [1]."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Drag per speed of the nodes over their masses."""
+        """Drag per speed of the nodes, over their masses."""
         area = on_nodes(rod, self.density * rod.radii) / rod.node_masses
         still = jnp.zeros_like(self.density)
         return Drag(
@@ -133,12 +133,12 @@ class QuadraticDrag(FluidDrag):
 
 
 def on_nodes(rod: Rod, per_length: Array) -> Array:
-    """What elements have per length, half of it on either node."""
+    """Quantity per length of the elements, integrated and shared by their nodes."""
     half = 0.5 * per_length * rod.rest_lengths
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
 
-# Factories: what users call. They check their arguments and say what is wrong.
+# Factories that users call. They check their arguments and explain errors.
 
 
 def stokes_drag(
@@ -150,21 +150,21 @@ def stokes_drag(
 ) -> StokesDrag:
     """Drag in proportion to the speed, as in viscous fluid.
 
-    `stokes_drag(*slender_cylinder(viscosity, length, radius))` is that of a thin rod in
-    a fluid without bounds.
+    `stokes_drag(*slender_cylinder(viscosity, length, radius))` is the drag of a thin
+    rod in an unbounded fluid.
 
     Args:
         along: Force per length and speed along the rod, at least 0, one number or one
             per element `(n,)` [kg/(m s)].
-        across: The same across the rod [kg/(m s)].
-        turning: Couple per length and rate of turning about the axis [kg m/s]. Known
-            to be 0 it is left out, as `torsion_free()` needs it.
-        flow: Velocity of the fluid, world frame `(3,)`, a schedule of such, or a
-            `jaxrod.flow_field` [m/s]; at rest by default. The turning is that of a
-            fluid that does not turn.
+        across: Force per length and speed across the rod, in the same form [kg/(m s)].
+        turning: Couple per length and angular velocity about the axis [kg m/s]. If it
+            is known to be 0 it is left out, as `torsion_free()` requires.
+        flow: Velocity of the fluid, world frame `(3,)`, a schedule of it, or a
+            `jaxrod.flow_field` [m/s]; at rest by default. Its vorticity is neglected in
+            the couple.
 
     Returns:
-        An effect to list in a scene; of those with drag a scene may have one.
+        An effect to list in a scene; a scene may have one effect with drag.
 
     Raises:
         ValueError: If a number is out of range.
@@ -188,16 +188,16 @@ def slender_cylinder(
       \zeta_\perp = \frac{4\pi\eta}{\ln(L/r) + 0.193}, \quad
       \zeta_\omega = 4\pi\eta r^2,$$
 
-    G. K. Batchelor, J. Fluid Mech. 44 (1970) 419, to first order in one over the
+    G. K. Batchelor, J. Fluid Mech. 44 (1970) 419, to first order in the inverse of the
     logarithm.
 
     Args:
         viscosity: Dynamic viscosity of the fluid [Pa s].
         length: Length of the cylinder, at least ten times its radius [m].
-        radius: Its radius [m].
+        radius: Radius of the cylinder [m].
 
     Returns:
-        Coefficients along, across and of turning, as `stokes_drag` takes them.
+        Coefficients along, across and of rotation, as `stokes_drag` takes them.
 
     Raises:
         ValueError: If a number is not positive, or the cylinder is not slender.
@@ -231,24 +231,24 @@ def quadratic_drag(
     along: Numbers = 0.0,
     flow: Flow | Timed | None = None,
 ) -> QuadraticDrag:
-    r"""Drag with the square of the speed, as in water at higher Reynolds numbers.
+    r"""Drag quadratic in the speed, as in water at higher Reynolds numbers.
 
     $$f = -\tfrac12\rho\,2r\,[c_\perp |w_\perp| w_\perp + \pi c_\parallel |w_\parallel|
       w_\parallel]$$
 
-    per length of a round rod of radius $r$, alike in all directions across it. Its
-    radii are those of `rod.radii`.
+    per length of a round rod of radius $r$, the same in all directions across it. The
+    radii are `rod.radii`.
 
     Args:
-        density: Of the fluid [kg/m^3].
-        across: Coefficient of drag across the rod, of its frontal area [1].
-        along: Coefficient of friction along the rod, of its surface [1]; a fiftieth of
-            that across fits the arm of an octopus (Yekutieli et al., J. Neurophysiol.
-            94 (2005) 1443).
-        flow: As in `stokes_drag`.
+        density: Density of the fluid [kg/m^3].
+        across: Drag coefficient across the rod, referred to its frontal area [1].
+        along: Friction coefficient along the rod, referred to its surface [1]. A
+            fiftieth of `across` fits the arm of an octopus (Yekutieli et al.,
+            J. Neurophysiol. 94 (2005) 1443).
+        flow: Velocity of the fluid, as in `stokes_drag`.
 
     Returns:
-        An effect to list in a scene; of those with drag a scene may have one.
+        An effect to list in a scene; a scene may have one effect with drag.
 
     Raises:
         ValueError: If a number is out of range.
@@ -262,7 +262,7 @@ def quadratic_drag(
 
 
 def _coefficient(name: str, value: Numbers, unit: str) -> Array:
-    """One number, or one per element."""
+    """Checks a coefficient: one number, or one per element."""
     given = numeric(name, value, unit)
     if given.ndim > 1:
         raise ValueError(

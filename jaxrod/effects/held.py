@@ -1,4 +1,4 @@
-"""Freedoms of a rod that supports hold: none is held twice."""
+"""Degrees of freedom of a rod that supports hold: none is held twice."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import combinations
 from jaxrod.effects.ends import End
 
 Axes = tuple[bool, bool, bool]
-"""World axes x, y and z: those along which something is held."""
+"""Flags of the world axes x, y and z along which a node is held."""
 
 
 ALL_AXES: Axes = (True, True, True)
@@ -17,14 +17,14 @@ ALL_AXES: Axes = (True, True, True)
 
 @dataclass(frozen=True)
 class Held:
-    """Freedoms that an effect holds: of one node, of one element, or of both."""
+    """Degrees of freedom that an effect holds: of one node, of one element, or both."""
 
     node: int | None = None
-    """Number of the node; negative ones count from the last."""
+    """Number of the node; negative numbers count from the last."""
     axes: Axes = ALL_AXES
     """World axes along which the node is held."""
     element: int | None = None
-    """Number of the element whose orientation is held, fast or by a joint."""
+    """Number of the element whose orientation is held, rigidly or by a joint."""
 
 
 def held_end(end: End, axes: Axes = ALL_AXES) -> Held:
@@ -34,15 +34,15 @@ def held_end(end: End, axes: Axes = ALL_AXES) -> Held:
 
 
 def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
-    """Checks that no two supports hold the same freedom.
+    """Checks that no two supports hold the same degree of freedom.
 
     Args:
-        held: What supports hold, each with the name of its effect.
+        held: Held degrees of freedom, each with the name of its effect.
         n_elements: Number of elements of the rod.
 
     Raises:
-        ValueError: If two do. The one would undo the other, and neither reaction would
-            be what it bears.
+        ValueError: If two supports do. They would undo each other, and neither reaction
+            would be the load that its support bears.
     """
     for (name, one), (other_name, other) in combinations(held, 2):
         both = f"{name} and {other_name} both hold"
@@ -66,7 +66,7 @@ def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
 
 
 def _same(one: int | None, other: int | None, size: int) -> int | None:
-    """The place that two numbers mean, if it is one."""
+    """Place that two indices both mean; `None` if they differ or one is `None`."""
     if one is None or other is None or one % size != other % size:
         return None
     return one % size

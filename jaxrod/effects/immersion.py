@@ -1,4 +1,4 @@
-"""Immersion in a fluid at rest: buoyancy, and the mass that moves with a rod."""
+"""Immersion in a fluid at rest: buoyancy, and the fluid mass that moves with a rod."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 @pytree
 class Buoyancy(Effect):
-    """Weight of the fluid that a rod displaces, upwards."""
+    """Buoyancy: upward force equal to the weight of the displaced fluid."""
 
     density: Float[Array, ""]
-    """Of the fluid [kg/m^3]."""
+    """Density of the fluid [kg/m^3]."""
     acceleration: Float[Array, "3"]
     """Gravitational acceleration, world frame [m/s^2]."""
     added_mass: Float[Array, ""]
-    """Coefficient of the added mass that the rod has, which does not weigh [1]."""
+    """Coefficient of the rod's added mass, which has no weight [1]."""
 
     def lifted(self, rod: Rod) -> Array:
-        """Mass whose weight is taken off the nodes [kg]."""
+        """Mass whose weight buoyancy takes off each node [kg]."""
         displaced = self.density * jnp.pi * rod.radii**2
         return on_nodes(rod, (1 + self.added_mass) * displaced)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The lift of the nodes."""
+        """Buoyant force on the nodes."""
         masses, g = self.lifted(rod), self.acceleration
         return Loads(forces=(-masses * g[0], -masses * g[1], -masses * g[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the lift is constant."""
+        """None: the force is constant."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Work of gravity on the fluid displaced, from the origin [J]."""
+        """Work of gravity on the displaced fluid, measured from the origin [J]."""
         heights = jnp.sum(self.acceleration[:, None] * state.positions, axis=0)
         return jnp.sum(self.lifted(rod) * heights)
 
@@ -52,14 +52,15 @@ def buoyancy(
     *,
     added_mass: Numbers = 0.0,
 ) -> Buoyancy:
-    """Buoyancy of a round rod under the surface of a fluid; list `gravity` besides.
+    """Buoyancy of a round rod under the surface of a fluid; list `gravity` as well.
 
     Args:
-        density: Of the fluid [kg/m^3].
-        acceleration: That of `gravity`, world frame `(3,)`, or a schedule [m/s^2].
-        added_mass: The coefficient given to `with_added_mass`, if the rod has some:
-            that mass has inertia but no weight, and `gravity` does not know which of
-            the rod's mass it is [1].
+        density: Density of the fluid [kg/m^3].
+        acceleration: Acceleration as for `gravity`, world frame `(3,)`, or a schedule
+            [m/s^2].
+        added_mass: Coefficient given to `with_added_mass`, if the rod has added mass
+            [1]. That mass has inertia but no weight, and `gravity` does not know which
+            part of the rod's mass it is.
 
     Raises:
         ValueError: If a number is out of range.
@@ -74,20 +75,20 @@ def buoyancy(
 def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> Rod:
     r"""The rod with the mass of fluid that moves with it, $C\rho_f\pi r^2$ per length.
 
-    The same in all directions. That is right across the rod, where $C = 1$ for a
-    circular section, and wrong along it, where there is none: axial waves are slower by
-    $\sqrt{1 + C\rho_f/\rho}$, which slender rods hardly ever show. Where a rod swims
-    by the thrust of fluid that it pushes back (Lighthill's), this is not the model.
-    `jaxrod.momentum` and `kinetic_energy` count the added mass.
+    The added mass is the same in all directions. That is right across the rod, where
+    $C = 1$ for a circular section. It is wrong along the rod, where there is none:
+    axial waves are slower by $\sqrt{1 + C\rho_f/\rho}$, which slender rods hardly ever
+    show. It is not a model of a rod that swims by the thrust of fluid that it pushes
+    back (Lighthill's). `jaxrod.momentum` and `kinetic_energy` count the added mass.
 
     Args:
         rod: The rod, of round section.
-        density: Of the fluid [kg/m^3].
+        density: Density of the fluid [kg/m^3].
         coefficient: $C$ [1].
 
     Raises:
         ValueError: If a number is out of range.
-        TypeError: If `rod` is something else.
+        TypeError: If `rod` is not a `Rod`.
     """
     check_kind("rod", rod, Rod)
     dtype = rod.rest_lengths.dtype

@@ -1,6 +1,6 @@
-"""Loads that need nothing but the rod: gravity, end loads, uniform loads, damping.
+"""Loads that depend on the rod only: gravity, end loads, uniform loads, damping.
 
-All but damping may be schedules of time: see `jaxrod.ramp`, `sine` and `table`.
+All except damping may be schedules of time: see `jaxrod.ramp`, `sine` and `table`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Gravity(Effect):
         """None: the weight is constant."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Minus the work of gravity from the origin [J]."""
+        """Negative work of gravity, measured from the origin [J]."""
         heights = jnp.sum(self.acceleration[:, None] * state.positions, axis=0)
         return -jnp.sum(rod.node_masses * heights)
 
@@ -55,14 +55,14 @@ class EndLoad(Effect):
     """A force and couple on one end of the rod (dead loads)."""
 
     force: Float[Array, "3"]
-    """On the end node, world frame [N]."""
+    """Force on the end node, world frame [N]."""
     couple: Float[Array, "3"]
-    """On the end element, world frame [N m]."""
+    """Couple on the end element, world frame [N m]."""
     end: End = static(default="finish")
-    """Which end."""
+    """The end that is loaded."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The force and the couple."""
+        """Force and couple at the end."""
         frame = directors(at_end(motion.orientation, self.end))
         couple = to_material(frame, vectors.split(self.couple))
         return self._at_end(rod, vectors.split(self.force), couple)
@@ -72,7 +72,7 @@ class EndLoad(Effect):
         return None
 
     def _at_end(self, rod: Rod, force: Vec3, couple: Vec3) -> Loads:
-        """A force [N] and a material couple [N m], zero but for the end."""
+        """A force [N] and a material couple [N m], zero except at the end."""
         return Loads(
             forces=only_at_end(force, rod.n_elements + 1, self.end),
             couples=only_at_end(couple, rod.n_elements, self.end),
@@ -89,17 +89,18 @@ class FollowerEndLoad(EndLoad):
     reach: ClassVar[Reach] = "neighbours"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The force, turned with the end element, and the couple."""
+        """Force, turned with the end element, and couple."""
         frame = directors(at_end(motion.orientation, self.end))
         force = to_world(frame, vectors.split(self.force))
         return self._at_end(rod, force, vectors.split(self.couple))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The force, which turns with the end element, on that and on the end node."""
+        """Bound of the turning force, on the end element and the end node."""
         index = 0 if self.end == "start" else -1
         size = jnp.sqrt(jnp.sum(self.force**2))
-        # Force times turn times displacement: by Young's inequality at most half of
-        # the squares of both, in a length that balances mass and rotary inertia.
+        # The coupling is force times rotation times displacement. By Young's inequality
+        # it is at most half of the sum of both squares, with a length as weight that
+        # balances mass and rotary inertia.
         least = jnp.min(rod.inertias[:, index])
         scale = jnp.sqrt(least / rod.node_masses[index])
         return StabilityBound(
@@ -109,7 +110,7 @@ class FollowerEndLoad(EndLoad):
 
     @property
     def twists(self) -> str | None:
-        """The loads, which turn with the end element."""
+        """Name of the option that makes the loads turn with the end element."""
         return "follower=True"
 
 
@@ -118,12 +119,12 @@ class UniformLoad(Effect):
     """A force and couple per rest length all along the rod (dead loads)."""
 
     force_per_length: Float[Array, "3"]
-    """World frame [N/m]."""
+    """Force per rest length, world frame [N/m]."""
     couple_per_length: Float[Array, "3"]
-    """World frame [N m/m]."""
+    """Couple per rest length, world frame [N m/m]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces shared half and half by an element's nodes; couples on elements."""
+        """Forces, shared equally by an element's nodes, and couples on elements."""
         forces, couples = self._on_elements(rod)
         return Loads(
             forces=vectors.pair_sum(forces),
@@ -135,7 +136,7 @@ class UniformLoad(Effect):
         return None
 
     def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
-        """Half of each element's force [N], and its couple [N m], as they are given."""
+        """Half of each element's force [N] and its couple [N m], in the given frame."""
         lengths = rod.rest_lengths
         f, c = self.force_per_length, self.couple_per_length
         forces = (0.5 * lengths * f[0], 0.5 * lengths * f[1], 0.5 * lengths * f[2])
@@ -152,16 +153,17 @@ class FollowerLoad(UniformLoad):
     reach: ClassVar[Reach] = "neighbours"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Each element's force, turned with it, shared by its nodes; its couple."""
+        """Forces, turned with the elements and shared by their nodes, and couples."""
         forces, couples = self._on_elements(rod)
         turned = to_world(directors(motion.orientation), forces)
         return Loads(forces=vectors.pair_sum(turned), couples=couples)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Forces that turn with elements, shared between nodes and elements."""
+        """Bound of the turning forces, on nodes and elements."""
         size = jnp.sqrt(jnp.sum(self.force_per_length**2)) * rod.rest_lengths
-        # Force times turn times displacement: by Young's inequality at most half of
-        # the squares of both, in lengths that balance mass and rotary inertia.
+        # The coupling is force times rotation times displacement. By Young's inequality
+        # it is at most half of the sum of both squares, with lengths as weights that
+        # balance mass and rotary inertia.
         least = jnp.min(rod.inertias, axis=0)
         scale = jnp.sqrt(least / rod.element_masses)
         across = 0.5 * size / scale
@@ -171,7 +173,7 @@ class FollowerLoad(UniformLoad):
 
     @property
     def twists(self) -> str | None:
-        """The loads, which turn with the elements."""
+        """Name of the option that makes the loads turn with the elements."""
         return "follower=True"
 
 
@@ -180,30 +182,30 @@ class ExponentialDamping(Effect):
     r"""Linear damping: rates decay exponentially when nothing else acts.
 
     $\dot v = f/m - g_t v$ and $\dot P = c - g_r P$. In consistent mode a kick solves
-    these exactly for the loads held constant over the step: second order, stable
-    and with the right terminal velocity however large the rates are. In PyElastica
+    these exactly for the loads held constant over the step. It is second order, stable,
+    and has the right terminal velocity however large the rates are. In PyElastica
     mode rates are multiplied by $e^{-g h}$ after the kick, as its
     `AnalyticalLinearDamper` does.
     """
 
     translational_rate: Float[Array, ""]
-    """Of velocities [1/s]."""
+    """Decay rate of velocities [1/s]."""
     rotational_rate: Float[Array, ""]
-    """Of spins [1/s]."""
+    """Decay rate of spins [1/s]."""
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array]:
         """The two rates [1/s]."""
         return self.translational_rate, self.rotational_rate
 
 
-# Factories: what users call. They check their arguments and say what is wrong.
+# Factories that users call. They check their arguments and explain errors.
 
 
 def gravity(acceleration: Timed = (0.0, 0.0, -9.80665)) -> Gravity:
     """Uniform gravity.
 
     Args:
-        acceleration: World frame `(3,)`, or a schedule of such [m/s^2].
+        acceleration: Acceleration, world frame `(3,)`, or a schedule of it [m/s^2].
     """
     return Gravity(as_timed("acceleration", acceleration, "m/s^2", (3,)))
 
@@ -218,13 +220,13 @@ def end_load(
     """A force and couple on one end.
 
     Args:
-        force: On the end node `(3,)`, or a schedule of such [N]; world frame, or the
-            material frame of the end element if `follower`.
-        couple: On the end element [N m].
+        force: Force on the end node `(3,)`, or a schedule of it [N]; in the world
+            frame, or in the material frame of the end element if `follower`.
+        couple: Couple on the end element, in the same frame [N m].
         end: "start" or "finish".
         follower: Whether force and couple turn with the end element. Then a force
-            along d3 stays along the rod, and one along d1 or d2 stays across it. For
-            a couple alone that turns beside a force that does not, list two loads.
+            along d3 stays along the rod, and one along d1 or d2 stays across it. If
+            only one of them shall turn, list two loads.
     """
     kind = FollowerEndLoad if follower else EndLoad
     return kind(
@@ -243,9 +245,9 @@ def uniform_load(
     """A force and couple per rest length.
 
     Args:
-        force_per_length: World frame, or material frame if `follower`, `(3,)`, or a
-            schedule of such [N/m].
-        couple_per_length: Likewise [N m/m].
+        force_per_length: Force per rest length `(3,)`, or a schedule of it [N/m]; in
+            the world frame, or in the material frame if `follower`.
+        couple_per_length: Couple per rest length, in the same frame [N m/m].
         follower: Whether they turn with the elements.
     """
     kind = FollowerLoad if follower else UniformLoad
@@ -261,8 +263,8 @@ def exponential_damping(
     """Exponential decay of all rates.
 
     Args:
-        translational_rate: Of velocities, at least 0 [1/s].
-        rotational_rate: Of spins, at least 0 [1/s]; the same by default.
+        translational_rate: Decay rate of velocities, at least 0 [1/s].
+        rotational_rate: Decay rate of spins, at least 0 [1/s]; the same by default.
     """
     if rotational_rate is None:
         rotational_rate = translational_rate

@@ -1,7 +1,6 @@
 """Memory of effects from step to step: fields declared with `memory()`.
 
-The values are part of the state, `RodState.memory`; those in the scene are what they
-begin with.
+The values are part of the state, `RodState.memory`; the scene has their initial values.
 """
 
 from __future__ import annotations
@@ -15,20 +14,20 @@ import jax.numpy as jnp
 from jaxrod.effects.base import Effect
 
 Memory = tuple[dict[str, Any], ...]
-"""Of each effect of a scene, its fields declared with `memory()`, by name."""
+"""Fields declared with `memory()`, by name, for each effect of a scene."""
 
 
 def memory_fields(effect: Effect) -> list[str]:
-    """Fields of an effect that it remembers."""
+    """Names of the fields of an effect that are memory."""
     fields: tuple[dataclasses.Field[Any], ...] = ()
     if dataclasses.is_dataclass(type(effect)):
-        # An effect is a dataclass by its decorator, which its type does not say.
+        # An effect is a dataclass by its decorator, but its type does not show that.
         fields = dataclasses.fields(type(effect))  # type: ignore[arg-type]
     return [field.name for field in fields if field.metadata.get("memory")]
 
 
 def remembers(effects: tuple[Effect, ...]) -> bool:
-    """Whether any effect has something to remember."""
+    """Whether any effect has memory."""
     return any(map(memory_fields, effects))
 
 
@@ -44,8 +43,8 @@ def memory_of(effects: tuple[Effect, ...]) -> Memory:
 
 
 def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
-    """The effects with other memories."""
-    # What remembers is a dataclass by its decorator, which its type does not say.
+    """The effects with the given memory."""
+    # An effect with memory is a dataclass, but its type does not show that.
     return tuple(
         dataclasses.replace(effect, **values) if values else effect  # type: ignore[type-var]
         for effect, values in zip(effects, memory, strict=True)
@@ -53,7 +52,7 @@ def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
 
 
 def stirred(memory: Memory) -> Memory:
-    """A memory of no particular values, to try out what effects do with it."""
+    """Memory with arbitrary values, to test what effects do with it."""
 
     def other(leaf: Any) -> Any:
         inexact = jnp.issubdtype(leaf.dtype, jnp.floating)

@@ -1,4 +1,4 @@
-"""Nodes of a rod: the components of a field that a support holds."""
+"""Nodes of a rod: access to the components of a field that a support holds."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
 def distance_from(
     place: Array, node: int, axes: Axes, rod: Rod, state: RodState
 ) -> Array:
-    """Of a node from a place along some axes, over the radius there [1]."""
+    """Distance of a node from a place along some axes, over the radius there [1]."""
     apart = (state.positions[:, node] - place) * jnp.asarray(axes, place.dtype)
     return (
         vectors.safe_norm(vectors.split(apart))
@@ -56,7 +56,7 @@ def force_at(needed: Loads, node: int, axes: Axes) -> Vec3:
 
 
 def own_couple(effect: Effect, rod: Rod, motion: Motion, end: End) -> Vec3:
-    """The couple of an effect on an end element, world frame [N m]."""
+    """Couple of an effect on an end element, world frame [N m]."""
     couples = effect.loads(rod, motion).couples
     assert couples is not None
     index = 0 if end == "start" else -1
@@ -72,7 +72,7 @@ def axes_named(axes: str) -> Axes:
 
 
 def check_straight_end(rod: Rod, end: End) -> None:
-    """Raises a `ValueError` if a rod is curved at rest at an end."""
+    """Raises a `ValueError` if a rod's end is curved at rest."""
     index = 0 if end == "start" else -1
     if np.any(np.asarray(rod.rest_curvatures[:, index]) != 0):
         raise ValueError(

@@ -1,7 +1,7 @@
-"""Checks of classes that users write: hooks that are meant, pytrees, loads that fit.
+"""Checks of classes that users write: names of hooks, pytrees, shapes of loads.
 
-Without them a slip of the pen is silent (a hook that nobody calls) or ends deep inside
-JAX. Classes of jaxrod are not looked at: they have tests.
+Without them a typing error is silent (a hook that nobody calls) or raises deep inside
+JAX. Classes of jaxrod are not checked: they have tests.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxrod.rods.motion import Loads
 from jaxrod.rods.rod import Rod
 
 ALIKE = 0.85
-"""Likeness of two names, by `difflib`, from which one is taken for the other."""
+"""Similarity of two names, by `difflib`, above which one is taken for the other."""
 
 
 def check_own_class(thing: Any, base: type, noun: str) -> None:
@@ -27,12 +27,12 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
 
     Args:
         thing: The effect or coupling.
-        base: The base, whose public names are the hooks.
+        base: The base class, whose public names are the hooks.
         noun: "an effect" or "a coupling", for messages.
 
     Raises:
-        TypeError: If the class is no pytree, if a method has nearly the name of a hook
-            that the class does not define, or if it defines no hook at all.
+        TypeError: If the class is not a pytree, if a method has nearly the name of a
+            hook that the class does not define, or if it defines no hook at all.
     """
     kind = type(thing)
     if _is_of_jaxrod(kind):
@@ -42,19 +42,19 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
             f"{kind.__name__} is not a pytree: write @jaxrod.pytree above the line "
             f"class {kind.__name__}(...), and give it its numbers as fields"
         )
-    # A class is hashable, which checkers of types do not know of `type`.
+    # A class is hashable, but type checkers do not know that of `type`.
     words = _slip(kind, base, noun)  # type: ignore[arg-type]
     if words is not None:
         raise TypeError(words)
 
 
 def check_own_loads(effect: Effect, rod: Rod) -> None:
-    """Checks kind and shapes of the loads of an effect that is not one of jaxrod's.
+    """Checks type and shapes of the loads of an effect that is not one of jaxrod's.
 
-    They are traced, not computed. Of many rods at once they are not looked at.
+    The loads are traced, not computed. Loads of batches of rods are not checked.
 
     Args:
-        effect: The effect at a moment: its schedules replaced by numbers.
+        effect: The effect at one time: its schedules are replaced by numbers.
         rod: The rod.
 
     Raises:
@@ -75,7 +75,7 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
 
 
 def _check_loads(kind: type, found: Any, n_elements: int) -> None:
-    """Raises unless what was returned is `Loads` for so many elements."""
+    """Raises unless the returned value is `Loads` of the right shape."""
     name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
     if not isinstance(found, Loads):
         raise TypeError(
@@ -96,7 +96,7 @@ def _check_loads(kind: type, found: Any, n_elements: int) -> None:
 
 
 def _fits(given: Any, count: int) -> bool:
-    """Whether it is three components that can be added to those of the rod."""
+    """Whether a value is three components that can be added to those of the rod."""
     if isinstance(given, jax.Array):
         return given.shape == (3, count)
     if not isinstance(given, tuple | list) or len(given) != 3:
@@ -105,7 +105,7 @@ def _fits(given: Any, count: int) -> bool:
 
 
 def _described(given: Any) -> str:
-    """The shape or shapes of an action, as the caller gave it."""
+    """Shape or shapes of forces or couples, as the caller gave them."""
     if isinstance(given, tuple | list):
         shapes = ", ".join(str(jnp.shape(part)) for part in given)
         return f"{len(given)} of shapes {shapes}"
@@ -126,7 +126,7 @@ def _slip(kind: type, base: type, noun: str) -> str | None:
     own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}
     for name in sorted(own - hooks):
         meant = difflib.get_close_matches(name, hooks - own, 1, ALIKE)
-        # Beside the hook itself, a helper may be called much like it.
+        # A helper may have a name close to a hook that the class defines, too.
         if meant and not difflib.get_close_matches(name, hooks & own, 1, ALIKE):
             return (
                 f"{kind.__name__}.{name} is not a hook of {noun} and would never be "

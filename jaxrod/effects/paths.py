@@ -1,7 +1,7 @@
 r"""Paths: schedules of places and orientations, with their rates.
 
-What is driven along a path needs to know how fast it goes: velocity and acceleration
-are derivatives of the schedule, by JAX.
+A driven end needs the velocity and the acceleration of its path: they are derivatives
+of the schedule, by JAX.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from jaxrod.structure import pytree
 
 @pytree
 class Placed:
-    """A place, and how it moves."""
+    """A position with its velocity and acceleration."""
 
     position: Float[Array, "3"]
-    """World frame [m]."""
+    """Position, world frame [m]."""
     velocity: Float[Array, "3"]
-    """World frame [m/s]."""
+    """Velocity, world frame [m/s]."""
     acceleration: Float[Array, "3"]
-    """World frame [m/s^2]."""
+    """Acceleration, world frame [m/s^2]."""
 
 
 @pytree
 class Path(Schedule):
-    """Places from a schedule of displacements."""
+    """Positions along a path, from a schedule of displacements."""
 
     start: Float[Array, "3"]
-    """Where the displacement is zero [m]."""
+    """Position at zero displacement [m]."""
     displacement: Any
     """Schedule of displacements from there `(3,)` [m]."""
 
     def __call__(self, clock: Clock) -> Placed:
-        """Place, velocity and acceleration at a time."""
+        """Position, velocity and acceleration at a time."""
 
         def place(clock: Clock) -> Array:
             return self.start + self.displacement(clock)
@@ -58,31 +58,31 @@ class Path(Schedule):
 
     @property
     def largest(self) -> Placed:
-        """The place furthest along every axis, at rest."""
+        """Position with the largest displacement along every axis, at rest."""
         still = jnp.zeros_like(self.start)
         return Placed(self.start + self.displacement.largest, still, still)
 
 
 @pytree
 class Turned:
-    """An orientation, and how it turns."""
+    """An orientation with its angular velocity and acceleration."""
 
     orientation: Float[Array, "4"]
     """Unit quaternion (w, x, y, z), material to world."""
     angular_velocity: Float[Array, "3"]
-    """World frame [rad/s]."""
+    """Angular velocity, world frame [rad/s]."""
     angular_acceleration: Float[Array, "3"]
-    """World frame [rad/s^2]."""
+    """Angular acceleration, world frame [rad/s^2]."""
 
 
 @pytree
 class Turning(Schedule):
-    """Orientations that turn about an axis that stands still."""
+    """Orientations that turn about a fixed axis."""
 
     start: Float[Array, "4"]
     """Orientation at angle zero (w, x, y, z)."""
     axis: Float[Array, "3"]
-    """Unit vector, world frame."""
+    """Unit vector along the axis, world frame."""
     angle: Any
     """Schedule of the angle [rad]."""
 
@@ -98,14 +98,14 @@ class Turning(Schedule):
 
     @property
     def largest(self) -> Turned:
-        """Turned by an odd angle if it turns at all: whole turns would not show."""
+        """Orientation at an arbitrary angle if it turns: whole turns would not show."""
         largest = self.angle.largest
         angle = jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
         still = jnp.zeros_like(self.axis)
         return Turned(self._turned(angle), still, still)
 
     def _turned(self, angle: Array) -> Array:
-        # Not `rotation_exp`, which is for one whole turn at most: walls wind rods up.
+        # Not `rotation_exp`, which allows one whole turn at most: walls wind rods up.
         half = 0.5 * angle
         x, y, z = vectors.scale(jnp.sin(half), vectors.split(self.axis))
         start = split_quaternion(self.start)
@@ -114,7 +114,7 @@ class Turning(Schedule):
 
 @pytree
 class _Constant(Schedule):
-    """A schedule that stays what it is."""
+    """A schedule with a constant value."""
 
     value: Array
 
@@ -127,13 +127,13 @@ class _Constant(Schedule):
 
 
 def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
-    """A schedule, or a constant as one, checked as `as_timed` does."""
+    """Schedule, made of a constant if one is given; checked as in `as_timed`."""
     checked = as_timed(name, value, unit, shape)
     return checked if isinstance(checked, Schedule) else _Constant(checked)
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:
-    """A schedule's value and its derivative by time."""
+    """Value of a schedule and its time derivative."""
 
     def at(fraction: Array) -> Any:
         return schedule(replace(clock, fraction=fraction))

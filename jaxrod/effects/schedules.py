@@ -1,4 +1,4 @@
-"""Schedules: ramps, sines and tables, for wherever an effect takes a number."""
+"""Schedules: ramps, sines and tables, for any number of an effect."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 @pytree
 class Ramp(Schedule):
-    """From one value to another in a straight line, and constant before and after."""
+    """Linear change from one value to another, constant before and after."""
 
     first: Float[Array, "..."]
     """Value up to the start."""
     last: Float[Array, "..."]
     """Value from the end on."""
     start: Float[Array, ""]
-    """When it leaves the first value [s]."""
+    """Time at which the change begins [s]."""
     duration: Float[Array, ""]
-    """How long it takes [s]."""
+    """Duration of the change [s]."""
 
     def __call__(self, clock: Clock) -> Array:
         """The value at a time."""
@@ -31,12 +31,12 @@ class Ramp(Schedule):
 
     @property
     def largest(self) -> Array:
-        """The larger of both values."""
+        """Larger absolute value of the two, component by component."""
         return jnp.maximum(jnp.abs(self.first), jnp.abs(self.last))
 
     @property
     def largest_norm(self) -> Array:
-        """The longer of both values."""
+        """Norm of the longer value."""
         return jnp.maximum(norm(self.first), norm(self.last))
 
 
@@ -45,13 +45,13 @@ class Sine(Schedule):
     r"""$a + b \sin 2\pi (t/T + \varphi)$."""
 
     mean: Float[Array, "..."]
-    """$a$."""
+    """Mean $a$."""
     amplitude: Float[Array, "..."]
-    """$b$."""
+    """Amplitude $b$."""
     period: Float[Array, ""]
-    """$T$ [s]."""
+    """Period $T$ [s]."""
     phase: Float[Array, ""]
-    r"""$\varphi$, in periods [1]."""
+    r"""Phase $\varphi$, in periods [1]."""
 
     def __call__(self, clock: Clock) -> Array:
         """The value at a time, as exact after a million periods as in the first."""
@@ -60,24 +60,24 @@ class Sine(Schedule):
 
     @property
     def largest(self) -> Array:
-        """Mean and amplitude together."""
+        """Sum of the absolute values of mean and amplitude."""
         return jnp.abs(self.mean) + jnp.abs(self.amplitude)
 
     @property
     def largest_norm(self) -> Array:
-        """The longer of mean plus and mean less amplitude."""
+        """Larger norm of mean plus amplitude and mean minus amplitude."""
         up, down = self.mean + self.amplitude, self.mean - self.amplitude
         return jnp.maximum(norm(up), norm(down))
 
 
 @pytree
 class Table(Schedule):
-    """Values at given times, straight lines between, constant before and after."""
+    """Values at given times, linear in between, constant before and after."""
 
     times: Float[Array, " k"]
-    """Rising [s]."""
+    """Times, increasing [s]."""
     values: Float[Array, "k ..."]
-    """One for each."""
+    """One value for each time."""
 
     def __call__(self, clock: Clock) -> Array:
         """The value at a time."""
@@ -90,18 +90,18 @@ class Table(Schedule):
 
     @property
     def largest(self) -> Array:
-        """The largest of all values."""
+        """Largest absolute value of each component."""
         return jnp.max(jnp.abs(self.values), axis=0)
 
     @property
     def largest_norm(self) -> Array:
-        """The longest of all values."""
+        """Norm of the longest value."""
         return jnp.max(norm(self.values, each=True))
 
 
 @pytree
 class Time(Schedule):
-    """Time itself [s]: for an effect with a formula of its own."""
+    """Time itself [s], for an effect with a formula of its own."""
 
     def __call__(self, clock: Clock) -> Array:
         """The time [s]."""
@@ -109,20 +109,20 @@ class Time(Schedule):
 
     @property
     def largest(self) -> Array:
-        """Any moment, for checks of planes: time has no bound [s]."""
+        """An arbitrary time, for checks of planes: time has no bound [s]."""
         return jnp.asarray(0.739)
 
 
 def ramp(
     first: Numbers, last: Numbers, duration: Numbers, *, start: Numbers = 0.0
 ) -> Ramp:
-    """A straight line from one value to another, constant before and after.
+    """Linear change from one value to another, constant before and after.
 
     Args:
-        first: Value up to the start, in the unit of what is scheduled.
+        first: Value up to the start, in the unit of the scheduled number.
         last: Value from the end on, of the same shape.
-        duration: How long it takes, above 0 [s].
-        start: When it begins [s].
+        duration: Duration of the change, above 0 [s].
+        start: Time at which the change begins [s].
 
     Raises:
         ValueError: If an argument is out of range or the shapes differ.
@@ -147,10 +147,10 @@ def sine(
     """A sine about a mean.
 
     Args:
-        amplitude: In the unit of what is scheduled.
-        period: Above 0 [s].
-        mean: Of the same shape as the amplitude; zero by default.
-        phase: At time zero, in periods: 0.25 makes it a cosine.
+        amplitude: Amplitude, in the unit of the scheduled number.
+        period: Period, above 0 [s].
+        mean: Mean, of the same shape as the amplitude; zero by default.
+        phase: Phase at time zero, in periods: 0.25 makes it a cosine.
 
     Raises:
         ValueError: If an argument is out of range or the shapes differ.
@@ -167,14 +167,14 @@ def sine(
 
 
 def table(times: Numbers, values: Numbers) -> Table:
-    """Values at given times: straight lines between, constant before and after.
+    """Values at given times, linear in between, constant before and after.
 
     Args:
-        times: At least two, rising `(k,)` [s].
-        values: One for each `(k, ...)`, in the unit of what is scheduled.
+        times: Times, at least two, increasing `(k,)` [s].
+        values: One value for each time `(k, ...)`, in the unit of the scheduled number.
 
     Raises:
-        ValueError: If the times do not rise, or there are not as many values.
+        ValueError: If the times do not increase, or the number of values differs.
     """
     given = numeric("times", times, "s")
     if given.ndim != 1 or given.shape[0] < 2:
@@ -190,7 +190,7 @@ def table(times: Numbers, values: Numbers) -> Table:
 
 
 def time() -> Time:
-    """Time itself [s], for a field of an effect of your own.
+    """Time itself [s], for a field of an effect that you write.
 
     Time has no bound: the effect's `stability_bound` must hold at all times without it.
     """
@@ -198,7 +198,7 @@ def time() -> Time:
 
 
 def _value(name: str, value: Numbers) -> Array:
-    """A number or an array of numbers of any shape."""
+    """Checks a number or an array of numbers of any shape."""
     return as_array(name, value, "", [numeric(name, value).shape])
 
 

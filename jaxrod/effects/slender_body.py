@@ -1,10 +1,10 @@
-r"""PyElastica's slender-body drag, to compare with it.
+r"""PyElastica's slender-body drag, for comparisons.
 
 On an element of current length $\ell$ and radius $r$ of a rod of current length $L$,
 
 $$F = -\frac{4\pi\eta\,\ell}{\ln(L/r)}\,(1 - \tfrac12 t t^T)\,v,$$
 
-with the mean $v$ of its nodes' velocities by their masses, half of it on each node
+with $v$ the mass-weighted mean of its nodes' velocities; half of it acts on each node
 (Gazzola et al., R. Soc. Open Sci. 5 (2018) 171628, eq. 4.13). It is a load, so it
 limits the step.
 """
@@ -46,7 +46,7 @@ class SlenderBodyDrag(Effect):
         return Loads(forces=vectors.pair_sum(half))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The drag across the unstretched rod."""
+        """Drag across the unstretched rod."""
         return StabilityBound(
             node_drag=on_nodes(rod, self._per_length(rod.length, rod.radii))
         )
@@ -57,10 +57,10 @@ class SlenderBodyDrag(Effect):
 
 
 def slender_body_drag(viscosity: Numbers) -> SlenderBodyDrag:
-    """PyElastica's `SlenderBodyTheory(dynamic_viscosity)`, for side by side.
+    """PyElastica's `SlenderBodyTheory(dynamic_viscosity)`, for comparisons.
 
-    `stokes_drag` is the same but for what is stretched, does not limit the step, and
-    has coefficients of your own.
+    `stokes_drag` is the same except that it does not account for stretch. It does not
+    limit the step, and its coefficients can be chosen.
 
     Args:
         viscosity: Dynamic viscosity of the fluid [Pa s].

@@ -1,6 +1,6 @@
-"""Supports that stand still: nodes held along axes, and hinges.
+"""Supports that do not move: nodes held along axes, and hinges.
 
-A wall that holds an end altogether is in `jaxrod.effects.clamps`, what moves in
+Walls that hold an end completely are in `jaxrod.effects.clamps`, moving supports in
 `jaxrod.effects.driven`.
 """
 
@@ -51,13 +51,13 @@ class Pin(Effect):
     """A node held in place along world axes; elements turn freely."""
 
     position: Float[Array, "3"]
-    """Where the node is held [m]; of axes that are not held it says nothing."""
+    """Position at which the node is held [m]; unused along axes that are not held."""
     node: int = static(default=0)
-    """Which node."""
+    """Number of the node."""
     axes: Axes = static(default=(True, True, True))
-    """Along which axes."""
+    """World axes along which the node is held."""
     made_for: int | None = static(default=None)
-    """Elements of the rod whose state it was made from, if it was."""
+    """Number of elements of the state it was made from; `None` if not known."""
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Stops the node."""
@@ -66,7 +66,7 @@ class Pin(Effect):
         return replace(motion, velocity=velocity)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Distance along the axes from where it is held, over the radius there."""
+        """Distance from the held position along the axes, over the radius there."""
         return distance_from(self.position, self.node, self.axes, rod, state)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
@@ -78,7 +78,7 @@ class Pin(Effect):
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the rod has no such node, or the state was another's."""
+        """Raises ValueError if the node is missing or the state was another rod's."""
         check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
@@ -86,7 +86,7 @@ class Pin(Effect):
             )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Pin:
-        """The end node of the new rod; other nodes have no counterpart."""
+        """Pin at the end node of the new rod; raises for other nodes."""
         if self.node not in (0, rod.n_elements):
             raise ValueError(
                 f"a pin at node {self.node} has no place on a rod of "
@@ -101,35 +101,35 @@ class Pin(Effect):
 class Hinge(Effect):
     r"""An end node held in place, whose element turns about one axis only.
 
-    Between hinge and end element lies half an element, as in a `Clamp`: a material axis
+    Between hinge and end element lies half an element, as in a `Clamp`. A material axis
     $e$ of the element is pulled towards the hinge's axis $a$ by the couple
     $k\, e \times a$, with $k$ the bending stiffness over that half length.
     """
 
     position: Float[Array, "3"]
-    """Where the end node is held [m]."""
+    """Position at which the end node is held [m]."""
     axis: Float[Array, "3"]
     """Unit vector along the hinge, world frame."""
     own_axis: Float[Array, "3"]
     """The same axis at rest, in the frame of the end element."""
     end: End = static(default="start")
-    """Which end."""
+    """The end that is held."""
     made_for: int | None = static(default=None)
-    """Elements of the rod whose state it was made from, if it was."""
+    """Number of elements of the state it was made from; `None` if not known."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if it was made from a state of another rod."""
         check_made_for("hinge", self.made_for, rod)
 
     def _stiffness(self, rod: Rod) -> Array:
-        """Of the joint [N m]."""
+        """Stiffness of the joint [N m]."""
         index = 0 if self.end == "start" else -1
         return jnp.max(rod.bend_twist_stiffness[:2, index]) / (
             0.5 * rod.rest_lengths[index]
         )
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The joint's couple on the end element."""
+        """Couple of the joint on the end element."""
         frame = directors(at_end(motion.orientation, self.end))
         axis = to_material(frame, vectors.split(self.axis))
         pull = vectors.cross(vectors.split(self.own_axis), axis)
@@ -144,7 +144,7 @@ class Hinge(Effect):
         return 0.5 * self._stiffness(rod) * vectors.dot(apart, apart)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The stiffness of the joint, on the end element."""
+        """Stiffness of the joint, on the end element."""
         return StabilityBound(
             elements=place(self._stiffness(rod), rod.n_elements, self.end)
         )
@@ -156,7 +156,7 @@ class Hinge(Effect):
         return replace(motion, velocity=at_node(motion.velocity, still, node, ALL_AXES))
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Distance of the end node, over the radius, or twice the sine of the tilt."""
+        """Larger of the end node's distance over the radius and twice sin(tilt / 2)."""
         frame = directors(at_end(split_quaternion(state.orientations), self.end))
         own = to_world(frame, vectors.split(self.own_axis))
         tilt = vectors.safe_norm(vectors.subtract(own, vectors.split(self.axis)))
@@ -166,32 +166,32 @@ class Hinge(Effect):
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node, and the end element across the axis."""
+        """The end node, and the end element, which turns about the axis only."""
         return (held_end(self.end),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Hinge:
-        """The same hinge; the end of a rod that is curved there has no counterpart."""
+        """The same hinge; raises if the rod's end is curved at rest."""
         check_straight_end(rod, self.end)
         return replace(self, made_for=made_again_for(self.made_for, new_rod))
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """The force that keeps the node in place, and the joint's couple."""
+        """Force that keeps the node in place, and couple of the joint."""
         force = force_at(needed, end_node(rod, self.end), ALL_AXES)
         return Reaction.of(force, own_couple(self, rod, motion, self.end))
 
 
 def pin(state: RodState, at: End | int = "start", *, axes: str = "xyz") -> Pin:
-    """Holds a node where the given state has it, along world axes; elements turn.
+    """Holds a node along world axes where the given state has it; elements may turn.
 
     Args:
         state: The state of the rod.
         at: "start", "finish", or the number of a node.
-        axes: Along which axes: "xyz" for a pin, "z" for a smooth floor, "yz" for a
-            rail along x.
+        axes: World axes along which it is held: "xyz" for a pin, "z" for a smooth
+            floor, "yz" for a rail along x.
 
     Raises:
         ValueError: If there is no such node, or no such axes.
-        TypeError: If `state` is something else.
+        TypeError: If `state` is not a `RodState`.
     """
     check_kind("state", state, RodState)
     check_one(state)
@@ -211,13 +211,13 @@ def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
     """Holds an end node where the state has it; its element turns about an axis.
 
     Args:
-        state: The state of the rod: the hinge is at rest there.
+        state: The state of the rod, in which the hinge is at rest.
         axis: Direction of the hinge, world frame, of any length `(3,)`.
-        end: Which end.
+        end: The end that is held.
 
     Raises:
         ValueError: If an argument is out of range.
-        TypeError: If `state` is something else.
+        TypeError: If `state` is not a `RodState`.
     """
     check_kind("state", state, RodState)
     check_one(state)

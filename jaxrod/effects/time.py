@@ -1,8 +1,8 @@
 r"""Numbers of an effect that depend on time, and a clock that stays exact.
 
-A `Schedule` may stand in any field of an effect where a number or an array would: at
+A `Schedule` may stand in any field of an effect where a number or an array would. At
 every step it is replaced by its value, so that hooks see plain numbers. Scenes without
-a schedule have no clock, and their programs are the same as ever.
+a schedule have no clock, and their programs do not change.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from jaxrod.validation import Numbers, as_array
 Tree = TypeVar("Tree")
 
 _DIGIT = 10
-"""Bits of a digit of the step count."""
+"""Bits per digit of the step count."""
 _COARSE = 4096
-"""Parts of a turn whose products with a digit float32 holds."""
+"""Parts of a turn. Products of their number with a digit are exact in float32."""
 
 
 @pytree
 class Clock:
-    """Time as a count of steps: it does not lose digits as time goes on."""
+    """Time as a count of steps, so that it loses no digits in long runs."""
 
     step: Int[Array, ""]
     """Whole steps since time zero."""
     fraction: Float[Array, ""]
-    """Of a step, since then [1]."""
+    """Fraction of a step passed since then [1]."""
     dt: Float[Array, ""]
     """Step size [s]."""
 
     @property
     def time(self) -> Float[Array, ""]:
-        """Time [s], rounded: of a period that is over many times ask `phase`."""
+        """Time [s], rounded; use `phase` for a period that repeats many times."""
         return (self.step.astype(self.dt.dtype) + self.fraction) * self.dt
 
     def phase(self, period: Array) -> Float[Array, "..."]:
-        """Part of a period that has passed, from 0 to 1 [1].
+        """Fraction of the current period that has passed, from 0 to 1 [1].
 
-        The error is a few roundings, however many periods have passed: the step count
-        is taken digit by digit, the steps per period to twice the precision.
+        The error is a few round-offs, however many periods have passed. The step count
+        is taken digit by digit, and the periods per step to twice the precision.
 
         Args:
             period: The period [s].
@@ -61,7 +61,7 @@ class Clock:
             part = ((count >> digit) & (2**_DIGIT - 1)).astype(turns.dtype)
             size = turns * 2.0**digit
             size = size - jnp.floor(size)
-            # So few bits that their product with a digit is exact, and the others.
+            # `coarse` has so few bits that its product with a digit is exact.
             coarse = jnp.floor(size * _COARSE) / _COARSE
             whole = part * coarse
             rounded = part * (size - coarse) + part * (rest * 2.0**digit)
@@ -69,7 +69,7 @@ class Clock:
         return total - jnp.floor(total)
 
     def later(self, fraction: ArrayLike) -> Clock:
-        """The clock a part of a step later."""
+        """Clock advanced by a fraction of a step."""
         return replace(self, fraction=self.fraction + fraction)
 
 
@@ -80,14 +80,14 @@ def clock_at(time: ArrayLike, dtype: Any) -> Clock:
 
 
 def _quotient(a: Array, b: Array) -> tuple[Array, Array]:
-    """The quotient of two numbers, and what its rounding has left of it."""
+    """Quotient of two numbers and its rounding error."""
     quotient = a / b
     high, low = _product(quotient, b)
     return quotient, ((a - high) - low) / b
 
 
 def _product(a: Array, b: Array) -> tuple[Array, Array]:
-    """The product of two numbers and its rounding error (Dekker, 1971)."""
+    """Product of two numbers and its rounding error (Dekker, 1971)."""
     splitter = 2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1
 
     def halves(x: Array) -> tuple[Array, Array]:
@@ -103,8 +103,8 @@ def _product(a: Array, b: Array) -> tuple[Array, Array]:
 class Schedule(ABC):
     """Base of numbers that depend on time; a subclass is a pytree.
 
-    `largest` is what bounds of stability and checks of planes and axes go by: it must
-    be at least as large as any value, component by component.
+    Stability bounds and checks of planes and axes use `largest`: it must be at least
+    as large as any value, component by component.
     """
 
     @abstractmethod
@@ -118,19 +118,20 @@ class Schedule(ABC):
 
     @property
     def largest_norm(self) -> Any:
-        """Bound on the root of the sum of all squares at all times.
+        """Bound on the Euclidean norm of all components at all times.
 
-        The same whichever way axes point, if a subclass works it out from its values.
+        It does not depend on the axes if a subclass computes it from its values.
         """
         return norm(self.largest)
 
 
 @pytree
 class VectorInSpace(Schedule):
-    """A schedule of what bounds take by its norm alone, such as a field in the world.
+    """A schedule of vectors whose bounds need only their norm, e.g. a field in space.
 
-    Its largest has that norm, and every component that any value has: so bounds are the
-    same if all is turned, and checks of planes see what may leave them.
+    Its `largest` has the largest norm of the values, and is nonzero in every component
+    in which any value is. Bounds are therefore the same if everything is rotated, and
+    checks of planes see the values that may leave the plane.
     """
 
     schedule: Any
@@ -142,7 +143,7 @@ class VectorInSpace(Schedule):
 
     @property
     def largest(self) -> Any:
-        """The largest of every component, made as long as the longest value."""
+        """Largest absolute value of each component, scaled to the largest norm."""
         largest = self.schedule.largest
         long = norm(largest)
         nothing = long == 0
@@ -155,11 +156,11 @@ class VectorInSpace(Schedule):
 
 
 def norm(values: Array, *, each: bool = False) -> Array:
-    """Root of the sum of squares.
+    """Square root of the sum of squares.
 
     Args:
         values: The numbers.
-        each: Whether along all axes but the first.
+        each: Whether to sum over all axes except the first.
     """
     axes = tuple(range(1, jnp.ndim(values))) if each else None
     squares = jnp.sum(values * values, axis=axes)
@@ -202,9 +203,9 @@ def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
 def as_timed_vector(
     name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
-    """An argument that may depend on time and whose norm alone is in bounds, checked.
+    """Checks an argument that may depend on time and whose bounds need only its norm.
 
-    As `as_timed`, which says what the arguments are.
+    See `as_timed` for the arguments.
     """
     checked = as_timed(name, value, unit, *shapes, **limits)
     return VectorInSpace(checked) if is_schedule(checked) else checked
@@ -213,17 +214,17 @@ def as_timed_vector(
 def as_timed(
     name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
-    """An argument that may depend on time, checked.
+    """Checks an argument that may depend on time.
 
     Args:
         name: The argument's name, for the message.
-        value: What was given for it.
+        value: The value given for it.
         unit: SI unit, for the message.
-        *shapes: Those that the value may have.
-        **limits: As `as_array` has them; for what does not depend on time.
+        *shapes: Shapes that the value may have.
+        **limits: Limits as in `as_array`; for values that do not depend on time.
 
     Raises:
-        ValueError: Naming the argument.
+        ValueError: If the value does not fit; the message names the argument.
     """
     if not isinstance(value, Schedule):
         return as_array(name, value, unit, shapes, **limits)

@@ -1,4 +1,4 @@
-"""A motion of no particular shape: to try out on it what effects do."""
+"""A generic motion on which effects are tested numerically."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxrod.rods.rod import Rod
 
 
 def trial_motion(rod: Rod) -> Motion:
-    """An unstretched rod whose elements point anywhere, moving anyhow.
+    """An unstretched rod with arbitrary directions of elements and arbitrary rates.
 
     Its angular momenta are perpendicular to the elements.
     """

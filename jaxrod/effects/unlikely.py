@@ -1,4 +1,4 @@
-"""Warnings of numbers that can hardly be meant: ratios, whatever the units are."""
+"""Warnings of numbers that are hardly meant: ratios, independent of units."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from jaxrod.rods.rod import Rod
 from jaxrod.validation import is_traced
 
 MOST_STRETCH = 9.0
-"""Strain under its own weight, hanging, above which a rod is ten times as long."""
+"""Strain of a rod hanging under its own weight at which it is ten times as long."""
 
 
 class UnlikelyWarning(UserWarning):
-    """Numbers that can hardly be meant together, such as some in other units."""
+    """Numbers that are hardly meant together, e.g. because some are in other units."""
 
 
 def warn_of_thickness(rod: Rod) -> None:
     """Warns of a rod that is thicker than it is long."""
     radii, lengths = rod.radii, rod.rest_lengths
-    # What is worked out of numbers that are known is traced, too, inside jax.jit.
+    # Inside jax.jit, values computed from known numbers are traced, too.
     if is_traced(radii, lengths) or lengths.ndim != 1:
         return
     radius = float(np.max(np.asarray(radii)))
@@ -38,7 +38,7 @@ def warn_of_weight(rod: Rod, acceleration: Array) -> None:
 
     Args:
         rod: The rod.
-        acceleration: Of gravity `(3,)` [m/s^2].
+        acceleration: Acceleration of gravity `(3,)` [m/s^2].
     """
     masses, stretching = rod.element_masses, rod.shear_stretch_stiffness
     known = not is_traced(masses, stretching, acceleration)
