@@ -1,1 +1,1 @@
-"""Actuation as stress of the section: waves, muscles, tendons, chambers, magnets."""
+"""Actuation as stress in the section: waves, muscles, tendons, chambers, magnets."""

@@ -1,9 +1,9 @@
-r"""Active shape: a curvature and a strain that a rod takes of itself, changing in time.
+r"""Active shape: a time-dependent curvature and strain added to a rod's rest shape.
 
 With the active curvature $\kappa_a$ and strain $\sigma_a$ the stored energy of the rod
-is that about the rest shape $\kappa_0 + \kappa_a$, $\sigma_0 + \sigma_a$: the moment
-$-B\kappa_a$ and the force $-S\sigma_a$ are added to the elastic ones. Growth of one
-side, swelling and heat act like that.
+is taken about the rest shape $\kappa_0 + \kappa_a$, $\sigma_0 + \sigma_a$: the moment
+$-B\kappa_a$ and the force $-S\sigma_a$ are added to the elastic ones. This models
+growth on one side, swelling and thermal expansion.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from jaxrod.validation import check_kind
 
 @pytree
 class ActiveShape(SectionLoad):
-    """A rest shape that is added to that of the rod; see `active_shape`."""
+    """A shape that is added to the rest shape of the rod; see `active_shape`."""
 
     curvature: Array | Schedule | None
-    """Of the joint at each node `(3, n + 1)`, or of all `(3, 1)` [1/m]."""
+    """Curvature at the joint of each node `(3, n + 1)`, or of all `(3, 1)` [1/m]."""
     strain: Array | Schedule | None
-    """Of elements `(3, n)`, or of all `(3, 1)` [1]."""
+    """Strain of each element `(3, n)`, or of all `(3, 1)` [1]."""
     walls: Walls = ()
-    """Walls into which the curvature goes on."""
+    """Walls into which the curvature continues."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """What it adds to the stored energy of the rod [J]."""
+        """Contribution to the stored energy of the rod [J]."""
         total = jnp.zeros((), rod.rest_lengths.dtype)
         if self.curvature is not None:
             curvature, stiffness = _wide(self.curvature), self._stiffness(rod)
@@ -67,7 +67,7 @@ class ActiveShape(SectionLoad):
         return total
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
-        """The stress that the shape takes away."""
+        """Force and moment to add to the elastic ones."""
         force = moment = None
         if self.curvature is not None:
             moment = vectors.split(-self._stiffness(rod) * _wide(self.curvature))
@@ -76,7 +76,7 @@ class ActiveShape(SectionLoad):
         return SectionStress(force, moment)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Force and moment turn with the elements."""
+        """Bound of the force and moment, which turn with the elements."""
         force = moment = None
         if self.curvature is not None:
             bent = self._stiffness(rod) * _wide(self.curvature)
@@ -97,12 +97,12 @@ class ActiveShape(SectionLoad):
         )
 
     def _stiffness(self, rod: Rod) -> Array:
-        """Of the joint at each node `(3, n + 1)` [N m^2]."""
+        """Bend-twist stiffness of the joint at each node `(3, n + 1)` [N m^2]."""
         ends = rod.bend_twist_stiffness
         return jnp.concatenate([ends[:, :1], rod.joint_stiffness, ends[:, -1:]], axis=1)
 
     def _lengths(self, rod: Rod) -> Array:
-        """Of the joint at each node; zero where there is none [m]."""
+        """Rest length of the joint at each node; zero at free ends [m]."""
         held = {wall.end for wall in self.walls}
         lengths = lengths_at_nodes(rod)
         first, last = (0.0 if end not in held else 1.0 for end in ("start", "finish"))
@@ -110,7 +110,7 @@ class ActiveShape(SectionLoad):
 
 
 def _wide(values: Array | Schedule) -> Array:
-    """Values of the time, with an axis along the rod."""
+    """Values at the current time, with an axis along the rod."""
     assert not isinstance(values, Schedule)
     return values[:, None] if values.ndim == 1 else values
 
@@ -135,20 +135,20 @@ def active_shape(
     strain: Timed | None = None,
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> ActiveShape:
-    """A curvature and a strain that a rod takes of itself.
+    """A curvature and a strain that are added to a rod's rest shape.
 
     Args:
         rod: The rod.
-        curvature: Added to the curvature at rest, material frame: `(3,)`, or one at
-            every node `(3, n + 1)`, or a schedule of such [1/m].
-        strain: Added to the strain at rest, material frame: `(3,)`, or one of every
-            element `(3, n)`, or a schedule of such [1].
-        into: The `clamp` of an end, or a tuple of two, into which the curvature goes
-            on.
+        curvature: Curvature added to that at rest, material frame: `(3,)`, or one per
+            node `(3, n + 1)`, or a schedule of either [1/m].
+        strain: Strain added to that at rest, material frame: `(3,)`, or one per element
+            `(3, n)`, or a schedule of either [1].
+        into: The `clamp` of an end, or a tuple of two, into whose wall the curvature
+            continues.
 
     Raises:
         ValueError: If both are left out, or one is of the wrong shape.
-        TypeError: If `rod` or `into` is something else.
+        TypeError: If `rod` or `into` is of another type.
     """
     check_kind("rod", rod, Rod)
     if curvature is None and strain is None:

@@ -1,4 +1,4 @@
-"""Places along a rod on the host, and numbers given there on another grid."""
+"""Places along a rod on the host, and interpolation from one grid to another."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def middle_places(rod: Rod) -> Any:
 def resampled_along(values: Array, old: Any, new: Any) -> Array:
     """Numbers along a rod, on the last axis, interpolated at other places.
 
-    One number for all places stays as it is.
+    A single number for all places is returned unchanged.
     """
     if values.shape[-1] == 1:
         return values

@@ -1,8 +1,8 @@
 r"""Clamped uniform cubic B-splines: a shape along a rod from a few coefficients.
 
 With $K$ coefficients there are $K - 3$ equal pieces. The first and the last coefficient
-are the values at the ends; the others are near the curve, not on it, and the curve is
-never beyond the largest of them.
+are the values at the ends. The curve passes near the others, not through them, and
+never exceeds the largest of them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def b_spline_basis(count: int, places: Any) -> Array | np.ndarray:
 
     Args:
         count: Number of coefficients, at least 4.
-        places: From 0 to 1 `(m,)`; a little beyond, the end pieces go on.
+        places: Places from 0 to 1 `(m,)`; slightly outside, the end pieces continue.
 
     Returns:
         The basis `(m, count)`, on the host unless the places are traced.
@@ -32,7 +32,7 @@ def b_spline_basis(count: int, places: Any) -> Array | np.ndarray:
     knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
     pieces = count - DEGREE
     piece = xp.clip(xp.floor(places * pieces).astype(int), 0, pieces - 1) + DEGREE
-    # Cox' and de Boor's recursion.
+    # Cox-de Boor recursion.
     columns = [1.0 * (piece == k) for k in range(len(knots) - 1)]
     for degree in range(1, DEGREE + 1):
         rising = [
@@ -47,5 +47,5 @@ def b_spline_basis(count: int, places: Any) -> Array | np.ndarray:
 
 
 def _share(part: Any, whole: float) -> Any:
-    """A part of a whole; zero of nothing."""
+    """Fraction `part / whole`; zero if `whole` is zero."""
     return part / whole if whole > 0 else 0 * part

@@ -1,15 +1,15 @@
 r"""Chambers under pressure inside a rod: energy $-p V$.
 
-A plain chamber of section $A$ has the volume $A \Lambda$ of its axis, whose length
-$\Lambda$ changes with stretch and bending: it pushes with $p A$ along the rod and bends
-it with $p A$ times its offset. One wound with fibres that do not stretch, at the angle
-$\alpha$ to its axis, has the volume of a cylinder in which a fibre of length $b$ turns
-by $\Phi$ on a length $\Lambda$,
+A plain chamber of cross-sectional area $A$ has the volume $A \Lambda$, where the length
+$\Lambda$ of its axis changes with stretch and bending. It pushes along the rod with
+$p A$ and bends it with $p A$ times its offset. A chamber may be wound with inextensible
+fibres at the angle $\alpha$ to its axis. It then has the volume of a cylinder in which
+a fibre of length $b$ turns by $\Phi$ over a length $\Lambda$,
 
 $$V = \pi \Lambda\,\frac{b^2 - \Lambda^2}{\Phi^2},$$
 
-so that it pushes with $p\pi r^2 (1 - 2\cot^2\alpha)$ and unwinds itself with
-$2 p \pi r^3 \cot\alpha$, at first (Bishop-Moser and Kota, 2015).
+so that, at the rest shape, it pushes with $p\pi r^2 (1 - 2\cot^2\alpha)$ and unwinds
+with the moment $2 p \pi r^3 \cot\alpha$ (Bishop-Moser and Kota, 2015).
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 @pytree
 class Chamber(SectionLoad):
-    """Chambers that keep their section; see `chamber`."""
+    """Chambers of constant cross-section; see `chamber`."""
 
     path: FibrePath
-    """Their axes."""
+    """Axes of the chambers."""
     area: Float[Array, "k"]
-    """Of the section of each [m^2]."""
+    """Cross-sectional area of each chamber [m^2]."""
     pressure: Array | Schedule
-    """Above that outside, one number or one of each `(k,)` [Pa]."""
+    """Pressure above that outside, one number or one per chamber `(k,)` [Pa]."""
     walls: Walls = ()
-    """Walls into which they go on."""
+    """Walls into which the chambers continue."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Minus pressure times volume, beyond that at rest [J]."""
+        """Negative pressure times the change of volume from rest [J]."""
         length = vectors.safe_norm(self.path.segments(strains))
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         return -jnp.sum(self._push[:, None] * (length - rest))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The push follows the axes."""
+        """Bound of the axial force, which follows the axes."""
         shape = (self.path.count, rod.n_elements + 1)
         push = jnp.broadcast_to(jnp.abs(self._push)[:, None], shape)
         return self.path.bound(rod, push, jnp.zeros_like(push), pulls=False)
@@ -68,7 +68,7 @@ class Chamber(SectionLoad):
 
     @property
     def _push(self) -> Array:
-        """Of each chamber [N]."""
+        """Axial force of each chamber, positive if it pushes [N]."""
         assert not isinstance(self.pressure, Schedule)
         return self.pressure * self.area
 
@@ -78,18 +78,18 @@ class WoundChamber(SectionLoad):
     """Chambers wound with fibres at an angle; see `wound_chamber`."""
 
     path: FibrePath
-    """Their axes."""
+    """Axes of the chambers."""
     radius: Float[Array, "k"]
-    """Of the section of each [m]."""
+    """Radius of the cross-section of each chamber [m]."""
     angle: Float[Array, "k"]
-    """Of the fibres to the axis, right-handed if above 0 [rad]."""
+    """Angle of the fibres to the axis, right-handed if positive [rad]."""
     pressure: Array | Schedule
-    """Above that outside, one number or one of each `(k,)` [Pa]."""
+    """Pressure above that outside, one number or one per chamber `(k,)` [Pa]."""
     walls: Walls = ()
-    """Walls into which they go on."""
+    """Walls into which the chambers continue."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Minus pressure times volume, beyond that at rest [J]."""
+        """Negative pressure times the change of volume from rest [J]."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         length = vectors.safe_norm(self.path.segments(strains))
         turns = jnp.tan(self.angle)[:, None] * rest / self.radius[:, None]
@@ -101,14 +101,14 @@ class WoundChamber(SectionLoad):
         return -jnp.sum(self._pressure[:, None] * volume)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Of the push, the moment and their slopes at rest."""
+        """Bound of the axial force, the moment and their derivatives at rest."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         cot = jnp.abs(1 / jnp.tan(self.angle))[:, None]
         r = self.radius[:, None]
         load = jnp.pi * jnp.abs(self._pressure)[:, None] * r**2
         push = jnp.broadcast_to(load * jnp.abs(1 - 2 * cot**2), rest.shape)
-        # Second derivatives of the volume by length, by twist and by both, the latter
-        # shared by both with the radius as lever.
+        # Second derivatives of the volume by length, by twist and by both. The mixed
+        # one is split between length and twist with the radius as lever.
         by_length = 6 * load * cot**2 / rest
         by_twist = 6 * load * r**2 * cot**2 / rest
         mixed = 2 * load * r * jnp.abs(cot * (1 - 3 * cot**2)) / rest
@@ -131,7 +131,7 @@ class WoundChamber(SectionLoad):
 
     @property
     def _pressure(self) -> Array:
-        """Of each chamber [Pa]."""
+        """Pressure in each chamber [Pa]."""
         assert not isinstance(self.pressure, Schedule)
         return jnp.broadcast_to(self.pressure, self.radius.shape)
 
@@ -144,20 +144,21 @@ def chamber(
     offsets: Numbers | None = None,
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> Chamber:
-    """Chambers under pressure that keep their section, all along a rod.
+    """Chambers under pressure with constant cross-section, all along a rod.
 
     Args:
         rod: The rod.
-        pressure: Above that outside, one number, one per chamber `(k,)`, or a schedule
-            of such [Pa]; below 0 it sucks.
-        area: Of the section, above 0, one number or one per chamber `(k,)` [m^2].
-        offsets: Of the axis along d1 and d2 `(2,)`; of several chambers `(k, 2)`; at
-            every node `(k, 2, n + 1)` [m]. By default along the centreline.
-        into: The `clamp` of an end, or a tuple of two, into which they go on.
+        pressure: Pressure above that outside, one number, one per chamber `(k,)`, or a
+            schedule of either [Pa]; a negative one is suction.
+        area: Cross-sectional area, above 0, one number or one per chamber `(k,)` [m^2].
+        offsets: Offset of the axis along d1 and d2 `(2,)`; one per chamber `(k, 2)`; or
+            also per node `(k, 2, n + 1)` [m]. On the centreline by default.
+        into: The `clamp` of an end, or a tuple of two, into whose wall the chambers
+            continue.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` or `into` is something else.
+        TypeError: If `rod` or `into` is of another type.
     """
     check_kind("rod", rod, Rod)
     path = fibre_path(rod, offsets)
@@ -181,25 +182,27 @@ def wound_chamber(
     offsets: Numbers | None = None,
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> WoundChamber:
-    """Chambers whose wall is wound with fibres that do not stretch.
+    """Chambers whose wall is wound with inextensible fibres.
 
-    Beyond 54.7 degrees they lengthen a rod, below they shorten it; one family of
-    fibres twists it besides. Two families of opposite angles are two chambers of half
-    the pressure.
+    Above 54.7 degrees they lengthen a rod, below they shorten it. One family of fibres
+    also twists it. For two families of opposite angles use two chambers with half the
+    pressure each.
 
     Args:
         rod: The rod.
-        pressure: Above that outside, one number, one per chamber `(k,)`, or a schedule
-            of such [Pa].
-        radius: Of the section, above 0, one number or one per chamber `(k,)` [m].
-        angle: Of the fibres to the axis, right-handed if above 0, between 0 and a
-            quarter turn in size, one number or one per chamber `(k,)` [rad].
-        offsets: Of the axis along d1 and d2, as of `chamber` [m].
-        into: The `clamp` of an end, or a tuple of two, into which they go on.
+        pressure: Pressure above that outside, one number, one per chamber `(k,)`, or a
+            schedule of either [Pa].
+        radius: Radius of the cross-section, above 0, one number or one per chamber
+            `(k,)` [m].
+        angle: Angle of the fibres to the axis, right-handed if positive; its size is
+            between 0 and a quarter turn; one number or one per chamber `(k,)` [rad].
+        offsets: Offset of the axis along d1 and d2, as for `chamber` [m].
+        into: The `clamp` of an end, or a tuple of two, into whose wall the chambers
+            continue.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` or `into` is something else.
+        TypeError: If `rod` or `into` is of another type.
     """
     check_kind("rod", rod, Rod)
     path = fibre_path(rod, offsets)

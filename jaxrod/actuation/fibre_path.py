@@ -1,14 +1,14 @@
-r"""Where fibres run inside a rod, and how long they are.
+r"""Paths of fibres inside a rod, and the lengths of the fibres.
 
-A fibre is at the offset $x$ from the centreline at each node, in the section. Around a
-node it spans half of each neighbouring element, with the offset's change $\delta$ along
-the rod, and turns with the joint there:
+At each node a fibre has the offset $x$ from the centreline, in the section. Its segment
+around a node covers half of each neighbouring element, changes by half of the offset's
+change $\delta$ over each, and turns with the joint there:
 
 $$u = \tfrac12(\epsilon_{k-1} + \epsilon_k) + \phi\times x + \tfrac12(\delta_{k-1} +
   \delta_k),$$
 
-the strain $\sigma + e_3 + \kappa\times x + x'$ of the fibre times the rest length
-around the node. At the ends it spans half an element.
+which is the strain $\sigma + e_3 + \kappa\times x + x'$ of the fibre times the rest
+length around the node. At the ends it covers half an element.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class FibrePath:
     """Offsets of fibres from the centreline, along d1 and d2."""
 
     offsets: Float[Array, "k 2 m"]
-    """Of each fibre, at every node, or one (m = 1) for the whole rod [m]."""
+    """Offsets of each fibre at every node, or one (m = 1) for the whole rod [m]."""
 
     @property
     def count(self) -> int:
@@ -48,7 +48,7 @@ class FibrePath:
         return self.offsets.shape[0]
 
     def segments(self, strains: SectionStrains) -> Vec3:
-        """What each fibre spans around each node, material frame, `(k, n + 1)` [m]."""
+        """Segment of each fibre around each node, material frame, `(k, n + 1)` [m]."""
         x, y = self.offsets[:, 0], self.offsets[:, 1]
         a, b, c = (part[None, :] for part in strains.rotations)
         e1, e2, e3 = (at_nodes(part)[None, :] for part in strains.edges)
@@ -56,7 +56,7 @@ class FibrePath:
         return e1 - c * y + dx, e2 + c * x + dy, e3 + (a * y - b * x)
 
     def rest_segments(self, rod: Rod) -> Vec3:
-        """The same in the unstressed rod."""
+        """Segments of the fibres in the unstressed rod."""
         edges = vectors.scale(
             rod.rest_lengths, _along_axis(vectors.split(rod.rest_strains))
         )
@@ -72,8 +72,8 @@ class FibrePath:
         Args:
             rod: The rod.
             force: Bound on the force of each fibre around each node `(k, n + 1)` [N].
-            slope: On its rise with the fibre's length, likewise [N/m].
-            pulls: Whether all pull: then the rod gets no stiffer against shear.
+            slope: Bound on its derivative by the fibre's length, same shape [N/m].
+            pulls: Whether all fibres pull; then they add no stiffness against shear.
         """
         span = self.rest_segments(rod)
         length = vectors.safe_norm(span)
@@ -92,7 +92,7 @@ class FibrePath:
         return together(
             fibre_bound(rod, slope, t3, across, lever),
             section_bound(rod, **string),
-            # Across inclined fibres, and of those beside the centreline.
+            # Inclined fibres resist displacement across them, offset ones rotation.
             fibre_bound(rod, 2 * tense * across**2, one, one, 0 * one),
             section_bound(rod, turning=_sum(tense * offset**2)),
             cross_bound(rod, _size(_sum(tense * x), _sum(tense * y))),
@@ -110,7 +110,7 @@ class FibrePath:
 
 
 def _half_steps(values: Array) -> Array:
-    """Change of offsets over half of each element beside every node `(k, m)` [m]."""
+    """Change of offsets over half of each element next to every node `(k, m)` [m]."""
     padded = jnp.pad(values, ((0, 0), (1, 1)), mode="edge")
     return 0.5 * (padded[:, 2:] - padded[:, :-2])
 
@@ -129,12 +129,12 @@ def _size(*components: Array) -> Array:
 
 
 def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
-    """A path from its offsets, checked.
+    """Makes a path from its offsets, and checks them.
 
     Args:
         rod: The rod.
-        offsets: Along d1 and d2 `(2,)`; of several fibres `(k, 2)`; at every node
-            `(k, 2, n + 1)` [m]. `None` is the centreline.
+        offsets: Offsets along d1 and d2 `(2,)`; one per fibre `(k, 2)`; or also per
+            node `(k, 2, n + 1)` [m]. `None` is the centreline.
 
     Raises:
         ValueError: If they have another shape or are not finite.
@@ -160,10 +160,10 @@ def helical_offsets(
     Args:
         rod: The rod.
         radius: Distance from the centreline, one number, or one per node [m].
-        turns: From the start of the rod to its finish, right-handed if above 0, at most
-            100 in size.
-        angles: Of each fibre at the start, from d1 towards d2, at most 1000 in size
-            `(k,)` [rad].
+        turns: Number of turns from the start of the rod to its finish, right-handed if
+            positive, at most 100 in size.
+        angles: Angle of each fibre at the start, from d1 towards d2, at most 1000 in
+            size `(k,)` [rad].
 
     Raises:
         ValueError: If an argument is of the wrong shape or out of range.
@@ -174,7 +174,7 @@ def helical_offsets(
         "radius", radius, "m", [(), places.shape], non_negative=True, dtype=kind
     )
     whole = numeric("turns", turns)
-    # More of them are lost in single precision.
+    # More turns would lose precision in float32.
     as_array("size of turns", abs(whole), "", at_most=100.0)
     whole = as_array("turns", whole, "", dtype=kind)
     first = numeric("angles", angles, "rad")

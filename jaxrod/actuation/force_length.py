@@ -1,8 +1,8 @@
-r"""Force-length curves of muscles: the share of the full force at a stretch.
+r"""Force-length curves of muscles: fraction of the full force as a function of stretch.
 
-A curve has the share $f(\lambda)$, at $\lambda = 1$ about one, and its integral
+A curve is the fraction $f(\lambda)$, about one at $\lambda = 1$, and its integral
 $F(\lambda) = \int_1^\lambda f$, which is the stored energy of a fully active muscle of
-force and length one. Both are smooth enough for a step: $f$ has a continuous slope.
+unit force and length. Both are smooth enough for a step: $f$ has a continuous slope.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ class ForceLength(ABC):
 
     @abstractmethod
     def energy(self, stretch: Array) -> Array:
-        """Integral of the share of force from the stretch 1 [1]."""
+        """Integral of the force fraction from stretch 1 [1]."""
 
     @property
     @abstractmethod
     def largest(self) -> Array | float:
-        """Bound on the share of force [1]."""
+        """Bound on the force fraction [1]."""
 
     @property
     @abstractmethod
     def steepest(self) -> Array | float:
-        """Bound on its slope [1]."""
+        """Bound on the slope of the force fraction [1]."""
 
 
 @pytree
@@ -42,40 +42,40 @@ class ConstantForce(ForceLength):
     """The same force at any length."""
 
     def energy(self, stretch: Array) -> Array:
-        """The stretch from 1 [1]."""
+        """Stretch minus one [1]."""
         return stretch - 1
 
     @property
     def largest(self) -> float:
-        """One [1]."""
+        """Largest force fraction, one [1]."""
         return 1.0
 
     @property
     def steepest(self) -> float:
-        """None [1]."""
+        """Largest slope, zero [1]."""
         return 0.0
 
 
 @pytree
 class GaussianForce(ForceLength):
-    r"""$f = \exp(-(\lambda - 1)^2/2w^2)$."""
+    r"""Gaussian force fraction, $f = \exp(-(\lambda - 1)^2/2w^2)$."""
 
     width: Float[Array, ""]
-    """$w$ [1]."""
+    """Width $w$ [1]."""
 
     def energy(self, stretch: Array) -> Array:
-        """Integral of the bell [1]."""
+        """Integral of the Gaussian [1]."""
         scale = self.width * np.sqrt(np.pi / 2)
         return scale * erf((stretch - 1) / (np.sqrt(2) * self.width))
 
     @property
     def largest(self) -> float:
-        """One, at the stretch 1 [1]."""
+        """Largest force fraction, one at stretch 1 [1]."""
         return 1.0
 
     @property
     def steepest(self) -> Array:
-        """The slope at one width from the top [1]."""
+        """Slope at one width from the maximum [1]."""
         return np.exp(-0.5) / self.width
 
 
@@ -84,7 +84,7 @@ _RUN_OUT = 0.05
 
 
 def _outlets() -> tuple[float, float]:
-    """Where the cubic ends, so that a parabola goes on to zero in the run-out."""
+    """Ends of the cubic, from which parabolas continue to zero within the run-out."""
     slope = _CUBIC.deriv()
     before = (2 * _CUBIC - _RUN_OUT * slope).roots()
     after = (2 * _CUBIC + _RUN_OUT * slope).roots()
@@ -96,11 +96,11 @@ def _outlets() -> tuple[float, float]:
 
 @pytree
 class CubicForce(ForceLength):
-    r"""$f = 3.06\lambda^3 - 13.64\lambda^2 + 18.01\lambda - 6.44$ where it is above 0.
+    r"""Cubic $f = 3.06\lambda^3 - 13.64\lambda^2 + 18.01\lambda - 6.44$ where positive.
 
-    Of the muscles of an octopus (Chang et al., 2021). It has 0.99045 at most, and ends
-    near the stretches 0.577 and 1.596: there it runs out to zero along a parabola 0.05
-    wide, so that its slope is continuous.
+    It fits the muscles of an octopus (Chang et al., 2021). Its maximum is 0.99045. It
+    ends near the stretches 0.577 and 1.596: there it continues to zero along a parabola
+    0.05 wide, so that its slope is continuous.
     """
 
     _ends: ClassVar[tuple[float, float]] = _outlets()
@@ -111,7 +111,7 @@ class CubicForce(ForceLength):
         whole = _CUBIC.integ(lbnd=1.0)
         inside = jnp.clip(stretch, first, last)
         total = _polynomial(whole.coef, inside)
-        # A parabola from the value v at the end of the cubic to zero holds v w / 3.
+        # The integral of a parabola from v at the cubic's end to zero is v w / 3.
         low = jnp.clip((stretch - first) / _RUN_OUT + 1, 0, 1)
         high = jnp.clip((last - stretch) / _RUN_OUT + 1, 0, 1)
         held = _RUN_OUT / 3 * _CUBIC(np.asarray(self._ends))
@@ -119,12 +119,12 @@ class CubicForce(ForceLength):
 
     @property
     def largest(self) -> float:
-        """At the stretch 0.99 [1]."""
+        """Largest force fraction, at stretch 0.99 [1]."""
         return 0.99045
 
     @property
     def steepest(self) -> float:
-        """At the shorter end of the cubic [1]."""
+        """Slope at the shorter end of the cubic [1]."""
         return float(_CUBIC.deriv()(self._ends[0]))
 
 
@@ -136,10 +136,10 @@ def _polynomial(coefficients: np.ndarray, x: Array) -> Array:
 
 
 def gaussian_force(width: Numbers = 0.25) -> GaussianForce:
-    """A bell of the stretch about one.
+    """Force-length curve that is a Gaussian about stretch one.
 
     Args:
-        width: Its standard deviation, above 0 [1].
+        width: Standard deviation, above 0 [1].
 
     Raises:
         ValueError: If it is out of range.
@@ -148,10 +148,10 @@ def gaussian_force(width: Numbers = 0.25) -> GaussianForce:
 
 
 def cubic_force() -> CubicForce:
-    """The curve of the muscles of an octopus; see `CubicForce`."""
+    """Force-length curve of the muscles of an octopus; see `CubicForce`."""
     return CubicForce()
 
 
 def constant_force() -> ConstantForce:
-    """The same force at any length."""
+    """Force-length curve with the same force at any length."""
     return ConstantForce()

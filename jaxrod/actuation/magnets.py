@@ -1,7 +1,7 @@
 r"""Magnetised rods in a field: energy $-m\cdot B$.
 
-An element with the magnetic moment $m$, which turns with it, feels in the flux density
-$B(x)$ the couple $m\times B$ and the force $(\nabla B)^T m$ at its middle.
+An element with the magnetic moment $m$, which turns with it, experiences in the flux
+density $B(x)$ the couple $m\times B$ and the force $(\nabla B)^T m$ at its middle.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 
 class MagneticField(ABC):
-    """Base of fields that differ from place to place; a subclass is a pytree.
+    """Base of fields that vary in space; a subclass is a pytree.
 
     Its numbers may be schedules.
     """
@@ -40,19 +40,19 @@ class MagneticField(ABC):
     @property
     @abstractmethod
     def largest(self) -> Any:
-        """Bounds on flux density [T], its slope [T/m] and the slope of that [T/m^2]."""
+        """Bounds on flux density [T], its first [T/m] and second derivative [T/m^2]."""
 
 
 @pytree
 class LinearField(MagneticField):
-    """A field that changes in proportion to the place."""
+    """A field that varies linearly in space."""
 
     flux_density: Any
-    """At the origin `(3,)` [T]."""
+    """Flux density at the origin `(3,)` [T]."""
     gradient: Any
-    """Of component i along axis j `(3, 3)` [T/m]."""
+    """Derivative of component i along axis j `(3, 3)` [T/m]."""
     extent: Float[Array, ""]
-    """Distance from the origin within which the rod is [m]."""
+    """Distance from the origin within which the rod stays [m]."""
 
     def __call__(self, place: Vec3) -> Vec3:
         """Flux density [T]."""
@@ -67,7 +67,7 @@ class LinearField(MagneticField):
 
     @property
     def largest(self) -> tuple[Array, Array, Array]:
-        """From the largest numbers within the extent."""
+        """Bounds from the largest numbers within the extent."""
         slope = jnp.sqrt(jnp.sum(self.gradient**2))
         size = jnp.sqrt(jnp.sum(self.flux_density**2)) + slope * self.extent
         return size, slope, jnp.zeros_like(slope)
@@ -78,14 +78,14 @@ class Magnetisation(Effect):
     """Magnetic moments that turn with the elements; see `magnetisation`."""
 
     moment_per_length: Float[Array, "3 m"]
-    """Material frame, per element or of all (m = 1) [A m]."""
+    """Magnetic moment per length, material frame, per element or one (m = 1) [A m]."""
     field: Any
     """Flux density, world frame `(3,)` [T], or a `MagneticField`."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples, and forces where the field differs from place to place."""
+        """Couples, and forces if the field varies in space."""
         frame = directors(motion.orientation)
         own = self._moments(rod)
         if not isinstance(self.field, MagneticField):
@@ -100,7 +100,7 @@ class Magnetisation(Effect):
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Minus moment times flux density [J]."""
+        """Negative moment times flux density [J]."""
         motion = motion_of(state)
         moment = to_world(directors(motion.orientation), self._moments(rod))
         if isinstance(self.field, MagneticField):
@@ -110,13 +110,13 @@ class Magnetisation(Effect):
         return -jnp.sum(vectors.dot(moment, flux))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Of couples that turn, and of forces that change from place to place."""
+        """Bound of couples that turn and of forces that vary in space."""
         moment = vectors.safe_norm(self._moments(rod))
         if not isinstance(self.field, MagneticField):
             size = jnp.sqrt(jnp.sum(self.field**2))
             return StabilityBound(elements=moment * size)
         size, slope, curved = self.field.largest
-        # A move and a turn together, shared by the length of the element.
+        # Coupling of displacement and rotation, split by the element's length.
         return StabilityBound(
             nodes=at_nodes(moment * (curved + slope / rod.rest_lengths)),
             elements=moment * (size + slope * rod.rest_lengths),
@@ -124,7 +124,7 @@ class Magnetisation(Effect):
 
     @property
     def twists(self) -> str | None:
-        """Moments may be across the rod: `make_scene` finds out."""
+        """None: moments may lie across the rod, and `make_scene` finds out."""
         return None
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Magnetisation:
@@ -134,14 +134,14 @@ class Magnetisation(Effect):
         return replace(self, moment_per_length=moments)
 
     def _moments(self, rod: Rod) -> Vec3:
-        """Of the elements, material frame [A m^2]."""
+        """Magnetic moments of the elements, material frame [A m^2]."""
         x, y, z = vectors.split(self.moment_per_length)
         lengths = rod.rest_lengths
         return x * lengths, y * lengths, z * lengths
 
 
 def _middles(motion: Motion) -> Vec3:
-    """Of the elements, world frame [m]."""
+    """Midpoints of the elements, world frame [m]."""
     x, y, z = (0.5 * (part[1:] + part[:-1]) for part in motion.position)
     return x, y, z
 
@@ -154,13 +154,13 @@ def magnetisation(
     Args:
         rod: The rod.
         moment_per_length: Magnetisation times the area of the section, material frame:
-            `(3,)`, or of every element `(3, n)` [A m].
-        field: Flux density, world frame `(3,)`, or a schedule of such [T]; or a
-            `MagneticField`, as `linear_field` makes one.
+            `(3,)`, or one per element `(3, n)` [A m].
+        field: Flux density, world frame `(3,)`, or a schedule of it [T]; or a
+            `MagneticField`, such as `linear_field` makes.
 
     Raises:
         ValueError: If an argument is not finite or of the wrong shape.
-        TypeError: If `rod` is something else.
+        TypeError: If `rod` is not a `Rod`.
     """
     check_kind("rod", rod, Rod)
     shapes = [(3,), (3, rod.n_elements)]
@@ -181,14 +181,14 @@ def magnetisation(
 def linear_field(
     flux_density: Timed, gradient: Timed, *, extent: Numbers
 ) -> LinearField:
-    """A field that changes in proportion to the place.
+    """A magnetic field that varies linearly in space.
 
     Args:
-        flux_density: At the origin `(3,)`, or a schedule of such [T].
-        gradient: Of component i along axis j `(3, 3)`, or a schedule of such [T/m].
-            Maxwell's equations ask for a symmetric one without trace.
-        extent: Distance from the origin within which the rod stays, above 0; the bound
-            on the stable step asks for it [m].
+        flux_density: Flux density at the origin `(3,)`, or a schedule of it [T].
+        gradient: Derivative of component i along axis j `(3, 3)`, or a schedule of it
+            [T/m]. Maxwell's equations require it to be symmetric and trace-free.
+        extent: Distance from the origin within which the rod stays, above 0 [m]. The
+            stability bound needs it.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.

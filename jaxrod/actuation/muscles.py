@@ -1,4 +1,4 @@
-r"""Muscles: fibres in a rod that pull, along themselves or across the rod.
+r"""Muscles: fibres in a rod that contract, along themselves or across the rod.
 
 A fibre of full force $F_0 = \sigma_\max A_0$ and activation $a$ has around each node
 the energy
@@ -6,19 +6,20 @@ the energy
 $$E = a F_0 \Lambda_0\, F(\Lambda/\Lambda_0), \qquad
   E = 2 a F_0 \Lambda_0\, F\big((\Lambda/\Lambda_0)^{-1/2}\big) \text{ across,}$$
 
-of its length $\Lambda$ there (`FibrePath.segments`), at rest $\Lambda_0$, with the
-integral $F$ of its force-length curve. So it pulls with $a F_0 f(\Lambda/\Lambda_0)$;
-muscles across the rod make it thinner in two directions, hence longer.
+where $\Lambda$ is its length there (`FibrePath.segments`), $\Lambda_0$ that at rest,
+and $F$ the integral of its force-length curve. So it pulls with
+$a F_0 f(\Lambda/\Lambda_0)$. Muscles across the rod make it thinner in two directions,
+hence longer.
 
-With a largest speed of shortening $v$, in rest lengths per time, it pulls with a share
-of that force that depends on how fast it shortens (Hill, Proc. R. Soc. B 126 (1938)
-136). With $u$ that speed over $v$, Hill's hyperbola, and beyond rest one that meets it
-with its slope,
+With a largest speed of shortening $v$, in rest lengths per time, the force is
+multiplied by a factor that depends on the speed of shortening (Hill, Proc. R. Soc. B
+126 (1938) 136). With $u$ that speed over $v$, the factor is Hill's hyperbola for
+shortening, and for lengthening a hyperbola that has the same slope at zero speed,
 
 $$g(u) = \frac{1 - u}{1 + u/h} \ (0 < u < 1), \qquad
-  g(u) = 1 + (b - 1)\,\frac{-u}{c - u} \ (u < 0), \quad c = (b - 1)\,\frac{h}{1 + h},$$
+  g(u) = 1 + (b - 1)\,\frac{-u}{c - u} \ (u < 0), \quad c = (b - 1)\,\frac{h}{1 + h}.$$
 
-none at all beyond $u = 1$, and at most $b$ as it is drawn out. At rest nothing changes.
+It is zero beyond $u = 1$ and at most $b$ during lengthening. At zero speed it is one.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_kind
 
 HYPERBOLA = 0.25
-"""`h` of Hill's hyperbola: the smaller, the more it is curved [1]."""
+"""Constant `h` of Hill's hyperbola: the smaller, the stronger its curvature [1]."""
 DRAWN_OUT = 1.5
-"""`b`: largest force of a muscle that is drawn out, over that at rest [1]."""
+"""Constant `b`: largest force during lengthening, over that at zero speed [1]."""
 
 
 @pytree
@@ -61,31 +62,31 @@ class Muscle(SectionLoad):
     """One or several muscle fibres; see `muscle`."""
 
     path: FibrePath
-    """Where they run."""
+    """Path of the fibres."""
     force: Float[Array, "k n"]
     """Full force, per element; or one for the whole rod (n = 1) [N]."""
     activation: Array | Schedule
-    """Share of it [1]: one number; one per fibre `(k,)`; per element, too `(k, n)`."""
+    """Fraction of the full force [1]: one number, one per fibre `(k,)`, or `(k, n)`."""
     curve: ForceLength
-    """Share of the full force at a stretch."""
+    """Force fraction as a function of stretch."""
     fastest: Float[Array, ""] | None = None
-    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: any."""
+    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: no limit."""
     slowed: Float[Array, "k n"] | None = None
-    """Share of the force at the speed of a moment, at nodes; see `at_speed` [1]."""
+    """Factor of the force at the current speed, at nodes; see `at_speed` [1]."""
     walls: Walls = ()
-    """Walls into which they go on."""
+    """Walls into which the fibres continue."""
     across: bool = static(default=False)
-    """Whether they pull across the rod."""
+    """Whether the fibres contract across the rod."""
 
     def at_speed(self, rod: Rod, motion: Motion) -> Muscle:
-        """With the share of their force at the speed at which they shorten."""
+        """The muscle with the force factor for its current speed of shortening."""
         if self.fastest is None:
             return self
         share = force_at_speed(self._shortening(rod, motion) / self.fastest)
         return replace(self, slowed=share)
 
     def _shortening(self, rod: Rod, motion: Motion) -> Array:
-        """Speed around each node, in rest lengths per time `(k, n + 1)` [1/s]."""
+        """Speed of shortening around each node, in rest lengths `(k, n + 1)` [1/s]."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
 
         def stretch(position: Vec3, orientation: Quaternion) -> Array:
@@ -111,7 +112,7 @@ class Muscle(SectionLoad):
         return jnp.sum(pull * rest * self.curve.energy(stretch))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Of forces and their slopes near the unstressed shape."""
+        """Bound of the forces and their derivatives near the unstressed shape."""
         largest, steepest = self.curve.largest, self.curve.steepest
         if self.across:
             steepest = 0.5 * steepest + 1.5 * largest
@@ -124,7 +125,7 @@ class Muscle(SectionLoad):
         )
         if self.fastest is None:
             return bound
-        # Steepest at rest; across the rod a fibre has half of the rod's speed.
+        # The slope is largest at zero speed; fibres across have half the rod's speed.
         steep = (1 + 1 / HYPERBOLA) * largest * pull / self.fastest
         steep = 0.5 * steep if self.across else steep
         drag = self.path.bound(rod, 0 * pull, steep / rest, pulls=not self.across)
@@ -144,7 +145,7 @@ class Muscle(SectionLoad):
         )
 
     def _pull(self, rod: Rod) -> Array:
-        """Force of full length, at the nodes `(k, n + 1)` [N]."""
+        """Force at zero speed times its speed factor, at the nodes `(k, n + 1)` [N]."""
         assert not isinstance(self.activation, Schedule)
         active = self.activation
         if active.ndim < 2:
@@ -159,10 +160,10 @@ class Muscle(SectionLoad):
 
 
 def force_at_speed(speed: Array) -> Array:
-    """Share of the force that a muscle has as it shortens, by Hill's hyperbola [1].
+    """Factor of a muscle's force that depends on its speed, by Hill's hyperbola [1].
 
     Args:
-        speed: Of shortening, over the largest; below zero as it is drawn out [1].
+        speed: Speed of shortening, over the largest; negative for lengthening [1].
     """
     shorter = jnp.minimum(jnp.where(speed > 0, speed, 0), 1)
     longer = jnp.where(speed > 0, 0, -speed)
@@ -187,23 +188,25 @@ def muscle(
     Args:
         rod: The rod.
         force: Full force, the stress of the muscle times its area at rest, at least 0:
-            one number; one per fibre `(k,)`; per element, too `(k, n)` [N].
-        activation: Share of it: one number; one per fibre `(k,)`; per element, too
-            `(k, n)`; or a schedule of such [1].
-        offsets: From the centreline along d1 and d2 `(2,)`; of several fibres
-            `(k, 2)`; at every node `(k, 2, n + 1)`, as `helical_offsets` has them [m].
-            By default along it.
-        curve: Share of the full force at a stretch: `cubic_force()` by default, or
+            one number; one per fibre `(k,)`; or also per element `(k, n)` [N].
+        activation: Fraction of the full force: one number; one per fibre `(k,)`; or
+            also per element `(k, n)`; or a schedule of any of these [1].
+        offsets: Offsets from the centreline along d1 and d2 `(2,)`; one per fibre
+            `(k, 2)`; or also per node `(k, 2, n + 1)`, as from `helical_offsets` [m].
+            On the centreline by default.
+        curve: Force fraction as a function of stretch: `cubic_force()` by default, or
             `gaussian_force()`, `constant_force()`.
-        across: Whether they pull across the rod, and make it thinner and longer.
-        fastest: Largest speed of shortening, in rest lengths per time: they pull less
-            the faster they shorten, not at all at this speed, and up to half as much
-            again as they are drawn out [1/s]. By default speed does not matter.
-        into: The `clamp` of an end, or a tuple of two, into which they go on.
+        across: Whether the fibres contract across the rod, which makes it thinner and
+            longer.
+        fastest: Largest speed of shortening, in rest lengths per time [1/s]. Fibres
+            pull less the faster they shorten, not at all at this speed, and up to half
+            as much again while they lengthen. By default speed does not matter.
+        into: The `clamp` of an end, or a tuple of two, into whose wall the fibres
+            continue.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod`, `curve` or `into` is something else.
+        TypeError: If `rod`, `curve` or `into` is of another type.
     """
     check_kind("rod", rod, Rod)
     path = fibre_path(rod, offsets)

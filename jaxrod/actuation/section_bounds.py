@@ -1,13 +1,13 @@
 r"""Bounds on the stiffness of actuators inside a rod, for the stability bound.
 
-With $s$ the stretch of an element, $\gamma = e_\perp - \ell\theta$ its shear (the move
-of its nodes across the rod less its own turn), and $\phi$ the turn of a joint, all in
-small motions about the straight rod, an actuator adds at most
-$\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy. Each part is
-shared between nodes and elements by Young's inequality,
+In small motions about the straight rod, $s$ is the stretch of an element,
+$\gamma = e_\perp - \ell\theta$ its shear (the displacement of its nodes across the rod
+minus that of its own rotation), and $\phi$ the rotation of a joint. An actuator adds at
+most $\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy. Each part
+is split between nodes and elements by Young's inequality,
 $(a + b)^2 \le (1 + w)\,a^2 + (1 + 1/w)\,b^2$, with the weight that makes the squared
-frequencies alike. The part with $k_\gamma$ is then exactly what shear stiffness has in
-`jaxrod.analysis.stability`.
+frequencies equal. The part with $k_\gamma$ is then exactly that of the shear stiffness
+in `jaxrod.analysis.stability`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ def section_bound(
     shear: Array | None = None,
     turning: Array | None = None,
 ) -> StabilityBound:
-    r"""Of stiffness against stretch, shear, bending and twist.
+    r"""Bound of stiffness against stretch, shear, bending and twist.
 
     Args:
         rod: The rod.
-        stretch: $k_s$ of each element; of moves across the rod, too `(n,)` [N/m].
+        stretch: $k_s$ of each element, also for displacement across the rod `(n,)`
+            [N/m].
         shear: $k_\gamma$ of each element `(n,)` [N/m].
         turning: $k_\phi$ of the joint at each node `(n + 1,)` [N m].
     """
@@ -50,12 +51,12 @@ def section_bound(
 def transport_bound(
     rod: Rod, force: Array | None = None, moment: Array | None = None
 ) -> StabilityBound:
-    """Of a stress that does not change in its material frame: it turns with it.
+    """Bound of a stress that is constant in the material frame and turns with it.
 
     Args:
         rod: The rod.
         force: Bound on the size of the force, per element [N].
-        moment: On that of the moment, per node [N m].
+        moment: Bound on the size of the moment, per node [N m].
     """
     bounds = []
     if force is not None:
@@ -74,16 +75,16 @@ def fibre_bound(
     across: Array,
     lever: Array,
 ) -> StabilityBound:
-    """Of springs along fibres, which stretch, shear and bend the rod at once.
+    """Bound of springs along fibres, which stretch, shear and bend the rod together.
 
     Args:
         rod: The rod.
-        stiffness: Of each fibre around each node `(k, n + 1)` [N/m].
-        along: Component of the fibre along the rod, likewise [1].
-        across: Component across it [1].
-        lever: Elongation per turn of the joint [m].
+        stiffness: Stiffness of each fibre around each node `(k, n + 1)` [N/m].
+        along: Component of the fibre along the rod, same shape [1].
+        across: Component of the fibre across the rod [1].
+        lever: Elongation per rotation of the joint [m].
     """
-    # Weights, of which any make it a bound: from either end of a rod the same.
+    # Any weights give a bound; these do not change if the rod's ends are swapped.
     moves, rocking, inertia = (
         _at_each_node(values)[None, :]
         for values in (_moves(rod), _rocking(rod), jnp.min(rod.inertias, axis=0))
@@ -99,16 +100,16 @@ def fibre_bound(
 
 
 def cross_bound(rod: Rod, coupling: Array) -> StabilityBound:
-    """Of a coupling of shear and twist, `2 coupling gamma phi` at the nodes [N]."""
+    """Bound of a coupling of shear and twist, `2 coupling gamma phi` at nodes [N]."""
     inertia = jnp.min(rod.inertias, axis=0)
     rate = jnp.sqrt(4 / inertia / (_moves(rod) + _rocking(rod)))
-    # The shear of both elements beside a node counts for its twist.
+    # The shear of both elements next to a node counts for its twist.
     turned = coupling / jnp.minimum(*_beside_nodes(rate))
     return section_bound(rod, shear=_of_elements(coupling) * rate, turning=turned)
 
 
 def together(*bounds: StabilityBound) -> StabilityBound:
-    """Several bounds added up."""
+    """Sum of several bounds."""
 
     def total(name: str) -> Array | None:
         parts = [getattr(bound, name) for bound in bounds]
@@ -119,33 +120,33 @@ def together(*bounds: StabilityBound) -> StabilityBound:
 
 
 def _at_each_node(values: Array) -> Array:
-    """Means of the values of the elements beside every node."""
+    """Mean of the values of the elements next to every node."""
     before, after = _beside_nodes(values)
     return 0.5 * (before + after)
 
 
 def _beside_nodes(values: Array) -> tuple[Array, Array]:
-    """Values of the elements before and after every node; at ends of the one."""
+    """Values of the elements before and after every node, repeated at the ends."""
     padded = jnp.pad(values, (1, 1), mode="edge")
     return padded[:-1], padded[1:]
 
 
 def _moves(rod: Rod) -> Array:
-    """Squared frequency of moving nodes per stiffness of elements [1/kg]."""
+    """Squared frequency of displaced nodes per stiffness of elements [1/kg]."""
     inverse = 1 / rod.node_masses
     return 2 * (inverse[1:] + inverse[:-1])
 
 
 def _rocking(rod: Rod) -> Array:
-    """The same of turning elements between nodes that stay [1/kg]."""
+    """Squared frequency of elements rotating between fixed nodes, same unit [1/kg]."""
     return rod.rest_lengths**2 / jnp.min(rod.inertias, axis=0)
 
 
 def _of_elements(at_nodes: Array) -> Array:
-    """What joints do to the mean of their elements, at most."""
+    """Mean over each element's two nodes, a bound on the effect of both joints."""
     return 0.5 * (at_nodes[1:] + at_nodes[:-1])
 
 
 def _ratio(whole: Array, part: Array) -> Array:
-    """Over a part; zero where that is none."""
+    """Ratio `whole / part`; zero where `part` is zero."""
     return jnp.where(part > 0, whole / jnp.where(part > 0, part, 1), 0)

@@ -2,20 +2,20 @@ r"""Stress that is added to a rod's own: the base of actuation inside a rod.
 
 The strains of a rod are the edges of its elements in their material frames,
 $\epsilon_k = R_k^T \Delta x_k$ [m], and the rotations $\phi_k$ [rad] of its joints.
-An actuator answers them by forces $n_k$ on elements and moments $m_k$ of joints, which
-act on nodes and elements as the elastic ones do,
+An actuator responds to them with forces $n_k$ in elements and moments $m_k$ in joints,
+which act on nodes and elements as the elastic ones do,
 
 $$f = \Delta^h(R\,n), \qquad
   c = \Delta^h(a) + \mathcal A^h(b) + \epsilon\times n,$$
 
 with the parts $a$, $b$ of `rods.elasticity.joint_couples`. So momentum and angular
-momentum are exact whatever the stress is, and where there is a stored energy,
-$n = \partial E/\partial\epsilon$ and $m = \partial E/\partial\phi$, loads are minus its
-exact gradient.
+momentum are exact for any stress. If there is a stored energy,
+$n = \partial E/\partial\epsilon$ and $m = \partial E/\partial\phi$, and the loads are
+its exact negative gradient.
 
-Joints are at the nodes: an array of nodes, `n + 1` long, has those of inner nodes, and
-those of the ends between a wall and the end element where there is a wall. At free ends
-the rotation is zero, and a moment is left out.
+Joints are at the nodes. An array over nodes, of length `n + 1`, has the joints of the
+inner nodes and, at an end with a wall, the joint between the wall and the end element.
+At free ends the rotation is zero, and a moment is left out.
 """
 
 from __future__ import annotations
@@ -48,40 +48,39 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_kind
 
 Walls = tuple[Wall, ...]
-"""Walls at ends of a rod into which an actuator goes on."""
+"""Walls at ends of a rod into which an actuator continues."""
 
 
 @pytree
 class SectionStrains:
-    """How a rod is strained, as its sections see it."""
+    """Strains of a rod in the material frames of its sections."""
 
     edges: Vec3
-    """From each node to the next in the element's material frame, `n` [m]."""
+    """Vectors from each node to the next in the element's material frame, `n` [m]."""
     rotations: Vec3
-    """Of the joint at each node, material frame, `n + 1` [rad]; zero at free ends."""
+    """Rotation of the joint at each node, material frame, `n + 1` [rad]; 0 if free."""
 
 
 @pytree
 class SectionStress:
-    """Stress of an actuator. `None` where there is none."""
+    """Stress of an actuator; components that it does not have are `None`."""
 
     force: Vec3 | None = None
-    """Of elements, material frame, in tension positive along d3, `n` [N]."""
+    """Force in elements, material frame, positive along d3 in tension, `n` [N]."""
     moment: Vec3 | None = None
-    """Of the joint at each node, material frame, `n + 1` [N m]; not at free ends."""
+    """Moment in the joint at each node, material frame, `n + 1` [N m]; not if free."""
 
 
 class SectionLoad(Effect):
     """Base of actuators inside a rod.
 
-    A subclass has `stored`, an energy of the strains; or, without one or in closed
-    form, `stress`. Loads that see no more than moments which do not depend on the
-    strains, and forces which depend on no strain but the element's own, may promise
-    `reach = "neighbours"`.
+    A subclass has `stored`, an energy of the strains, or `stress`, without an energy or
+    in closed form. A subclass may promise `reach = "neighbours"` if its moments do not
+    depend on the strains and its forces depend on the element's own strain only.
     """
 
     walls: Walls = ()
-    """Walls into which it goes on; a field of subclasses that do."""
+    """Walls into which it continues; subclasses that support it have it as a field."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
         """Stored energy [J]."""
@@ -97,11 +96,11 @@ class SectionLoad(Effect):
         return SectionStress(slope.edges, slope.rotations)
 
     def at_speed(self, rod: Rod, motion: Motion) -> SectionLoad:
-        """Itself with what depends on how fast the rod moves; at rest as it is."""
+        """The actuator with its speed-dependent parts set; by default unchanged."""
         return self
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The stress, as it acts on nodes and elements."""
+        """Stress, as it acts on nodes and elements."""
         strains, couplings = self._strains(motion)
         stress = self.at_speed(rod, motion).stress(rod, strains)
         forces, couples = None, None
@@ -118,18 +117,18 @@ class SectionLoad(Effect):
         return Loads(forces, couples)
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """The stored energy, if there is one [J]."""
+        """Stored energy, zero if there is none [J]."""
         if type(self).stored is SectionLoad.stored:
             return 0.0
         return self.stored(rod, self._strains(motion_of(state))[0])
 
     @property
     def twists(self) -> str | None:
-        """All of it: strains themselves are in the material frame."""
+        """Name of the stress, all of which is in the material frame."""
         return "stress in the material frame"
 
     def _strains(self, motion: Motion) -> tuple[SectionStrains, Array]:
-        """The strains, and the couplings of the joints (see `joint_couples`)."""
+        """Strains, and the couplings of the joints (see `joint_couples`)."""
         edges = to_material(directors(motion.orientation), motion.edges)
         rotation, coupling = joint_rotations(motion.orientation)
         x, y, z = (vectors.pad(part, 1, 1) for part in rotation)
@@ -163,15 +162,15 @@ def _without_free_ends(moment: Vec3, held: Sequence[str]) -> Vec3:
 
 
 def _inner_sum(a: Vec3) -> Vec3:
-    """Sums of neighbours: one entry fewer than `a`."""
+    """Sums of neighbours, with one entry fewer than `a`."""
     return a[0][1:] + a[0][:-1], a[1][1:] + a[1][:-1], a[2][1:] + a[2][:-1]
 
 
 def walls_of(into: Clamp | tuple[Clamp, ...] | None) -> Walls:
-    """Walls of the clamps into which an actuator goes on.
+    """Walls of the clamps into which an actuator continues.
 
     Raises:
-        TypeError: If they are something else.
+        TypeError: If they are not clamps.
         ValueError: If two are at one end.
     """
     clamps = () if into is None else into if isinstance(into, tuple) else (into,)
@@ -189,6 +188,6 @@ def lengths_at_nodes(rod: Rod) -> Array:
 
 
 def at_nodes(of_elements: Array) -> Array:
-    """What elements have, half of it at each of their nodes."""
+    """Quantity of the elements, half of it at each of their nodes."""
     half = 0.5 * of_elements
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)

@@ -1,13 +1,13 @@
 r"""Tendons: cables through eyelets on a rod, pulled with a force or to a length.
 
 An eyelet is fixed to the middle of an element, at $x = \bar x + R p$. A cable through
-eyelets has the length $\Lambda = \sum_j |x_{j+1} - x_j|$ and the energy $T\Lambda$ if
-it is pulled with a force, $\tfrac k2 \langle\Lambda - \Lambda_c\rangle^2$ if it is an
-elastic one wound up to a length: $\langle\ \rangle$ is smooth, and zero where the cable
+eyelets has the length $\Lambda = \sum_j |x_{j+1} - x_j|$. Its energy is $T\Lambda$ if
+it is pulled with a force, and $\tfrac k2 \langle\Lambda - \Lambda_c\rangle^2$ if it is
+elastic and wound up to a length: $\langle\ \rangle$ is smooth, and zero where the cable
 is slack. Each straight piece pulls its two eyelets towards each other.
 
 With friction, tension falls at an eyelet where the cable turns by $\theta_j$ and slips
-(Euler; Eytelwein),
+(Euler-Eytelwein),
 
 $$T_j = T_{j-1} \exp(-\mu\,\theta_j \tanh(v_j/v_s)),$$
 
@@ -31,7 +31,7 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, numeric
 
 _TURN = 0.25
-"""Turn of a cable at an eyelet up to which the stability bound holds [rad]."""
+"""Turning angle of a cable at an eyelet up to which the stability bound holds [rad]."""
 
 
 @pytree
@@ -41,24 +41,24 @@ class Tendon(Effect):
     eyelets: Float[Array, "k 2 m"]
     """Offsets from the centreline along d1 and d2 [m]."""
     tension: Array | Schedule | None
-    """At the base, one number or one of each cable `(k,)` [N]."""
+    """Tension at the base, one number or one per cable `(k,)` [N]."""
     length: Array | Schedule | None
-    """To which cables are wound up, one number or one of each `(k,)` [m]."""
+    """Length to which cables are wound up, one number or one per cable `(k,)` [m]."""
     stiffness: Float[Array, ""] | None
-    """Of a cable that is wound up to a length [N/m]."""
+    """Stiffness of a cable that is wound up to a length [N/m]."""
     onset: Float[Array, ""] | None
-    """Elongation within which such a cable becomes taut [m]."""
+    """Elongation over which such a cable changes from slack to taut [m]."""
     anchors: Float[Array, "3 k"] | None = None
-    """Where cables come from, world frame [m]; `None`: from the first eyelet."""
+    """Points from which cables come, world frame [m]; `None`: from the first eyelet."""
     friction: Float[Array, ""] | None = None
     """Coefficient of friction at the eyelets [1]."""
     slip_speed: Float[Array, ""] | None = None
     """Speed of slip at which friction is 0.76 of its full size [m/s]."""
     first: int = static(default=0)
-    """The element of the first eyelet."""
+    """Number of the element with the first eyelet."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """The pulls of the pieces on their eyelets."""
+        """Pulls of the pieces on their eyelets."""
         levers, points = self._points(motion)
         pieces, lengths = _pieces(points)
         along = vectors.scale(1 / lengths, pieces)
@@ -79,7 +79,7 @@ class Tendon(Effect):
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Of the cables; that of a constant force is its work from length zero [J]."""
+        """Energy of the cables [J]; of a constant force, its work from length zero."""
         lengths = jnp.sum(_pieces(self._points(motion_of(state))[1])[1], axis=1)
         if self.length is None:
             return jnp.sum(self._tension(lengths) * lengths)
@@ -88,10 +88,10 @@ class Tendon(Effect):
         return 0.5 * self.stiffness * jnp.sum(taut**2)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Of pieces that turn, of cables that stretch, of friction.
+        """Bound of pieces that turn, of cables that stretch, and of friction.
 
-        For turns of the cable of up to a quarter of a radian at an eyelet, and for
-        the pull of a cable that is as long as the rod.
+        It holds for turns of the cable of up to a quarter of a radian at an eyelet, and
+        for the pull of a cable that is as long as the rod.
         """
         lever = jnp.max(jnp.sqrt(jnp.sum(self.eyelets**2, axis=1)))
         count, held = self.eyelets.shape[0], self.eyelets.shape[2]
@@ -102,7 +102,7 @@ class Tendon(Effect):
         element_share = element_share.at[self.first : last + 1].set(1.0)
         pull = self._largest_pull(rod)
         shortest = jnp.min(rod.rest_lengths)
-        # Each piece: its ends are means of two nodes and turn with their elements.
+        # Each piece: its ends are means of two nodes and rotate with their elements.
         light = jnp.min(jnp.where(node_share > 0, masses, jnp.inf))
         slight = jnp.min(jnp.where(element_share > 0, inertia, jnp.inf))
         turning = pull / shortest
@@ -129,20 +129,21 @@ class Tendon(Effect):
 
     @property
     def twists(self) -> str:
-        """The eyelets, which turn with the elements."""
+        """Name of the eyelets, which turn with the elements."""
         return "eyelets off the centreline"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
-        """None: eyelets are on certain elements."""
+        """Raises ValueError: eyelets belong to certain elements."""
         raise ValueError(
             "a tendon's eyelets are on certain elements: it has no counterpart on a "
             "rod with another number of them"
         )
 
     def _points(self, motion: Motion) -> tuple[Vec3, Vec3]:
-        """Levers of the eyelets and the points of the cables, world frame [m].
+        """Levers of the eyelets and points of the cables, world frame [m].
 
-        Arrays of cables and eyelets `(k, m)`, and with the anchors `(k, m + 1)`.
+        Levers have the shape of cables and eyelets `(k, m)`, and points, if there are
+        anchors, `(k, m + 1)`.
         """
         held = slice(self.first, self.first + self.eyelets.shape[2])
         d1, d2, _ = directors(motion.orientation)
@@ -159,7 +160,7 @@ class Tendon(Effect):
         return (levers[0], levers[1], levers[2]), (points[0], points[1], points[2])
 
     def _tension(self, lengths: Array) -> Array:
-        """At the base of each cable `(k,)` [N]."""
+        """Tension at the base of each cable `(k,)` [N]."""
         if self.length is None:
             assert self.tension is not None and not isinstance(self.tension, Schedule)
             return jnp.broadcast_to(self.tension, lengths.shape)
@@ -168,7 +169,7 @@ class Tendon(Effect):
         return self.stiffness * taut * share
 
     def _taut(self, lengths: Array) -> tuple[Array, Array]:
-        """By how much cables are stretched [m], and the slope of that [1]."""
+        """Elongation of the cables [m], and its derivative by their length [1]."""
         assert self.length is not None and not isinstance(self.length, Schedule)
         assert self.onset is not None
         width = self.onset
@@ -178,7 +179,7 @@ class Tendon(Effect):
         return taut, jnp.where(full, 1, past / width)
 
     def _largest_pull(self, rod: Rod) -> Array:
-        """Of all cables together [N]."""
+        """Bound on the tension of all cables together [N]."""
         if self.length is None:
             assert self.tension is not None and not isinstance(self.tension, Schedule)
             return jnp.sum(jnp.abs(self._tension(self.eyelets[:, 0, 0])))
@@ -189,7 +190,7 @@ class Tendon(Effect):
         return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))
 
     def _held_back(self, rod: Rod, motion: Motion, levers: Vec3, along: Vec3) -> Array:
-        """Share of the tension at the base that is left in each piece `(k, m)` [1]."""
+        """Fraction of the base tension that friction leaves in each piece [1]."""
         assert self.friction is not None and self.slip_speed is not None
         held = slice(self.first, self.first + self.eyelets.shape[2])
         x, y, z = (part[None, held] for part in motion.angular_velocities(rod))
@@ -201,7 +202,7 @@ class Tendon(Effect):
             if self.anchors is not None:
                 speed = jnp.pad(speed, ((0, 0), (1, 0)))
             rates = rates + along[axis] * (speed[:, 1:] - speed[:, :-1])
-        # The cable is held at its far end: it slips as what is beyond gets shorter.
+        # The far end of the cable is fixed: it slips as the pieces beyond get shorter.
         beyond = jnp.cumsum(rates[:, ::-1], axis=1)[:, ::-1][:, 1:]
         before = along[0][:, :-1], along[1][:, :-1], along[2][:, :-1]
         after = along[0][:, 1:], along[1][:, 1:], along[2][:, 1:]
@@ -218,7 +219,7 @@ def _pieces(points: Vec3) -> tuple[Vec3, Array]:
 
 
 def _net(pull: Array) -> Array:
-    """Of the pieces on either side of each point."""
+    """Net pull of the pieces on either side of each point."""
     return jnp.pad(pull, ((0, 0), (0, 1))) - jnp.pad(pull, ((0, 0), (1, 0)))
 
 
@@ -249,26 +250,27 @@ def tendon(
 
     Args:
         rod: The rod.
-        offsets: Of the eyelets from the centreline along d1 and d2 `(2,)`; of several
-            cables `(k, 2)`; of every eyelet `(k, 2, m)` [m].
-        tension: With which cables are pulled at the base: one number, one per cable
-            `(k,)`, or a schedule of such, at least 0 [N].
-        length: To which cables are wound up instead, likewise [m]; with `stiffness`.
+        offsets: Offsets of the eyelets from the centreline along d1 and d2 `(2,)`; one
+            per cable `(k, 2)`; or also per eyelet `(k, 2, m)` [m].
+        tension: Tension with which cables are pulled at the base: one number, one per
+            cable `(k,)`, or a schedule of either, at least 0 [N].
+        length: Length to which cables are wound up instead, in the same form [m]; it
+            needs `stiffness`.
         stiffness: Force per elongation of a whole cable, above 0 [N/m].
-        onset: Elongation within which a cable becomes taut, above 0 [m]; a thousandth
-            of the rod by default.
+        onset: Elongation over which a cable changes from slack to taut, above 0 [m]; a
+            thousandth of the rod by default.
         elements: The first and the last element with an eyelet; all by default.
-        anchor: Point of the world from which cables come `(3,)`, or one per cable
-            `(k, 3)` [m]. Without one they begin at the first eyelet, to which their
-            actuator is fixed.
-        friction: Coefficient of friction at the eyelets, at least 0 [1]. Cables at
-            rest have none: `equilibrium` does not know of it.
+        anchor: Point in space from which cables come `(3,)`, or one per cable `(k, 3)`
+            [m]. Without one they begin at the first eyelet, to which their actuator is
+            fixed.
+        friction: Coefficient of friction at the eyelets, at least 0 [1]. Cables at rest
+            have no friction, so `equilibrium` neglects it.
         slip_speed: Speed at which friction is 0.76 of its full size, above 0 [m/s].
 
     Raises:
-        ValueError: If an argument is out of range or of the wrong shape, or not one of
-            tension and length is given.
-        TypeError: If `rod` is something else.
+        ValueError: If an argument is out of range or of the wrong shape, or not exactly
+            one of tension and length is given.
+        TypeError: If `rod` is not a `Rod`.
     """
     check_kind("rod", rod, Rod)
     if (tension is None) == (length is None):

@@ -4,8 +4,9 @@ At the joint at arc length $s$ acts the moment
 
 $$\tau = r(t)\,A(s) \sin 2\pi\left(\frac tT - \frac s\lambda + \varphi\right),$$
 
-on the element after it with a plus sign and on the one before with a minus sign: it
-bends an unloaded rod by $\tau/B$. $r$ rises from 0 to 1 while the wave is ramped up.
+with a plus sign on the element after it and a minus sign on the element before it: it
+bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1 while the wave is
+ramped up.
 """
 
 from __future__ import annotations
@@ -51,16 +52,16 @@ FEWEST_COEFFICIENTS = 4
 
 @pytree
 class Wave(Schedule):
-    """A sine of time whose phase differs from node to node, ramped up."""
+    """A sine in time whose phase varies from node to node, ramped up."""
 
     amplitudes: Float[Array, " n+1"]
-    """At the nodes."""
+    """Amplitudes at the nodes."""
     phases: Float[Array, " n+1"]
-    """At time zero, in periods [1]."""
+    """Phases at time zero, in periods [1]."""
     period: Float[Array, ""]
     """Period [s]."""
     ramp_up: Float[Array, ""] | None = None
-    """Time in which it rises to its full size [s]; `None`: it has it at once."""
+    """Time in which it rises to its full size [s]; `None`: full size at once."""
 
     def __call__(self, clock: Clock) -> Array:
         """The values at a time, as exact after a million periods as in the first."""
@@ -72,7 +73,7 @@ class Wave(Schedule):
 
     @property
     def largest(self) -> Array:
-        """The amplitudes."""
+        """Absolute values of the amplitudes."""
         return jnp.abs(self.amplitudes)
 
 
@@ -80,31 +81,31 @@ class Wave(Schedule):
 class TravellingWave(SectionLoad):
     r"""A moment at every joint about an axis of the section; see `travelling_wave`.
 
-    At a fixed time it has the energy $-\sum_k \tau_k\, a\cdot\phi_k$.
+    At a fixed time its energy is $-\sum_k \tau_k\, a\cdot\phi_k$.
     """
 
     moments: Array | Schedule
-    """Of the joint at each node, from a schedule of such `(n + 1,)` [N m]."""
+    """Moment at the joint of each node `(n + 1,)`, or a schedule of it [N m]."""
     axis: Float[Array, "3"]
-    """Unit vector, material frame."""
+    """Unit vector of the axis, material frame."""
     walls: Walls = ()
-    """Walls into which it goes on."""
+    """Walls into which the wave continues."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Minus the work of the moments from the straight rod [J]."""
+        """Negative work of the moments from the straight rod [J]."""
         angle = vectors.dot(vectors.split(self.axis), strains.rotations)
         return -jnp.sum(self._moments * angle)
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
-        """The moments."""
+        """Moments in the joints."""
         a, b, c = vectors.split(self.axis)
         size = -self._moments
         return SectionStress(moment=(size * a, size * b, size * c))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The moments turn with the elements."""
+        """Bound of the moments, which turn with the elements."""
         return transport_bound(rod, moment=self._moments)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> TravellingWave:
@@ -125,12 +126,12 @@ class WorldWave(Effect):
     """
 
     moments: Array | Schedule
-    """Of the joint at each node, from a schedule of such `(n + 1,)` [N m]."""
+    """Moment at the joint of each node `(n + 1,)`, or a schedule of it [N m]."""
     direction: Float[Array, "3"]
-    """World frame; its length is a factor."""
+    """Direction of the axis, world frame; its length is a factor."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples on the elements after the joints, less those on the ones before."""
+        """Couples, positive on the element after a joint, negative on that before."""
         assert not isinstance(self.moments, Schedule)
         inner = self.moments[1:-1]
         net = vectors.pad(inner, 1, 0) - vectors.pad(inner, 0, 1)
@@ -174,7 +175,7 @@ def travelling_wave(
     head: End = "start",
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> TravellingWave:
-    """A wave of bending or twist that runs along a rod, turning with its sections.
+    """A wave of bending or twist that runs along a rod and turns with its sections.
 
     The moment about the axis is `amplitude(s) sin 2 pi (t / period - s / wavelength +
     phase)`, with the arc length `s` from the head. Two waves about d1 and d2 lift a
@@ -184,18 +185,20 @@ def travelling_wave(
         rod: The rod.
         amplitude: One number [N m]; or the coefficients of a cubic B-spline along the
             rod, from the head, at least 4: the first and the last are the values at
-            the ends, which free ends do not have.
-        period: Above 0 [s].
+            the ends, which free ends do not use.
+        period: Period, above 0 [s].
         wavelength: Length of a wave, above 0 [m].
-        axis: Material frame, of any length `(3,)`: d1 and d2 bend, d3 twists.
-        phase: At time zero at the head, in periods: 0.25 makes it a cosine.
-        ramp_up: Time in which it rises from nothing, above 0 [s]; at once by default.
+        axis: Axis in the material frame, of any length `(3,)`: d1 and d2 bend, d3
+            twists.
+        phase: Phase at time zero at the head, in periods: 0.25 makes it a cosine.
+        ramp_up: Time in which it rises from zero, above 0 [s]; at once by default.
         head: The end at which waves begin, "start" or "finish".
-        into: The `clamp` of an end, or a tuple of two, into which it goes on.
+        into: The `clamp` of an end, or a tuple of two, into whose wall the wave
+            continues.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` or `into` is something else.
+        TypeError: If `rod` or `into` is of another type.
     """
     check_kind("rod", rod, Rod)
     kind = rod.rest_lengths.dtype
@@ -227,22 +230,24 @@ def muscle_torques(
 
     The moment at the joint with `j` elements after it is `amplitude(s) sin(2 pi t /
     period - wave_number s + phase_shift)`, where `s` is the length of the first `j`
-    elements over that of the rod: the way from the finish if all are equally long. For
-    comparing with PyElastica; `travelling_wave` turns with the sections.
+    elements over that of the rod. With elements of equal length that is the distance
+    from the finish. It is for comparisons with PyElastica; `travelling_wave` turns with
+    the sections.
 
     Args:
         rod: The rod.
         amplitude: One number [N m]; or the coefficients of a cubic B-spline, at
-            least 4, from the finish on (theirs is `b_coeff`).
-        period: Above 0 [s].
-        wave_number: Of the waves on the whole rod, `2 pi` for one [rad].
-        direction: World frame `(3,)`; its length is a factor, as there.
-        phase_shift: At time zero at the finish [rad].
-        ramp_up_time: Time in which it rises from nothing, above 0 [s].
+            least 4, starting at the finish (PyElastica's `b_coeff`).
+        period: Period, above 0 [s].
+        wave_number: Phase over the whole rod, `2 pi` for one wave [rad].
+        direction: Direction in the world frame `(3,)`; its length is a factor, as in
+            PyElastica.
+        phase_shift: Phase at time zero at the finish [rad].
+        ramp_up_time: Time in which it rises from zero, above 0 [s].
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` is something else.
+        TypeError: If `rod` is not a `Rod`.
     """
     check_kind("rod", rod, Rod)
     kind = rod.rest_lengths.dtype
@@ -260,7 +265,7 @@ def muscle_torques(
 
 
 def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
-    """Amplitudes at places along the rod, given as shares of its length."""
+    """Amplitudes at places along the rod, given as fractions of its length."""
     given = numeric("amplitude", amplitude, "N m")
     given = check_array("amplitude", given, [given.shape], "N m", dtype=kind)
     if given.ndim == 0:
