@@ -1,19 +1,19 @@
-r"""A report on derivatives through time: errors, cost, memory, and what remains.
+r"""A report on derivatives through time: errors, cost, memory, and singular values.
 
-A scene is run for a time that is cut into equal intervals. Controls are two couples per
-interval, the same on all elements, and a stiffness by its logarithm; the loss is the
-squared distance of the tip from a point. Measured are
+A scene is run for a time that is divided into equal intervals. The controls are two
+couples per interval, the same on all elements, and the logarithm of a stiffness factor.
+The loss is the squared distance of the tip from a point. The report has
 
-- errors of derivatives in reverse and forward mode along a direction $d$ against
+- errors of derivatives in reverse and forward mode along a direction $d$, compared with
   central differences $(L(z + h d) - L(z - h d)) / 2h$ over step sizes $h$, in float64,
-  and against float64 in float32;
-- processor time of a gradient by that of the forward pass, of one rod and of a batch;
-- memory that a compiled gradient works in, by the number of steps;
+  and errors in float32 compared with float64;
+- processor time of a gradient over that of the forward pass, for one rod and a batch;
+- temporary memory of a compiled gradient, by the number of steps;
 - singular values of the tip's derivative by the controls so far, $\partial x_k /
   \partial u_{1..k}$, by the horizon $k$.
 
-Source: the measures are those of Mosaic (Pasteur Labs, arXiv 2606.27895), which looks
-at solvers of fields.
+Source: the measures are those of Mosaic (Pasteur Labs, arXiv 2606.27895), which applies
+them to solvers of fields.
 """
 
 from __future__ import annotations
@@ -37,59 +37,59 @@ from jaxrod.stepping.runs import advance
 from jaxrod.validation import check_array, check_count
 
 STEP_SIZES = tuple(10.0 ** -np.arange(1, 10))
-"""Of central differences."""
+"""Step sizes of central differences."""
 ROOM_STEPS = (1_000, 10_000)
-"""Runs whose memory is looked at."""
+"""Numbers of steps of the runs whose memory is measured."""
 WINDOWS = 5
 
 
 @dataclasses.dataclass(frozen=True)
 class GradientReport:
-    """What was measured of the derivatives of one scene; plain numbers."""
+    """Measured properties of the derivatives of one scene; plain numbers."""
 
     name: str
     n_elements: int
     steps: int
-    """Of the run."""
+    """Number of steps of the run."""
     duration: float
-    """Of the run [s]."""
+    """Duration of the run [s]."""
     batch: int
-    """Rods of a batch."""
+    """Number of rods in a batch."""
     step_sizes: tuple[float, ...]
-    """Of central differences, in units of the controls and the logarithm."""
+    """Step sizes of central differences, in units of the controls and the logarithm."""
     reverse_errors: tuple[float, ...]
-    """Of reverse mode against central differences in float64, by step size [1]."""
+    """Errors of reverse mode against central differences, float64, by step size [1]."""
     forward_errors: tuple[float, ...]
-    """Of forward mode likewise [1]."""
+    """Errors of forward mode against central differences, float64, by step size [1]."""
     single_errors: tuple[float, ...]
-    """Of float32's central differences against float64's derivative [1]."""
+    """Errors of central differences in float32 against float64's derivative [1]."""
     single_reverse: float
-    """Of the gradient in float32 against that in float64, by norms [1]."""
+    """Error of the gradient in float32 against that in float64, by norms [1]."""
     single_forward: float
-    """Of the directional derivative in float32 likewise [1]."""
+    """Error of the directional derivative in float32 against that in float64 [1]."""
     gradient_ratio: float
-    """Time of value and gradient by that of the value, one rod, float32."""
+    """Time of value and gradient over that of the value, one rod, float32."""
     tangent_ratio: float
-    """Time of value and one directional derivative by that of the value."""
+    """Time of value and one directional derivative over that of the value."""
     batch_ratio: float
-    """Time of value and gradient by that of the value, a batch."""
+    """Time of value and gradient over that of the value, for a batch."""
     milliseconds: tuple[float, float, float, float]
-    """Processor time of value and gradient, one rod and the batch [ms]."""
+    """Processor time of value and of gradient, for one rod and for the batch [ms]."""
     room: dict[int, int]
-    """Steps of a run to bytes that the gradient of one rod works in, float32."""
+    """Temporary bytes of the gradient of one rod, by number of steps, float32."""
     horizons: tuple[float, ...]
-    """Ends of the intervals [s]."""
+    """Times at the ends of the intervals [s]."""
     singular_values: tuple[tuple[float, ...], ...]
-    """Of the tip's derivative by the controls so far, at each horizon [m]."""
+    """Singular values of the tip's derivative by past controls, at each horizon [m]."""
 
     @property
     def error(self) -> float:
-        """The least error of reverse mode over step sizes."""
+        """Smallest error of reverse mode over all step sizes."""
         return min(self.reverse_errors)
 
     @property
     def best_step(self) -> float:
-        """The step size at which it is."""
+        """Step size with the smallest error."""
         return self.step_sizes[int(np.argmin(self.reverse_errors))]
 
 
@@ -105,22 +105,22 @@ def gradient_report(
     window: float = 0.2,
     memory: bool = True,
 ) -> GradientReport:
-    """Measures the derivatives of a scene. Compiles some ten programs: a minute or so.
+    """Measures the derivatives of a scene; it compiles some ten programs in a minute.
 
     Args:
         scene: The scene.
-        state: Where it begins.
+        state: Initial state.
         duration: Simulated time [s].
-        name: Of the scene, for tables.
-        intervals: Into which time is cut.
-        couple: On each element for a control of one [N m]; by default that which bends
-            the rod by a radian over its length.
-        batch: Rods of a batch.
+        name: Name of the scene, for tables.
+        intervals: Number of intervals into which time is divided.
+        couple: Couple on each element for a control of one [N m]; by default the one
+            that bends the rod by a radian over its length.
+        batch: Number of rods in a batch.
         window: Processor time of a measurement [s].
-        memory: Whether to look at memory, which takes programs of its own.
+        memory: Whether to measure memory, which needs additional programs.
 
     Raises:
-        ValueError: A number is out of range.
+        ValueError: If a number is out of range.
     """
     check_array("duration", duration, [()], "s", positive=True)
     intervals = check_count("intervals", intervals, 2)
@@ -161,7 +161,7 @@ def gradient_report(
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """A run in one precision, as a function of what acts on it."""
+    """A run in one precision, as a function of its controls."""
 
     scene: Scene
     state: RodState
@@ -175,7 +175,7 @@ class _Run:
         return self.state.positions.dtype
 
     def start(self) -> dict[str, jax.Array]:
-        """Where derivatives are looked at: nowhere in particular."""
+        """Arbitrary point at which derivatives are taken."""
         controls = 0.3 * np.cos(np.arange(2 * self.intervals)).reshape(-1, 2)
         return {
             "controls": jnp.asarray(controls, self.dtype),
@@ -183,7 +183,7 @@ class _Run:
         }
 
     def acted(self, stiffness: jax.Array, control: jax.Array) -> Scene:
-        """The scene under a control."""
+        """Scene with a control applied."""
         rod, factor = self.scene.rod, jnp.exp(stiffness)
         rod = dataclasses.replace(
             rod,
@@ -197,7 +197,7 @@ class _Run:
         return dataclasses.replace(self.scene, rod=rod, effects=effects)
 
     def tips(self, numbers: dict[str, jax.Array]) -> jax.Array:
-        """Tips at the ends of the intervals `(intervals, 3)`."""
+        """Tip positions at the ends of the intervals `(intervals, 3)`."""
 
         def one(state: RodState, control: jax.Array) -> tuple[RodState, jax.Array]:
             scene = self.acted(numbers["stiffness"], control)
@@ -212,13 +212,13 @@ class _Run:
         return jnp.sum(self.gap(self.tips(numbers)) ** 2)
 
     def gap(self, tips: jax.Array) -> jax.Array:
-        """From there to the last tip."""
+        """Vector from that point to the last tip."""
         length = np.sum(np.asarray(self.scene.rod.rest_lengths))
         return tips[-1] - jnp.asarray(np.array([0.3, -0.4, 0.2]) * length, self.dtype)
 
 
 def without_contact(scene: Scene) -> Scene | None:
-    """The scene with nothing to touch; `None` if there is nothing anyway."""
+    """Scene without contact; `None` if it has none in the first place."""
     left = tuple(e for e in scene.effects if not isinstance(e, Contact))
     if len(left) == len(scene.effects):
         return None
@@ -226,17 +226,17 @@ def without_contact(scene: Scene) -> Scene | None:
 
 
 Program = tuple[Callable[..., Any], tuple[Any, ...]]
-"""A compiled function and what it is given."""
+"""Compiled function and its arguments."""
 
 
 def _hurried(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiled quickly, because it is run once: LLVM need not optimise it."""
+    """Function compiled quickly: it runs once, so LLVM need not optimise it."""
     options: Any = {"xla_backend_optimization_level": 0}
     return jax.jit(function, compiler_options=options)
 
 
 def _direction(run: _Run) -> dict[str, jax.Array]:
-    """A direction of length one among what the loss depends on."""
+    """Direction of unit length in the space of the loss's arguments."""
     random = np.random.default_rng(0)
     way = {
         "controls": random.normal(size=(run.intervals, 2)),
@@ -247,7 +247,7 @@ def _direction(run: _Run) -> dict[str, jax.Array]:
 
 
 def _programs(run: _Run, batch: int) -> dict[str, Program]:
-    """The forward pass and its derivatives, of one rod and of a batch."""
+    """Forward pass and its derivatives, for one rod and for a batch."""
     start, way = run.start(), _direction(run)
     many = jax.tree.map(lambda a: jnp.broadcast_to(a[None], (batch, *a.shape)), start)
     both = jax.value_and_grad(run.loss)
@@ -300,7 +300,7 @@ def _differences(run: _Run, losses: Callable[..., Any], rods: int) -> np.ndarray
     """Central differences along the direction by step size, `rods` runs at a time."""
     start, way = run.start(), _direction(run)
     sizes = np.array([sign * h for h in STEP_SIZES for sign in (1, -1)])
-    # The program is of a batch of its own size.
+    # The program is compiled for a batch of fixed size.
     padded = np.resize(sizes, -(-len(sizes) // rods) * rods).reshape(-1, rods)
     values = [
         losses(
@@ -319,7 +319,7 @@ def _differences(run: _Run, losses: Callable[..., Any], rods: int) -> np.ndarray
 
 
 def _times(programs: dict[str, Program], window: float) -> dict[str, Any]:
-    """Processor time of gradients by that of forward passes."""
+    """Ratios of the processor times of gradients and forward passes."""
     taken = _timed(programs, window)
     return {
         "gradient_ratio": taken["gradient"] / taken["value"],
@@ -332,7 +332,7 @@ def _times(programs: dict[str, Program], window: float) -> dict[str, Any]:
 
 
 def _timed(programs: dict[str, Program], window: float) -> dict[str, float]:
-    """Processor time of a call of each [s]: the least of windows that alternate."""
+    """Processor time per call of each [s]: the minimum over interleaved windows."""
     calls = {}
     for name, (program, given) in programs.items():
         jax.block_until_ready(program(*given))
@@ -352,7 +352,7 @@ def _timed(programs: dict[str, Program], window: float) -> dict[str, float]:
 
 
 def _room(run: _Run) -> dict[int, int]:
-    """Bytes that compiled gradients of runs work in, beside arguments and results."""
+    """Temporary bytes of compiled gradients, without arguments and results."""
 
     def end(control: jax.Array, stiffness: jax.Array, steps: int) -> jax.Array:
         scene = run.acted(stiffness, control)
@@ -373,7 +373,7 @@ def _room(run: _Run) -> dict[int, int]:
 
 
 def _bending(scene: Scene) -> float:
-    """The couple on each element under which a rod, held at an end, turns by one."""
+    """Couple on each element that turns the tip of a clamped rod by one radian."""
     rod = scene.rod
     stiffness = float(np.mean(np.asarray(rod.bend_twist_stiffness)[0]))
     length = float(np.sum(np.asarray(rod.rest_lengths)))
@@ -381,7 +381,7 @@ def _bending(scene: Scene) -> float:
 
 
 def _three(matrix: np.ndarray) -> tuple[float, float, float]:
-    """Singular values of a matrix of three rows."""
+    """Singular values of a matrix with three rows."""
     first, second, third = np.linalg.svd(matrix, compute_uv=False)
     return float(first), float(second), float(third)
 

@@ -1,4 +1,4 @@
-"""Checks of the arguments of a run, in words, and of its step against the bound."""
+"""Checks of a run's arguments, and of its step against the stability bound."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from jaxrod.scene import Model, check_scene, check_scene_and_state
 from jaxrod.validation import MOST, as_array, check_array, check_count, is_traced
 
 COMPRESSED = 0.9
-"""Of the bound, what is left of it in consistent mode however a rod is compressed."""
+"""Smallest fraction of the bound that remains in consistent mode under compression."""
 ROUNDING = 1e-4
-"""Of the bound, what is lost to rounding of positions where nothing is compressed."""
+"""Fraction of the bound lost to round-off of positions without compression."""
 
 
 _ADVICE = (
@@ -33,17 +33,17 @@ class UnstableStepWarning(UserWarning):
 
 
 def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
-    """Warns when a concrete time step is above the scene's stability bound.
+    """Warns if a concrete time step is above the scene's stability bound.
 
     Args:
         scene: The scene.
         dt: Step size [s].
-        state: Where the rod is, if the bound is to account for compression. In
-            consistent mode it is looked at, and so waited for, only where that matters.
+        state: State of the rod, if the bound is to account for compression. In
+            consistent mode it is read, and so waited for, only if that matters.
 
     Returns:
-        Whether the rod, compressed further, might not be stable at this step: true
-        for one near the bound, unless it was warned of.
+        Whether the step may become unstable if the rod is compressed further. True if
+        it is near the bound and no warning was given.
 
     Raises:
         ValueError: If `dt` is not a positive number.
@@ -85,7 +85,7 @@ def check_counter(n_steps: Array, name: str = "n_steps") -> None:
 
 
 def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array | None:
-    """The step to begin with, for a scene to which it matters."""
+    """First step of a run, for a scene that depends on it; `None` for others."""
     if not isinstance(scene, Composite):
         check_scene(scene)
     if isinstance(first, jax.Array):
@@ -99,7 +99,7 @@ def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array
 
 
 def check_records(n_steps: int, every: int) -> int:
-    """Checks how a run is recorded; returns the number of records but the first."""
+    """Checks how a run is recorded; returns the number of records except the first."""
     n_steps = check_count("n_steps", n_steps, 0)
     every = check_count("every", every, 1)
     if n_steps % every:
@@ -112,7 +112,7 @@ def check_records(n_steps: int, every: int) -> int:
 def check_arguments(
     scene: Model, state: Any, dt: ArrayLike, first: Array | None
 ) -> Array:
-    """Checks the arguments of a run; gives the step the type of the scene."""
+    """Checks the arguments of a run; returns the step in the dtype of the scene."""
     if isinstance(scene, Composite):
         return scene.check_run(state, dt)
     check_scene_and_state(scene, state)
@@ -122,13 +122,13 @@ def check_arguments(
         raise ValueError(
             f"state must be {dtype}, as the scene's rod is, got {state.positions.dtype}"
         )
-    # Within jit the step is traced, and so is whatever is worked out there.
+    # Within jit the step is traced, and so is whatever is computed there.
     if not is_traced(scene, state, step, first):
         now = scene.recalling(state)
         if first is not None:
             now = now.at(Clock(first, jnp.zeros_like(step), step))
         scene.method.check_state(now, state)
         if scene.evolves:
-            # Zero now may be out of the plane or about the axis later.
+            # Values that are zero now may leave the plane or act about the axis later.
             scene.method.check_state(scene.stirred, state)
     return step

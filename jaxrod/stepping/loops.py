@@ -1,4 +1,4 @@
-"""Loops that apply a function many times: of a traced count, or differentiable."""
+"""Loops that apply a function many times: a traced number, or differentiable."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Carry = TypeVar("Carry")
 
 
 def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """What an integrator makes of a state: its beginning, its cycles, its end.
+    """State after the integrator's beginning, its cycles and its end.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`; one that says
-            `one_by_one` does not go into lanes, nor together with others on a CPU.
-        state: What it begins with.
-        n_cycles: How many cycles; an `int` if it is to be differentiated in reverse.
+        integrator: A pytree with methods `begin`, `cycle` and `end`. One with
+            `one_by_one` does not use lanes, and is not batched with others on a CPU.
+        state: Initial state.
+        n_cycles: Number of cycles; an `int` if it is to be differentiated in reverse.
     """
     if getattr(integrator, "one_by_one", False):
         if isinstance(n_cycles, int):
@@ -47,17 +47,17 @@ def _looped(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 def repeat_traced(
     function: Callable[[Carry], Carry], carry: Carry, n_times: Array
 ) -> Carry:
-    """Applies a function a traced number of times; a negative one counts as 0."""
+    """Applies a function a traced number of times; a negative number counts as 0."""
     return lax.fori_loop(0, n_times, lambda _, c: function(c), carry)
 
 
 def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Carry:
     """Applies a function a static number of times, cheap to differentiate.
 
-    Every application is checkpointed: reverse mode works from the carries alone,
-    which compiles and runs several times faster than storing what happens in a step.
-    Many applications go in two nested loops, so that about `2 sqrt(n_times)` carries
-    are kept instead of `n_times`, for one more forward pass.
+    Every application is checkpointed: reverse mode starts from the carries alone. That
+    compiles and runs several times faster than storing the intermediate results of a
+    step. Many applications go in two nested loops, so that about `2 sqrt(n_times)`
+    carries are kept instead of `n_times`, for one more forward pass.
     """
     remembered = jax.checkpoint(function)
 

@@ -1,4 +1,4 @@
-"""The memory with which a run begins."""
+"""Initial memory of a run."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from jaxrod.validation import check_kind
 
 
 def with_memory(scene: Model, state: Any) -> Any:
-    """The state with the memory that the scene's effects begin with, if it has none.
+    """State with the initial memory of the scene's effects, if it has none yet.
 
-    Runs do this themselves. A loop of your own (`jax.lax.scan`) and `freeze` need it
-    before the first run, so that states before and after it are alike.
+    Runs do this themselves. A loop that you write (`jax.lax.scan`) and `freeze` need it
+    before the first run, so that states before and after it have the same structure.
 
     Args:
         scene: The scene.

@@ -1,9 +1,9 @@
-"""Batches that are run one system after the other, on CPUs.
+"""Batches that run one system after the other, on CPUs.
 
-Under `jax.vmap` a branch on a number of each system is no branch any more: both sides
-are computed for all. Contact with neighbour lists skips what holds nothing by branches,
-and one such system fills a core and its cache. So a batch of them takes longer together
-than apart, and much longer to compile.
+Under `jax.vmap` a branch on a number of each system is no longer a branch: both sides
+are computed for all. Contact with neighbour lists skips empty lists by branches, and
+one such system fills a core and its cache. So a batch of them takes longer together
+than one by one, and much longer to compile.
 """
 
 from __future__ import annotations
@@ -29,22 +29,21 @@ from jaxrod.jax_internals.primitives import (
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """The program of one system."""
+    """Program of one system."""
 
     closed: Any
 
 
 def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of a function; under `jax.vmap`, for one entry after the other.
+    """Result of a function; under `jax.vmap` it is called for one entry at a time.
 
-    On other devices than CPUs a batch stays one. Where the function is differentiated
-    before it is batched, it is a function like any other.
+    On devices other than CPUs a batch stays together. If the function is differentiated
+    before it is batched, it is treated like any other function.
 
     Args:
-        function: A function of pytrees of arrays with such a pytree as its result.
-            Arrays that it holds without being given them are batched and differentiated
-            as well.
-        *arguments: Its arguments.
+        function: A function of pytrees of arrays whose result is such a pytree. Arrays
+            in its closure are batched and differentiated as well.
+        *arguments: Arguments of the function.
     """
     if unknown_rules() is not None:
         return function(*arguments)
@@ -58,8 +57,8 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
         return made_leaves
 
     traced = jax.make_jaxpr(flat)(*leaves)
-    # Arrays that the function holds may belong to another transformation: they become
-    # operands too.
+    # Arrays in the function's closure may belong to another transformation: they become
+    # operands, too.
     jaxpr, held = program_of(traced)
     given = [*held, *(jnp.asarray(leaf) for leaf in leaves)]
 
@@ -73,7 +72,7 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
 
 @cache
 def _apart() -> Any:
-    """The operation, made when it is first needed."""
+    """The primitive, made when it is first needed."""
     apart = new_primitive("jaxrod_one_by_one")
     define(
         apart,

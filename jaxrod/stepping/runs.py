@@ -30,20 +30,22 @@ State = TypeVar("State")
 def step(
     scene: Model, state: State, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
 ) -> State:
-    """One step: half drift, kick, half drift. Pure; works inside jit, vmap and grad.
+    """Takes one step: half drift, kick, half drift.
+
+    Pure; works inside jit, vmap and grad.
 
     Args:
         scene: The scene, or a system of several rods and bodies.
-        state: Where the rod is and how it moves; of a system, a dict by member.
+        state: Configuration and rates of the rod; for a system, a dict by member.
         dt: Step size [s].
-        first: Steps since time zero, where the scene depends on time.
+        first: Number of steps since time zero, if the scene depends on time.
 
     Returns:
         The state after `dt`.
 
     Raises:
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
     """
     begin = check_first(scene, first, 1)
     dt = check_arguments(scene, state, dt, begin)
@@ -59,29 +61,30 @@ def advance(
     *,
     first: int | Int[Array, ""] = 0,
 ) -> State:
-    """`n_steps` steps of size `dt`, neighbouring half drifts merged.
+    """Takes `n_steps` steps of size `dt`, with neighbouring half drifts merged.
 
-    Called with plain arrays it runs a program compiled once for any `dt`, any
-    number of steps and any numbers in the scene, and warns when `dt` is above
-    `stable_dt`. Compression, which takes a tenth from that, is seen before and after
-    the steps, not between. Within `jax.jit` it becomes part of that program. With an
+    Called with plain arrays it runs a program compiled once for any `dt`, any number of
+    steps and any numbers in the scene, and warns if `dt` is above `stable_dt`. That
+    bound may fall by a tenth under compression, which is checked before and after the
+    steps, not in between. Within `jax.jit` it becomes part of that program. With an
     `int` number of steps it is differentiable in reverse mode (memory grows with the
     square root of the number of steps), with a traced one in forward mode. `jax.grad`,
-    `jax.vmap` and the like need no `jax.jit` around them: what they make of it is
+    `jax.vmap` and the like need no `jax.jit` around them: the transformed program is
     compiled once for every `int` number of steps, or once for all traced ones.
 
-    Calls of m and of n steps give what one of m + n steps gives, to rounding. Not so
-    where a section or a rigid body, with what is attached to it, is not round about an
-    axis: two half steps of its free turning are a whole one to second order in `dt`, as
-    all of the method is. The records of `rollout` divide a run in the same way.
+    Calls with m and with n steps give the same as one call with m + n steps, up to
+    round-off. That does not hold if a section or a rigid body, with its attachments, is
+    not axisymmetric: then two half steps of free rotation equal a whole one to second
+    order in `dt` only, which is the order of the method. The records of `rollout`
+    divide a run in the same way.
 
     Args:
         scene: The scene, or a system of several rods and bodies.
-        state: The initial state; of a system, a dict by member.
+        state: The initial state; for a system, a dict by member.
         dt: Step size [s].
-        n_steps: How many steps, from 0 to 2147483647; an array below 0 counts as 0.
-        first: Steps since time zero when it begins, where the scene depends on time:
-            with schedules, call after call, `first += n_steps`.
+        n_steps: Number of steps, from 0 to 2147483647; an array below 0 counts as 0.
+        first: Number of steps since time zero at the beginning, if the scene depends on
+            time: with schedules, call after call, `first += n_steps`.
 
     Returns:
         The final state.
@@ -89,7 +92,7 @@ def advance(
     Raises:
         ValueError: If `dt` is not positive, `n_steps` is not a count, or the state is
             not of the scene's rod.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
@@ -100,7 +103,7 @@ def advance(
         n_steps = check_count("n_steps", n_steps, 0)
     begin = check_first(scene, first, n_steps)
     dt = check_arguments(scene, state, dt, begin)
-    # Before it is compiled: the program is that of the next call too.
+    # Before compilation, so that the next call uses the same program.
     state = with_memory(scene, state)
     if is_traced(scene, state, dt, n_steps, begin):
         if isinstance(n_steps, int):
@@ -123,15 +126,16 @@ def rollout(
     *,
     first: int | Int[Array, ""] = 0,
 ) -> State:
-    """`n_steps` steps, recorded every `every` steps; differentiable in reverse mode.
+    """Takes `n_steps` steps and records every `every`-th; reverse-mode differentiable.
 
     Args:
         scene: The scene, or a system of several rods and bodies.
-        state: The initial state; of a system, a dict by member.
+        state: The initial state; for a system, a dict by member.
         dt: Step size [s].
-        n_steps: How many steps, a multiple of `every`.
-        every: Steps between records, at least 1.
-        first: Steps since time zero when it begins, where the scene depends on time.
+        n_steps: Number of steps, a multiple of `every`.
+        every: Number of steps between records, at least 1.
+        first: Number of steps since time zero at the beginning, if the scene depends on
+            time.
 
     Returns:
         The recorded states, a `RodState` whose leaves have a leading axis of
@@ -139,7 +143,7 @@ def rollout(
 
     Raises:
         ValueError: If an argument is out of range.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
@@ -161,12 +165,12 @@ def rollout(
 def rollout_times(
     dt: ArrayLike, n_steps: int, every: int = 1
 ) -> Float[Array, " records"]:
-    """The times of the records of `rollout`, counted in integers.
+    """Times of the records of `rollout`, counted in integers.
 
     Args:
         dt: Step size [s].
-        n_steps: How many steps, a multiple of `every`.
-        every: Steps between records, at least 1.
+        n_steps: Number of steps, a multiple of `every`.
+        every: Number of steps between records, at least 1.
 
     Returns:
         Times [s], `n_steps / every + 1` of them; the first is zero.
@@ -187,10 +191,10 @@ def _run_traced(
     first: Array | None,
     lanes: str,
 ) -> Any:
-    """A run of a traced number of steps.
+    """Run with a traced number of steps.
 
-    `lanes`, how they are used, is looked up where it matters; as an argument it keeps
-    programs that were compiled under another mode apart.
+    `lanes`, the mode of their use, is looked up where it matters. As an argument it
+    keeps apart programs that were compiled in different modes.
     """
     state = with_memory(scene, state)
     after = _run(scene, state, dt, n_steps, first)
@@ -216,13 +220,13 @@ def _run_static(
 def _run(
     scene: Model, state: Any, dt: Array, n_steps: int | Array, first: Array | None
 ) -> Any:
-    """At least one step."""
+    """Run of at least one step."""
     integrator = stepper(scene, state, dt, first)
     return integrated(integrator, state, n_steps - integrator.steps_of_end)
 
 
 def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper:
-    """The integrator of a scene; `first` counts where it depends on time."""
+    """Integrator of a scene; `first` is used if the scene depends on time."""
     if isinstance(scene, Composite):
         return scene.run_stepper(state, dt, first)
     if first is None:
@@ -237,8 +241,8 @@ def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper
     return constants.evolving(scene, first)
 
 
-# Within another jit these change nothing. Under a transformation alone they keep a
-# run from being compiled again in every call.
+# Within another jit these change nothing. With other transformations alone they avoid
+# compiling a run again in every call.
 _traced_compiled = jax.jit(_run_traced, static_argnames="lanes")
 _static_compiled = jax.jit(_run_static, static_argnames=("n_steps", "lanes"))
 

@@ -1,8 +1,8 @@
-"""Speed for accuracy, measured: the cost and the error of a setting.
+"""Trade-off of speed and accuracy, measured: the cost and the error of a setting.
 
-`tune` finds the cheapest setting of a scene that keeps a tolerance, `measure` says what
-one setting costs. In a checkout `jaxrod tradeoff` lays out the whole trade of one of
-`SCENES`, PyElastica beside it.
+`tune` finds the cheapest setting of a scene within a tolerance. `measure` gives the
+cost and the error of one setting. In a checkout `jaxrod tradeoff` shows the whole
+trade-off of one of `SCENES`, next to PyElastica's.
 """
 
 from jaxrod.tradeoff.measure import Measurement, Reference, measure, reference

@@ -23,33 +23,33 @@ REFERENCE_ELEMENTS = 160
 REFERENCE_REFINEMENT = 8
 WINDOWS = 5
 TIMED_PERIODS = 1280
-"""Control periods of all rods together that are timed at once, if there are many."""
+"""Largest total of control periods timed in one call of a batch."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The path of the tip that settings are compared with."""
+    """Path of the tip with which settings are compared."""
 
     tips: np.ndarray
     """Tip at the end of every control period `(periods, 3)` [m]."""
     length: float
     """Length of the rod [m]."""
     error: float
-    """Difference of this one from a reference of half the resolution, over four, as the
-    next refinement would differ (second order): root mean square over time, in lengths
-    of the rod."""
+    """Estimated error: root mean square over time, in lengths of the rod. It is a
+    quarter of the difference from a reference of half the resolution, which is how much
+    the next refinement would change it (second order)."""
     n_elements: int
-    """Its number of elements."""
+    """Number of elements."""
     dt: float
-    """Its step [s]."""
+    """Step size [s]."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One point of the trade."""
+    """One point of the trade-off."""
 
     setting: Setting
-    """The setting, with the step that was taken."""
+    """The setting, with the step size that was used."""
     error: float
     """Root mean square over time of the tip's distance from the reference, in lengths
     of the rod; infinite if the run was not finite."""
@@ -59,12 +59,12 @@ class Measurement:
 
 
 def reference(problem: Problem, n_elements: int = REFERENCE_ELEMENTS) -> Reference:
-    """Simulates a problem finely, in float64, and finds out how fine that is.
+    """Simulates a problem finely in float64, and estimates the error of the result.
 
     Args:
         problem: The problem.
-        n_elements: Elements of the reference; it takes an eighth of the stable step,
-            the one it is checked against has half the elements and twice the step.
+        n_elements: Elements of the reference; its step is an eighth of the stable one.
+            It is compared with a run of half the elements and twice the step.
     """
     runs = []
     for n, refinement in (
@@ -114,10 +114,10 @@ def measure(
         problem: The problem.
         setting: The setting.
         exact: The problem's reference.
-        batches: Batch sizes to time it with, each rod under controls of its
-            own; on one core if JAX has one device.
-        seconds: Time spent on timing each batch [s]; the median of five windows
-            counts, or a single run that takes longer.
+        batches: Batch sizes to time it with, each rod with its own controls; on one
+            core if JAX has one device.
+        seconds: Time spent on timing each batch [s]. The result is the median of five
+            windows, or a single run if that takes longer.
     """
     prepared = prepare(problem, setting)
     error = tip_error(tips_of(problem, prepared), exact.tips, exact.length)
@@ -128,11 +128,11 @@ def measure(
 def cost(
     problem: Problem, prepared: Prepared, batch: int, seconds: float = 0.3
 ) -> float:
-    """Wall-clock time per simulated second and rod [1]; compiling not counted."""
+    """Wall-clock time per simulated second and rod [1], without compilation."""
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         scene, state, controls, dt, substeps = _arguments(problem, prepared)
-        # Of many rods a few periods are enough to time. One rod runs them all: what a
-        # call costs of its own is more than a thousand of the smallest steps.
+        # For many rods a few periods suffice. One rod runs all periods: the overhead of
+        # a call is more than a thousand of the smallest steps.
         periods = min(len(problem.controls), max(2, TIMED_PERIODS // batch))
         controls = controls[:periods]
         run = partial(_run, problem, batch > 1)
@@ -148,7 +148,7 @@ def cost(
         once()
         single = once()
         rounds = max(1, int(seconds / WINDOWS / single))
-        # A run longer than all windows together needs no repeating.
+        # A run longer than all windows together need not be repeated.
         repeats = WINDOWS if single < seconds else 0
         windows = [sum(once() for _ in range(rounds)) for _ in range(repeats)]
     simulated = rounds * periods * problem.period * batch
@@ -156,7 +156,7 @@ def cost(
 
 
 def _repeated(batch: int, leaf: Array) -> Array:
-    """Copies of an array, along a new first axis."""
+    """Copies of an array along a new leading axis."""
     return jnp.broadcast_to(leaf, (batch, *leaf.shape))
 
 
@@ -183,7 +183,7 @@ def _run(
     dt: Array,
     substeps: Array,
 ) -> Float[Array, "periods *batch 3"]:
-    """The path of the tip; of many rods, each under its own controls, if `batched`."""
+    """Path of the tip; if `batched`, for many rods, each with its own controls."""
     act = problem.act(scene)
 
     def period(state: RodState, control: Array) -> tuple[RodState, Array]:

@@ -28,25 +28,25 @@ def _unchanged(scene: Scene) -> Callable[[jax.Array], Scene]:
 class Problem:
     """Simulation on which the error and the cost of settings are measured.
 
-    Time is cut into control periods. In each the scene is what `act` makes of it,
-    and at the end of each the tip is recorded; steps are whole fractions of a period.
+    Time is divided into control periods. In each period the scene is the one that `act`
+    returns, and at its end the tip is recorded. A period is a whole number of steps.
     """
 
     name: str
-    """Name."""
+    """Name of the problem."""
     build: Build
-    """The scene and its initial state, in float64, given the number of elements and the
-    law."""
+    """Function from the number of elements and the law to the scene and its initial
+    state, in float64."""
     period: float
     """Length of a control period [s]."""
     controls: np.ndarray
-    """Controls of each period `(periods, controls)`; empty columns where nothing
+    """Controls of each period `(periods, controls)`; without columns if nothing
     changes."""
     act: Act = _unchanged
-    """Function of the scene, called once, that gives the function from a period's
+    """Function of the scene, called once; it returns a function from a period's
     controls to the scene during that period."""
     plane: PlaneName | None = None
-    """Plane of all motion and loads; `None` if they are in space."""
+    """Plane of all motion and loads; `None` if the motion is spatial."""
 
     @property
     def duration(self) -> float:
@@ -62,7 +62,7 @@ def problem_of(
     periods: int = 50,
     name: str = "scene",
 ) -> Problem:
-    """The problem of a scene moving by itself, without controls.
+    """Problem of a scene that moves without controls.
 
     Args:
         scene: The scene; it is resampled to other numbers of elements, so numbers
@@ -70,7 +70,7 @@ def problem_of(
         state: Its initial state.
         duration: Simulated time [s].
         periods: Number of records of the tip; no step is longer than the time between.
-        name: Name.
+        name: Name of the problem.
 
     Raises:
         ValueError: If `duration` is not positive, `scene` is not of the consistent law,

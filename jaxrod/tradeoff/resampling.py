@@ -27,14 +27,13 @@ from jaxrod.validation import check_count, is_traced
 def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
     """A scene and its state with another number of equally long elements.
 
-    Interpolation is in rest arc length: of properties between the middles of elements
-    (their logarithms, linearly), of rest curvatures between joints, of
-    positions and velocities between nodes, of orientations along the rotation from each
-    element to the next. Effects say themselves what they are on the new rod
-    (`Effect.resampled`).
+    Interpolation is in rest arc length. Logarithms of properties are interpolated
+    linearly between the middles of elements, rest curvatures between joints, positions
+    and velocities between nodes, and orientations along the rotation from each element
+    to the next. Effects define their counterparts on the new rod (`Effect.resampled`).
 
-    Exact for uniform straight rods; otherwise right to second order in the element
-    length. Not for tracing: the result is made on the host.
+    The result is exact for uniform straight rods; otherwise it is second order in the
+    element length. Not for tracing: the result is computed on the host.
 
     Args:
         scene: The scene.
@@ -42,11 +41,11 @@ def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Ro
         n_elements: Number of elements of the new rod, at least 2.
 
     Returns:
-        The new scene and state; the given ones if the number is theirs.
+        The new scene and state; the given ones if the number does not change.
 
     Raises:
         ValueError: If `n_elements` is out of range, or anything is traced.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
     """
     check_scene_and_state(scene, state)
     check_moment(scene)
@@ -81,7 +80,7 @@ def _resampled_rod(rod: Rod, n: int) -> Rod:
         return jnp.asarray(interpolated(np.asarray(values), old, new), dtype)
 
     def positive(values: Array) -> Array:
-        # Powers of a tapering radius: their logarithms stay in bounds at the ends.
+        # Logarithms suit powers of a tapering radius: values stay positive at the ends.
         logarithms = np.log(np.asarray(values, np.float64))
         new = interpolated(logarithms, middles, new_middles)
         return jnp.asarray(np.exp(new), dtype)
@@ -116,7 +115,7 @@ def _resampled_state(rod: Rod, state: RodState, new: Rod) -> RodState:
         velocities=jnp.asarray(
             interpolated(np.asarray(state.velocities), nodes, new_nodes), dtype
         ),
-        # Momentum per length is what varies smoothly along the rod.
+        # Momentum per length varies smoothly along the rod.
         angular_momenta=jnp.asarray(
             interpolated(momenta, middles, new_middles) * new_lengths, dtype
         ),

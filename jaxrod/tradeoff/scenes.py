@@ -1,4 +1,4 @@
-"""The named problems on which speed is traded for accuracy."""
+"""Named problems on which the trade-off of speed and accuracy is measured."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ VISCOSITY = 30.0
 
 
 def swing() -> Problem:
-    """The arm let go when it is horizontal: 1 s of swinging under its weight.
+    """The arm released from a horizontal position: 1 s of swinging under its weight.
 
-    1 m long, 5 cm in radius, 10 MPa, clamped, lightly damped; it stays in a plane.
+    It is 1 m long, 5 cm in radius, 10 MPa, clamped and lightly damped, and stays in a
+    plane.
     """
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
@@ -45,9 +46,10 @@ def swing() -> Problem:
 
 
 def rope() -> Problem:
-    """A rope, 4 mm thick and 1 m long, let go when it is horizontal: 0.3 s.
+    """A rope, 4 mm thick and 1 m long, released from a horizontal position: 0.3 s.
 
-    Elements much longer than thick: the scene for enlarged inertia and implicit steps.
+    Its elements are much longer than thick: a scene for enlarged inertia and implicit
+    steps.
     """
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
@@ -58,10 +60,10 @@ def rope() -> Problem:
 
 
 def slam() -> Problem:
-    """The arm of `swing` let go above a post, which it hits and bends over: 0.6 s.
+    """The arm of `swing` released above a post, which it hits and bends over: 0.6 s.
 
     The post is a cylinder of 15 cm radius across the plane of motion, under two thirds
-    of the arm's length. Contact is soft: it is to be resolved by few elements.
+    of the arm's length. Contact is soft, so that few elements resolve it.
     """
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
@@ -77,8 +79,8 @@ def slam() -> Problem:
 def tracking_arm() -> Problem:
     """The tracking task's arm under recorded actions of a trained policy: 1 s.
 
-    Twelve control values, a third of the time at their limits, are renewed every
-    1.4 ms and shape the bending couples along the arm, which is damped as in the
+    Twelve control values change every 1.4 ms and shape the bending couples along the
+    arm. They are at their limits a third of the time. The arm is damped as in the
     published task.
     """
     name = "tracking_actions.npy"
@@ -87,7 +89,7 @@ def tracking_arm() -> Problem:
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         rod, state = _arm(n_elements, 0.05, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-        # One viscosity for translation and rotation, as rates.
+        # One viscosity for translation and rotation, converted to rates.
         rates = (
             VISCOSITY / float(rod.linear_density[0]),
             VISCOSITY / float(rod.rotary_inertia[0, 0]),

@@ -1,4 +1,4 @@
-"""A setting: everything about a simulation that trades speed for accuracy."""
+"""A setting: all choices of a simulation that trade speed for accuracy."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Setting:
     n_elements: int
     """Number of elements."""
     dt: float | None = None
-    """Step [s]; `None` for the largest stable one that divides the control period, with
-    the safety factor below."""
+    """Step size [s]; `None` for the largest stable one that divides the control period,
+    with the safety factor below."""
     dtype: str = "float32"
     """Floating-point type, "float32" or "float64"."""
     mode: Law = "consistent"
@@ -44,10 +44,10 @@ class Setting:
     """Any of "planar" (motion in a plane), "untwisted" (without twist), "inertia"
     (enlarged transverse inertia), "compensated" (compensated positions)."""
     safety: float = 0.9
-    """Fraction of the stability limit, where `dt` is `None`."""
+    """Fraction of the stability limit if `dt` is `None`."""
 
     def __str__(self) -> str:
-        """In words."""
+        """Description in words."""
         words = [f"n = {self.n_elements}", self.integrator, self.dtype, self.mode]
         if self.dt is not None:
             words.insert(1, f"dt = {self.dt:.3g} s")
@@ -56,10 +56,10 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A problem under a setting, ready to run."""
+    """A problem built with a setting, ready to run."""
 
     setting: Setting
-    """The setting, its step worked out."""
+    """The setting, with its step size filled in."""
     scene: Scene
     """The scene, in the setting's type."""
     state: RodState
@@ -69,16 +69,16 @@ class Prepared:
 
 
 def prepare(problem: Problem, setting: Setting) -> Prepared:
-    """Builds a problem under a setting.
+    """Builds a problem with a setting.
 
     Args:
         problem: The problem.
         setting: The setting.
 
     Raises:
-        ValueError: If the setting does not fit the problem: "planar" where there is
-            no plane, "untwisted" where something twists, or implicit steps without a
-            step size.
+        ValueError: If the setting does not fit the problem: "planar" without a plane,
+            "untwisted" although something twists, or implicit steps without a step
+            size.
     """
     with jax.enable_x64(True):
         scene, state = problem.build(setting.n_elements, setting.mode)

@@ -1,4 +1,4 @@
-"""The cheapest setting that keeps a tolerance, found by measurement."""
+"""Search for the cheapest setting within a tolerance, by measurement."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from jaxrod.validation import check_array, check_count, is_traced
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
 """Numbers of elements that are tried, in this order."""
 STEPS_FOR_IMPLICIT = 100
-"""Explicit steps that an implicit one has to replace to be tried."""
+"""Number of explicit steps an implicit one must replace for it to be tried."""
 TRUSTED = 0.2
-"""The reference's own error may be this share of the tolerance."""
+"""Largest error of the reference, as a fraction of the tolerance."""
 
 
 @dataclass(frozen=True)
@@ -45,30 +45,30 @@ class Tuned:
     """Result of `tune`."""
 
     met: bool
-    """Whether the setting is within the tolerance. If none is, it is the most accurate
-    one that was tried."""
+    """Whether the setting is within the tolerance. If no setting is, `setting` is the
+    most accurate one that was tried."""
     setting: Setting
     """The cheapest setting within the tolerance."""
     error: float
-    """Its measured error: root mean square over time of the tip's distance from the
+    """Measured error: root mean square over time of the tip's distance from the
     reference, in lengths of the rod."""
     wall_s_per_sim_s: float
-    """Its measured cost: wall-clock time per simulated second and rod, at the batch
-    size asked for."""
+    """Measured cost: wall-clock time per simulated second and rod, at the requested
+    batch size."""
     tolerance: float
-    """Tolerance asked for, in lengths of the rod."""
+    """Requested tolerance, in lengths of the rod."""
     batch: int
-    """The batch size it was timed with."""
+    """Batch size it was timed with."""
     reference_error: float
     """Error of the reference itself, in lengths of the rod."""
     tried: tuple[Measurement, ...]
-    """All measurements in their order; settings that were not accurate enough were not
+    """All measurements in order; settings that were not accurate enough were not
     timed."""
     prepared: Prepared
-    """The scene and the state under the setting, ready to step."""
+    """The scene and the state with the setting, ready to step."""
 
     def __str__(self) -> str:
-        """In words."""
+        """Description in words."""
         found = (
             f"{self.setting}: error {self.error:.2g} of the length, "
             f"{self.wall_s_per_sim_s:.2g} s per simulated second"
@@ -89,15 +89,16 @@ def tune(
     seconds: float = 0.3,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Finds the cheapest setting that keeps a tolerance, by measuring on the scene.
+    """Finds the cheapest setting within a tolerance, by measuring on the scene.
 
-    First the number of elements: the smallest with which explicit float64 steps keep
-    the tolerance. Then the ways of simulating with that many, or somewhat more:
-    explicit steps, with enlarged inertia if the rod is slender, in the plane if the
-    scene has one, and implicit steps where explicit ones are many; in float32, with
-    compensated positions where that needs it, in float64 where that needs it. Every
-    setting within the tolerance is timed; the fastest is returned. Errors are against
-    a converged reference of 160 elements. Takes a minute or two; not inside jit.
+    First it finds the number of elements: the smallest with which explicit float64
+    steps are within the tolerance. Then it tries the methods with that number, or
+    somewhat more: explicit steps, with enlarged inertia if the rod is slender, in the
+    plane if the scene has one, and implicit steps if there are many explicit ones. Each
+    is tried in float32, then with compensated positions, then in float64, until it is
+    within the tolerance. Every setting within the tolerance is timed; the fastest is
+    returned. Errors are relative to a converged reference of 160 elements. It takes a
+    minute or two and does not work inside jit.
 
     Args:
         scene: The scene, of the consistent law; or a `Problem`, with controls in time.
@@ -116,8 +117,8 @@ def tune(
     Raises:
         ValueError: If `tolerance`, `batch` or `seconds` is not positive, `elements` do
             not increase, `state` is missing or does not fit, or the reference is not
-            converged well enough to judge by: then the motion depends on details
-            beyond any resolution, or needs a looser tolerance.
+            converged well enough to judge by. Then the motion depends on details that
+            no resolution captures, or needs a looser tolerance.
     """
     if is_traced(scene, state):
         raise ValueError(
@@ -186,7 +187,7 @@ def _timed(
 
 
 class _Search:
-    """The settings of a problem that keep a tolerance, and all that were tried."""
+    """Settings of a problem that are within a tolerance, and all that were tried."""
 
     def __init__(
         self,
@@ -204,7 +205,7 @@ class _Search:
         self.tried: list[Measurement] = []
 
     def accurate_settings(self) -> Iterator[Prepared]:
-        """Every way of simulating that keeps the tolerance, as coarse as it does."""
+        """Each method that can stay within the tolerance, in its cheapest setting."""
         index = self._coarsest()
         if index is None:
             return
@@ -241,12 +242,12 @@ class _Search:
         return prepared if error <= self.tolerance else None
 
     def _coarsest(self) -> int | None:
-        """Index of the smallest number of elements that is enough in float64."""
+        """Index of the smallest number of elements that suffices in float64."""
 
         def error(index: int) -> float:
             return self._error(Setting(self.elements[index], dtype="float64"))[1]
 
-        # The error falls as one over the square: jump to where it should be enough.
+        # The error is inversely proportional to the square: jump to where it suffices.
         last = len(self.elements) - 1
         index = min(int(np.searchsorted(self.elements, 10)), last)
         for _ in range(3):
@@ -271,10 +272,10 @@ class _Search:
         reductions: tuple[Reduction, ...],
         dt: float | None,
     ) -> Prepared | None:
-        """The cheapest precision that keeps the tolerance, with somewhat more elements.
+        """Cheapest precision within the tolerance, with somewhat more elements.
 
-        Reductions and larger steps have errors of their own, which a few more
-        elements may make room for.
+        Reductions and larger steps have errors of their own, which a few more elements
+        may compensate.
         """
         for n in self.elements[index : index + 3]:
             for dtype, more in _PRECISIONS:
@@ -300,7 +301,7 @@ _PRECISIONS: tuple[tuple[str, tuple[Reduction, ...]], ...] = (
 
 
 def _kinds(problem: Problem, n_elements: int) -> list[tuple[Reduction, ...]]:
-    """The combinations of reductions that make sense for a problem."""
+    """Combinations of reductions that make sense for a problem."""
     kinds: list[tuple[Reduction, ...]] = [()]
     if _is_slender(problem, n_elements):
         kinds.append(("inertia",))
