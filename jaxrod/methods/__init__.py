@@ -6,6 +6,6 @@
 | `planar("xy")` | the same, in a plane | motion in a plane |
 | `torsion_free()` | the same, without twist | straight round rods that nothing twists |
 | `implicit()` | the same, any step is stable | stiff rods that move slowly |
-| `pyelastica()` | PyElastica 1.0's | comparing, published results |
+| `pyelastica()` | PyElastica 1.0's | comparisons, published results |
 | `planar("xy", pyelastica())` | PyElastica 1.0's, in a plane | the same, in a plane |
 """

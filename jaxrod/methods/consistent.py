@@ -1,16 +1,16 @@
 r"""Consistent mode: a symplectic, second-order, momentum-conserving step.
 
-The state's angular momentum $P$ is a world vector. Between kicks every element turns
+The state's angular momentum $P$ is a world vector. Between kicks every element rotates
 as a free symmetric top, exactly: with transverse and polar inertia $J_1, J_3$,
 
 $$R(t+s) = \exp\!\left(\frac{s P}{J_1}\right) R(t)\,
    \exp\!\left(s \left(\frac1{J_3} - \frac1{J_1}\right) (d_3\cdot P)\, e_3\right).$$
 
-Kicks change $v$ and $P$ at fixed configuration, exactly too: without damping
-$v \mathrel{+}= s f/m$ and $P \mathrel{+}= s R c$; with decay rate $g$, the solution of
-$\dot v = f/m - g v$ after a time $s$, and likewise for $P$. Drift, kick, drift is
-position Verlet: symmetric in time, hence of second order. Drag, with rates of its own
-along the rod and across it, is solved with the loads too (`drag_kick`).
+Kicks change $v$ and $P$ at fixed configuration, exactly, too. Without damping
+$v \mathrel{+}= s f/m$ and $P \mathrel{+}= s R c$; with decay rate $g$, it is the
+solution of $\dot v = f/m - g v$ after a time $s$, and the same for $P$. Drift, kick,
+drift is position Verlet: symmetric in time, hence of second order. Drag, with different
+rates along the rod and across it, is solved together with the loads (`drag_kick`).
 """
 
 from __future__ import annotations
@@ -62,14 +62,14 @@ class ConsistentStepper(Verlet):
     spin_kick: Kick
     """Kick of the angular momenta by couples."""
     inverse_inertia: Array
-    """One over transverse inertia; of sections not round, polar [1/(kg m^2)]."""
+    """Inverse of transverse inertia; polar if sections are not round [1/(kg m^2)]."""
     inertia_contrast: Array | tuple[Array, Array]
-    """One over polar less one over transverse inertia [1/(kg m^2)]. Of sections that
-    are not round, those about d1 and d2 less the polar one, beside one over that."""
+    """Inverse of polar minus inverse of transverse inertia [1/(kg m^2)]. For sections
+    that are not round, inverses about d1 and d2 minus inverse of polar inertia."""
 
     @staticmethod
     def create(scene: Scene, dt: Array) -> ConsistentStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         contrast: Array | tuple[Array, Array]
         if scene.rod.is_round:
             transverse, polar = scene.rod.inertias
@@ -89,15 +89,15 @@ class ConsistentStepper(Verlet):
         )
 
     def enter(self, state: RodState) -> Motion:
-        """Takes a state apart and makes it respect the scene's constraints."""
+        """Unpacks a state and makes it satisfy the scene's constraints."""
         return constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
 
     def leave(self, motion: Motion) -> RodState:
-        """Puts the state together again."""
+        """Packs a motion into a state."""
         return state_of(motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves nodes and turns elements freely for a time `dt` [s]."""
+        """Moves nodes and rotates elements freely for a time `dt` [s]."""
         q, momentum = motion.orientation, motion.spin
         if isinstance(self.inertia_contrast, tuple):
             orientation = asymmetric_drift(
@@ -126,7 +126,7 @@ class ConsistentStepper(Verlet):
 
         Args:
             motion: The motion in the middle of the step.
-            others: Loads of what is not in the scene, if any.
+            others: Loads from outside the scene, if any.
         """
         internal = internal_loads(self.law, motion)
         assert internal.forces is not None and internal.couples is not None
@@ -154,7 +154,7 @@ class Consistent(Method):
 
     @property
     def solves_drag(self) -> bool:
-        """With the loads of every kick."""
+        """True: drag is solved together with the loads of every kick."""
         return True
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> ConsistentStepper:

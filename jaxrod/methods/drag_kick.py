@@ -1,18 +1,18 @@
 r"""Kicks with drag: exact for each direction, however large the rates are.
 
-At fixed configuration, with the acceleration $a$ by all loads held, a component of the
-velocity relative to the surroundings obeys $\dot w = a - g w - q |w| w$. Its solution
-after a time $h$ is, with $T = \tanh(\kappa)\, h/\kappa$ and
+At fixed configuration, with the acceleration $a$ by all loads held constant, a
+component of the velocity relative to the fluid obeys $\dot w = a - g w - q |w| w$. Its
+solution after a time $h$ is, with $T = \tanh(\kappa)\, h/\kappa$ and
 $\kappa^2 = h^2 (g^2/4 + q |a|)$,
 
 $$w(h) = \frac{(1 - \tfrac12 g T)\, w + T a}{1 + \tfrac12 g T + q |w| T},$$
 
-exact wherever $a$ and $w$ point the same way or either vanishes: the decay is
+exact if $a$ and $w$ have the same direction or either vanishes: the decay is
 $w/(1 + q|w|h)$, the terminal speed $\sqrt{a/q}$, and with $q = 0$ it is the exponential
-decay of `Kick`. Across the rod, where $a$ and $w$ may point anywhere in a plane, the
-part of $a$ across $w$ is multiplied by $1 + \tfrac12 q |w| T$ besides, which makes the
-step second order. No step is too large: nothing overshoots the terminal velocity, so
-drag does not limit the step.
+decay of `Kick`. Across the rod $a$ and $w$ may have any directions in a plane. There
+the component of $a$ across $w$ is also multiplied by $1 + \tfrac12 q |w| T$, which
+makes the step second order. No step is too large: nothing overshoots the terminal
+velocity, so drag does not limit the step.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from jaxrod.scene import Scene, damping_rates
 
 
 def has_drag(effect: Effect) -> bool:
-    """Whether an effect has drag, which a method may solve with the loads."""
+    """Whether an effect has drag, which a method may solve together with the loads."""
     return type(effect).drag is not Effect.drag
 
 
 def without_drag(scene: Scene) -> Scene:
-    """The scene without the effect whose drag is solved with the loads."""
+    """Scene without the effect whose drag is solved together with the loads."""
     if not any(map(has_drag, scene.effects)):
         return scene
     left = tuple(effect for effect in scene.effects if not has_drag(effect))
@@ -48,7 +48,7 @@ def without_drag(scene: Scene) -> Scene:
 
 
 def drag_on(scene: Scene, motion: Motion) -> Drag | None:
-    """Drag on a rod of a scene; `None` without.
+    """Drag on a rod of a scene; `None` if there is none.
 
     Raises:
         ValueError: If several effects have drag.
@@ -70,9 +70,9 @@ def drag_kick(
 
     Args:
         scene: The scene.
-        motion: Where the rod is and how it moves, spins being angular momenta.
-        forces: All others on the nodes, world frame [N].
-        couples: All others on the elements, world frame [N m].
+        motion: Configuration and rates of the rod; spins are angular momenta.
+        forces: All other forces on the nodes, world frame [N].
+        couples: All other couples on the elements, world frame [N m].
         dt: Step size [s].
     """
     drag = drag_on(scene, motion)
@@ -85,7 +85,7 @@ def drag_kick(
     if damping is not None:
         along, across = along + damping[0], across + damping[0]
         if drag.flow is not None:
-            # What is damped is the velocity itself, not that relative to the flow.
+            # Damping acts on the velocity itself, not on that relative to the flow.
             drive = vectors.subtract(drive, vectors.scale(damping[0], drag.flow))
     change = _change(
         relative,
@@ -109,20 +109,20 @@ def drag_kick(
 
 
 Rates = tuple[Array, Array | None]
-"""Decay rate [1/s], and what it grows by per speed [1/m]."""
+"""Decay rate [1/s], and its increase per speed [1/m]."""
 
 
 def _change(
     rate: Vec3, drive: Vec3, axis: Vec3, along: Rates, across: Rates, dt: Array
 ) -> Vec3:
-    """Change of a vector that is driven, and decays along an axis and across it."""
+    """Change of a vector with a drive and with decay along an axis and across it."""
     on_rate, on_drive = vectors.dot(axis, rate), vectors.dot(axis, drive)
     rate = vectors.subtract(rate, vectors.scale(on_rate, axis))
     drive = vectors.subtract(drive, vectors.scale(on_drive, axis))
     if along[1] is None:
         gain, loss = _decay(along[0], dt)
     else:
-        # Not the absolute values, whose slope at zero JAX says is one.
+        # Not the absolute value: JAX takes its slope at zero to be one.
         way = jnp.sign(on_rate)
         speed, size = way * on_rate, jnp.sign(on_drive) * on_drive
         gain, loss = _riccati(along, speed, size, way * on_drive, dt)
@@ -138,7 +138,7 @@ def _change(
 
 
 def _decay(rate: Array, dt: Array) -> tuple[Array, Array]:
-    """What `_riccati` gives for a rate that does not grow with the speed."""
+    """Result of `_riccati` for a rate that does not depend on the speed."""
     kick = Kick.create(None, rate, dt)
     assert kick.loss is not None
     return kick.gain, kick.loss
@@ -147,13 +147,13 @@ def _decay(rate: Array, dt: Array) -> tuple[Array, Array]:
 def _riccati(
     rates: Rates, speed: Array, size: Array, forward: Array, dt: Array
 ) -> tuple[Array, Array]:
-    """Change per drive, and share of the speed that is lost.
+    """Change per drive, and fraction of the vector that is lost.
 
     Args:
-        rates: Decay rate, and what it grows by per speed.
-        speed: Size of what decays.
-        size: Size of what drives it.
-        forward: Its part in the direction of what decays.
+        rates: Decay rate, and its increase per speed.
+        speed: Norm of the decaying vector.
+        size: Norm of the drive.
+        forward: Component of the drive in the direction of the vector.
         dt: Step size [s].
     """
     linear, growth = rates
@@ -166,7 +166,7 @@ def _riccati(
 
 
 def _tanh_ratio(square: Array) -> Array:
-    """tanh(x) / x of the square of x, smooth at zero."""
+    """Ratio tanh(x) / x as a function of the square of x, smooth at zero."""
     small = square < 1e-3
     root = jnp.sqrt(jnp.where(small, 1, square))
     series = 1 - square * (1 / 3 - square * (2 / 15 - square * (17 / 315)))
@@ -174,7 +174,7 @@ def _tanh_ratio(square: Array) -> Array:
 
 
 def check_drag(scene: Scene) -> None:
-    """Raises where several effects have drag, or its growth with speed has no bound."""
+    """Raises ValueError for several effects with drag, or drag without a stable step."""
     now = scene.at(0.0)
     found = jax.eval_shape(lambda: drag_on(now, trial_motion(scene.rod)))
     limited = scene.method.explicit and not scene.method.solves_drag

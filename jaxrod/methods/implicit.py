@@ -1,11 +1,10 @@
 r"""The implicit method: steps as large as the motion allows, however stiff the rod.
 
-Two stages of a singly diagonally implicit Runge-Kutta method of second order, with
-coefficient $\gamma$ and stages at $\gamma h$ and $(1 - \gamma) h$ of equal weight.
-Each stage is a backward Euler step of $\gamma h$ from its own base: the balance of
-loads of `jaxrod.statics.residual`, solved by Newton's method on block-tridiagonal
-systems. Turns are composed as rotations, so the method works on the rotation group
-itself.
+It has two stages of a singly diagonally implicit Runge-Kutta method of second order,
+with coefficient $\gamma$, at $\gamma h$ and $(1 - \gamma) h$, with equal weights. Each
+stage is a backward Euler step of $\gamma h$ from its own base: the balance of loads of
+`jaxrod.statics.residual`, solved by Newton's method on block-tridiagonal systems.
+Rotations are composed as rotations, so the method works on the rotation group itself.
 
 The method is stable at any step size, for nonlinear motion too (it is algebraically
 stable for $\gamma \ge 1/4$). An infinitely stiff mode loses the factor
@@ -60,20 +59,20 @@ from jaxrod.validation import Numbers, as_array, check_count
 
 @pytree
 class Implicit(Method):
-    """Implicit steps, and their settings; see `implicit`."""
+    """Implicit steps and their settings; see `implicit`."""
 
     explicit: ClassVar[bool] = False
 
     spectral_radius: Float[Array, ""]
-    """Share of an infinitely stiff motion left after a step [1]."""
+    """Fraction of an infinitely stiff motion left after a step [1]."""
     tolerance: Float[Array, ""] | None = None
     """Newton's method ends after a correction below this many element lengths and
-    radians [1]; the error that is left is about its square. `None`: by precision."""
+    radians [1]; the remaining error is about its square. `None`: set by precision."""
     max_iterations: int = static(default=20)
-    """Per stage. A step that needs more yields a state that is not finite."""
+    """Largest number of corrections per stage. A step that needs more is not finite."""
 
     def check(self, scene: Scene) -> None:
-        """Raises ValueError if an effect is not what a step would take it for."""
+        """Raises ValueError if an effect breaks a promise that a step relies on."""
         check_promises(scene)
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> ImplicitStepper:
@@ -87,15 +86,15 @@ def implicit(
     tolerance: Numbers | None = None,
     max_iterations: int = 20,
 ) -> Implicit:
-    """Steps implicitly: any step size is stable; accuracy alone limits it.
+    """Steps implicitly: any step size is stable; only accuracy limits it.
 
-    For stiff or slender rods whose interesting motion is slow. A step costs tens of
-    explicit ones; it pays where the stable step is hundreds of times shorter than
-    the motion asks for. A step that does not converge yields NaN, which
-    `jaxrod.health` reports.
+    For stiff or slender rods whose relevant motion is slow. A step costs tens of
+    explicit ones. It pays if the stable step is hundreds of times shorter than the
+    motion requires. A step that does not converge yields NaN, which `jaxrod.health`
+    reports.
 
     Args:
-        spectral_radius: Share of an infinitely stiff motion that numerical damping
+        spectral_radius: Fraction of an infinitely stiff motion that numerical damping
             leaves after one step, from 0 (nothing) to 1 (everything: no damping). Slow
             motion is followed to second order with any value.
         tolerance: Newton's method ends after a correction below this many element
@@ -123,11 +122,11 @@ def implicit(
 
 @pytree
 class Base:
-    """Start of a stage: a configuration with the rates inertia would keep."""
+    """Start of a stage: a configuration with the rates that inertia would maintain."""
 
     motion: Motion
     rates: tuple[Vec3, Vec3]
-    """Rates expected at the stage: velocities and angular velocities, world frame."""
+    """Velocities and angular velocities extrapolated to the stage, world frame."""
 
 
 @pytree
@@ -149,7 +148,7 @@ class ImplicitStepper:
     settings: Implicit
     law: ElasticLaw
     coefficient: Float[Array, ""]
-    """The method's gamma [1]."""
+    """Coefficient gamma of the method [1]."""
     duration: Float[Array, ""]
     """Duration of a stage, gamma dt [s]."""
     dt: Float[Array, ""]
@@ -158,7 +157,7 @@ class ImplicitStepper:
 
     @staticmethod
     def create(scene: Scene, settings: Implicit, dt: Array) -> ImplicitStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         coefficient = 0.5 / (1 + jnp.sqrt(0.5 * (1 + settings.spectral_radius)))
         return ImplicitStepper(
             scene=scene,
@@ -171,16 +170,16 @@ class ImplicitStepper:
         )
 
     def begin(self, state: RodState) -> Motion:
-        """Takes a state apart and makes it respect the scene's constraints."""
+        """Unpacks a state and makes it satisfy the scene's constraints."""
         return constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
 
     def end(self, motion: Motion) -> RodState:
-        """Puts the state together again."""
+        """Packs a motion into a state."""
         return state_of(motion)
 
     def cycle(self, motion: Motion) -> Motion:
-        """One step."""
-        # Stage 2 starts from the base at h (1 - 2 gamma) k1, in gammas of stage 1.
+        """Takes one step."""
+        # Stage 2 starts at h (1 - 2 gamma) k1, here in units of stage 1's increment.
         second = 1 / self.coefficient - 2
 
         def stage(base: Base, _: None) -> tuple[Base, Increments]:
@@ -192,11 +191,11 @@ class ImplicitStepper:
         return self.after(motion, added)
 
     def evolving(self, scene: Scene, first: Array) -> EvolvingImplicit:
-        """The same for a scene that depends on time or remembers."""
+        """Stepper for a scene that depends on time or has memory."""
         return EvolvingImplicit(self, scene, first)
 
     def after(self, motion: Motion, added: Increments) -> Motion:
-        """The end of a step from what its two stages add."""
+        """Motion at the end of a step, from the increments of its two stages."""
         share = 0.5 / self.coefficient
         one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
         after = _add(_add(motion, one), two)
@@ -219,7 +218,7 @@ class ImplicitStepper:
         return Base(base, rates)
 
     def stage(self, base: Base) -> Increments:
-        """A backward Euler step from a base."""
+        """Takes a backward Euler step from a base."""
         balance = Balance(
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )
@@ -234,7 +233,7 @@ class ImplicitStepper:
             *lax.stop_gradient((balance, guess, tolerance)),
             self.settings.max_iterations,
         )
-        # Components that move at a given rate have its derivative.
+        # Components that move at a prescribed rate have its derivative.
         moves = balanced(balance, balance.following(guess, found.moves))
         # Failure is data: not finite, for health to find.
         moves = jax.tree.map(lambda a: jnp.where(found.converged, a, jnp.nan), moves)
@@ -249,26 +248,26 @@ class ImplicitStepper:
 
 @pytree
 class EvolvingImplicit:
-    """Implicit steps of a scene that depends on time or remembers.
+    """Implicit steps of a scene that depends on time or has memory.
 
-    Each stage has the loads of its own time, and what is held is where it is then.
+    Each stage has the loads and the positions of driven supports at its own time.
     """
 
     steps_of_end: ClassVar[int] = 0
     implicit: ImplicitStepper
-    """The stepper of the scene as it is when it begins."""
+    """Stepper of the scene in its initial form."""
     scene: Scene
     """The scene with its schedules."""
     first: Int[Array, ""]
-    """Steps since time zero when it begins."""
+    """Number of steps since time zero at the beginning."""
 
     def begin(self, state: RodState) -> tuple[Motion, Now]:
-        """Takes a state apart and makes it respect the scene's constraints."""
+        """Unpacks a state and makes it satisfy the scene's constraints."""
         now = Now(self.first, memory_in(self.scene, state))
         return self._at(now, 0.0).begin(state), now
 
     def cycle(self, carry: tuple[Motion, Now]) -> tuple[Motion, Now]:
-        """One step."""
+        """Takes one step."""
         motion, now = carry
         coefficient = self.implicit.coefficient
         second = 1 / coefficient - 2
@@ -288,19 +287,19 @@ class EvolvingImplicit:
         return after, remembering(last.scene, after, self.implicit.dt, now)
 
     def end(self, carry: tuple[Motion, Now]) -> RodState:
-        """Puts the state together again."""
+        """Packs a motion into a state."""
         motion, now = carry
         state = state_of(motion)
         return replace(state, memory=now.memory) if any(now.memory) else state
 
     def _at(self, now: Now, fraction: ArrayLike) -> ImplicitStepper:
-        """The stepper with the scene as it is a part of a step later."""
+        """Stepper with the scene at a fraction of a step later."""
         scene = scene_at(self.scene, now, fraction, self.implicit.dt)
         return replace(self.implicit, scene=scene)
 
 
 def _add(motion: Motion, added: Increments) -> Motion:
-    """A motion with a stage's increments, or a multiple of them, put on top."""
+    """Motion with a stage's increments, or a multiple of them, added."""
     turned = multiply_quaternions(motion.orientation, rotation_exp(added.turn))
     return replace(
         displaced(motion, added.displacement),

@@ -15,17 +15,17 @@ class Kick:
     gain: Array
     """Change of the rate per unit of load."""
     loss: Array | None
-    """Share of the initial rate that is lost [1]; `None` without damping. Not the share
-    left: that is close to one, and its rounding would be a bias of the damping rate."""
+    """Fraction of the initial rate that is lost [1]; `None` without damping. Not the
+    fraction left: that is close to one, and its round-off would bias the damping."""
 
     @staticmethod
     def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
-        """Works out both factors for a step of size `dt` [s]."""
+        """Computes both factors for a step of size `dt` [s]."""
         duration = dt
         loss = None
         if damping is not None:
             exponent = damping * dt
-            # (1 - exp(-x)) / x, by its series where the quotient loses digits.
+            # (1 - exp(-x)) / x; its series where the quotient loses digits.
             small = exponent < 1e-2
             series = 1 - exponent * (
                 1 / 2 - exponent * (1 / 6 - exponent * (1 / 24 - exponent / 120))

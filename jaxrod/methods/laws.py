@@ -1,4 +1,4 @@
-"""The method in space of each elastic law, by the law's name."""
+"""Method in space for each elastic law, by the law's name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a scene has come that depends on time or remembers."""
+"""Progress of a scene that depends on time or has memory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class Now:
-    """How far a scene has come in time."""
+    """Progress of a scene in time."""
 
     step: Int[Array, ""]
     """Whole steps since time zero."""
@@ -27,7 +27,7 @@ class Now:
 
 
 def scene_at(scene: Scene, now: Now, fraction: ArrayLike, dt: Array) -> Scene:
-    """The scene as it is a part of a step after a whole one."""
+    """Scene at a fraction of a step after a whole step."""
     clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
     effects = at_clock(recalled(scene.effects, now.memory), clock)
     return replace(scene, effects=effects)
@@ -39,7 +39,7 @@ def memory_in(scene: Scene, state: RodState) -> Memory:
 
 
 def remembering(scene: Scene, motion: Motion, dt: Array, now: Now) -> Now:
-    """One step later, with what the effects remember then."""
+    """Progress one step later, with the new memory of the effects."""
     effects = tuple(e.after_step(scene.rod, motion, dt) for e in scene.effects)
     for before, after in zip(scene.effects, effects, strict=True):
         if type(after) is not type(before):
@@ -51,10 +51,10 @@ def remembering(scene: Scene, motion: Motion, dt: Array, now: Now) -> Now:
 
 
 def _alike(new: Memory, old: Memory) -> Memory:
-    """A memory in the types of the one before.
+    """New memory in the dtypes of the old one.
 
     Raises:
-        TypeError: If it has other shapes, or numbers where there were counts.
+        TypeError: If shapes differ, or integers have become floating-point numbers.
     """
     before, after = jax.tree.leaves_with_path(old), jax.tree.leaves_with_path(new)
     if [path for path, _ in before] != [path for path, _ in after]:

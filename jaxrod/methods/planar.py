@@ -1,4 +1,4 @@
-"""The method for motion in a plane, and checks of what it needs, in words."""
+"""The method for motion in a plane, and checks of its requirements."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Planar(Method):
 
     @property
     def solves_drag(self) -> bool:
-        """As the method in space does."""
+        """Whether the method in space solves drag together with the loads."""
         return self.of.solves_drag
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
@@ -66,7 +66,7 @@ class Planar(Method):
         return PlanarConsistentStepper.create(scene, self.plane, state, dt)
 
     def check_evolving(self, scene: Scene) -> None:
-        """Raises ValueError if what is driven is held across the plane."""
+        """Raises ValueError if a driven support holds nodes across the plane."""
         for effect in scene.evolving_effects:
             if _places_across(effect, scene.rod, self.plane):
                 axes = "".join(sorted(self.plane))
@@ -82,9 +82,9 @@ class Planar(Method):
 
 
 def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Planar:
-    """Motion in a plane: several times cheaper, for the same result to round-off.
+    """Motion in a plane: several times cheaper, with the same result to round-off.
 
-    The rod and all that acts on it stay in a plane parallel to the one named. The state
+    The rod and all loads on it stay in a plane parallel to the named one. The state
     is the same as in space; zero components out of the plane stay exactly zero.
 
     Args:
@@ -96,7 +96,7 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
 
     Raises:
         ValueError: If the plane is unknown.
-        TypeError: If the law is another method, which is in space only.
+        TypeError: If the law is another method, which exists in space only.
     """
     if not isinstance(plane, str) or plane not in PLANES:
         raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")
@@ -125,7 +125,7 @@ def _places_across(effect: Effect, rod: Rod, plane: PlaneName) -> bool:
 
 
 def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
-    """Checks that a rod is in the scene's plane and that nothing takes it out.
+    """Checks that a rod is in the scene's plane and that nothing moves it out of it.
 
     Args:
         scene: The scene.
@@ -134,7 +134,7 @@ def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
 
     Raises:
         ValueError: If positions, velocities, orientations, spins, rest shape or loads
-            have parts out of the plane, or if bending about the normal is not
+            have components out of the plane, or if bending about the normal is not
             bending about one principal axis.
     """
     shares = np.asarray(_shares_outside(scene, method, state))
@@ -148,12 +148,12 @@ def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
             )
 
 
-# Compiled: operation by operation, this takes longer than thousands of steps.
+# Compiled, because operation by operation it takes longer than thousands of steps.
 @jax.jit
 def _shares_outside(
     scene: Scene, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
-    """Largest part of each of `_PARTS` out of the plane, relative to its own scale."""
+    """Largest component of each of `_PARTS` out of the plane, relative to its scale."""
     out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors
@@ -185,7 +185,7 @@ def _shares_outside(
 
 
 def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
-    """Share of the inertia that couples turns about the normal with others."""
+    """Fraction of the inertia that couples rotation about the normal to others."""
     if rod.is_round:
         return jnp.zeros_like(oblique[0])
     inertia = rod.principal_inertias
@@ -193,13 +193,13 @@ def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
-    """Shares out of the plane of a state, as it is given or as effects hold it."""
+    """Fractions of a state out of the plane."""
     a, b, out = PLANES[method.plane]
     n1, n2, n3 = (axis[out] for axis in state.directors)
     length = jnp.sum(rod.rest_lengths)
     heights = state.positions[out]
     spins = state.angular_momenta
-    # Below 1e-6 of the wave speed, velocities are round-off.
+    # Velocities below 1e-6 of the wave speed are round-off.
     wave_speed = jnp.sqrt(
         jnp.max(rod.shear_stretch_stiffness[2]) / jnp.min(rod.linear_density)
     )
@@ -222,26 +222,26 @@ def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Arr
 def _shares_of_effects(
     scene: Scene, method: Planar, state: RodState, n1: Array, n2: Array
 ) -> tuple[Array, Array, Array]:
-    """Shares out of the plane of forces, couples and directions of possible forces."""
+    """Fractions out of the plane: forces, couples and directions of possible forces."""
     rod = scene.rod
     out = PLANES[method.plane][2]
     stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
     entered = stepper.enter(state)
     motion = stepper.view(entered)
-    # What is in the plane at rest may leave it as the rod bends there.
+    # Loads in the plane at rest may leave it when the rod bends in the plane.
     odd = 0.4 * jnp.cos(
         1.1 * jnp.arange(rod.n_elements, dtype=state.positions.dtype) + 0.3
     )
     bent = stepper.view(replace(entered, turn=entered.turn + odd))
     zero = jnp.zeros_like(rod.rest_lengths[0])
-    # An element that is held feels couples from the rounding of its own angle.
+    # A held element has couples from the round-off of its own angle.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)
     rounding = roundings * jnp.max(rod.bend_twist_stiffness) / jnp.min(rod.rest_lengths)
     force = couple = tilt = zero
     still = jnp.zeros_like(motion.position[0]), jnp.zeros_like(rod.rest_lengths)
     nothing = Loads(forces=(still[0],) * 3, couples=(still[1],) * 3)
     for effect, seen in itertools.product(scene.effects, (motion, bent)):
-        # Each by itself: a small load must not hide behind a large one.
+        # One effect at a time: a small load must not hide behind a large one.
         loads = effect.loads_after(rod, seen, nothing)
         if loads.forces is not None:
             share = _share(loads.forces[out], jnp.stack(loads.forces), 0)
@@ -257,9 +257,9 @@ def _shares_of_effects(
 
 
 def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
-    """Largest tilt out of the plane of an effect's forces, now or elsewhere in it.
+    """Largest tilt of an effect's forces out of the plane, now or elsewhere in it.
 
-    An oblique cylinder is upright where it is seen end-on: it is looked at from
+    An oblique cylinder looks upright if it is seen end-on. It is therefore checked from
     places all around the rod, near and far.
     """
     rod = scene.rod
@@ -290,10 +290,10 @@ def _largest(values: Array) -> Array:
 
 
 def _share(part: Array, whole: Array, least: ArrayLike) -> Array:
-    """The largest magnitude of a part, relative to that of the whole.
+    """Largest magnitude of a part, relative to that of the whole.
 
     Args:
-        part: Some numbers.
+        part: Some of the numbers.
         whole: All numbers.
         least: Smallest scale of the comparison.
     """

@@ -1,6 +1,6 @@
-"""The consistent law in a plane; see `planar_verlet` and `consistent` beside it.
+"""The consistent law in a plane; see also `planar_verlet` and `consistent`.
 
-Elements turn at the rate P/J about the normal between kicks.
+Elements rotate at the rate P/J about the normal between kicks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class PlanarConsistentStepper(PlanarVerlet):
-    """Constants of the consistent step for one scene, one step size, one plane."""
+    """Constants of the consistent step for one scene, one step size and one plane."""
 
     velocity_kick: Kick
     spin_kick: Kick
@@ -39,7 +39,7 @@ class PlanarConsistentStepper(PlanarVerlet):
     def create(
         scene: Scene, plane: PlaneName, state: RodState, dt: Array
     ) -> PlanarConsistentStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         rod = scene.rod
         constants = PlanarRod.create(rod, state, plane)
         transverse = inertia_about_normal(rod, constants)
@@ -56,7 +56,7 @@ class PlanarConsistentStepper(PlanarVerlet):
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """Angle turned at the rate P/J [rad]."""
+        """Angle of rotation at the rate P/J [rad]."""
         return dt * self.inverse_inertia * spin
 
     def spin_from_momentum(self, momentum: Array) -> Array:
@@ -105,7 +105,7 @@ class PlanarConsistentStepper(PlanarVerlet):
     def _dragged(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
     ) -> PlanarMotion:
-        """The motion after a kick with drag."""
+        """Motion after a kick with drag."""
         a, b, out = PLANES[self.plane]
         push = [jnp.zeros_like(forces[0])] * 3
         push[a], push[b] = forces

@@ -1,4 +1,4 @@
-r"""PyElastica's law in a plane; see `planar_verlet` and `pyelastica` beside it.
+r"""PyElastica's law in a plane; see also `planar_verlet` and `pyelastica`.
 
 With $e = \ell/\hat\ell$ the stretch of an element, $\varepsilon$ that of a joint and
 $\omega$ the angular velocity about the normal:
@@ -34,22 +34,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class PlanarPyElasticaStepper(PlanarVerlet):
-    """Constants of PyElastica's step for one scene, one step size, one plane."""
+    """Constants of PyElastica's step for one scene, one step size and one plane."""
 
     decay: tuple[Array, Array] | None
-    """Shares of velocities and spins left by damping after one step [1]."""
+    """Fractions of velocities and spins left by damping after one step [1]."""
     inverse_masses: Array
-    """One over the masses of the nodes [1/kg]."""
+    """Inverse masses of the nodes [1/kg]."""
     inertia: Array
     """Rotary inertia of the elements about the normal [kg m^2]."""
     inverse_joint_lengths: Array
-    """One over the rest lengths of the joints [1/m]."""
+    """Inverse rest lengths of the joints [1/m]."""
 
     @staticmethod
     def create(
         scene: Scene, plane: PlaneName, state: RodState, dt: Array
     ) -> PlanarPyElasticaStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         rod = scene.rod
         constants = PlanarRod.create(rod, state, plane)
         transverse = inertia_about_normal(rod, constants)
@@ -68,7 +68,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """Angle turned at the rate `spin` [rad]."""
+        """Angle of rotation at the rate `spin` [rad]."""
         return dt * spin
 
     def spin_from_momentum(self, momentum: Array) -> Array:

@@ -1,15 +1,15 @@
 r"""Position Verlet in a plane: one angle per element.
 
-Everything is left out that is zero in a plane: with in-plane edge $\Delta x$, direction
-$d$ and transverse $t = n \times d$ of an element, $n$ the plane's normal,
+Everything that is zero in a plane is left out. With in-plane edge $\Delta x$, direction
+$d$ and transverse vector $t = n \times d$ of an element, and $n$ the plane's normal,
 
 $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell - 1,
   \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D.$$
 
-Each law has a planar step of its own, `planar_consistent` and `planar_pyelastica`
-beside this file. They equal those in space to round-off, for a third of the arithmetic
-or less. Zero components out of the plane stay exactly zero, for any number of calls;
-joint angles have no bound within a call.
+Each law has its own planar step, in `planar_consistent` and `planar_pyelastica`. They
+equal those in space to round-off, for a third of the arithmetic or less. Zero
+components out of the plane stay exactly zero, for any number of calls; joint angles
+have no bound within a call.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ PLANES: dict[PlaneName, tuple[int, int, int]] = {
     "yz": (1, 2, 0),
     "zx": (2, 0, 1),
 }
-"""The planes: indices of their two axes and their normal, right-handed."""
+"""Indices of the two axes and of the normal of each plane, right-handed."""
 
 
 @pytree
 class PlanarMotion:
-    """A rod moving in a plane, as the inside of a planar step sees it."""
+    """A rod moving in a plane, as used inside a planar step."""
 
     position: Vec2
     """In-plane components of the node positions [m]."""
     turn: Array
-    """Angle each element has turned since the start of the call [rad]."""
+    """Angle by which each element has rotated since the start of the call [rad]."""
     direction: Vec2
     """In-plane components of the unit vectors d3."""
     velocity: Vec2
     """In-plane components of the node velocities [m/s]."""
     spin: Array
-    """Rotation rate of the elements about the normal, in the scene's own variable.
+    """Rotation rate of the elements about the normal, in the law's own variable.
 
     Consistent mode: angular momentum [kg m^2/s]. PyElastica mode: angular velocity
     [rad/s].
@@ -93,12 +93,12 @@ class PlanarMotion:
 
 @pytree
 class PlanarRod:
-    """Constants of a rod as they are in a plane, worked out from its state."""
+    """Constants of a rod in a plane, computed from its state."""
 
     normal: Vec2
-    """The plane's normal along d1 and d2 of every element."""
+    """Components of the plane's normal along d1 and d2 of every element."""
     inverse_lengths: Array
-    """One over the rest lengths of the elements [1/m]."""
+    """Inverse rest lengths of the elements [1/m]."""
     stiffness: Vec2
     """Transverse shear and axial stiffness [N]."""
     rest_strains: Vec2
@@ -106,11 +106,11 @@ class PlanarRod:
     joint: Array
     """Bending stiffness over joint length [N m]."""
     joint_offsets: Array
-    """Joint angle at the start of the call less that at rest [rad]."""
+    """Joint angle at the start of the call minus that at rest [rad]."""
 
     @staticmethod
     def create(rod: Rod, state: RodState, plane: PlaneName) -> PlanarRod:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         _, _, out = PLANES[plane]
         orientation = split_quaternion(state.orientations)
         d1, d2, _ = directors(orientation)
@@ -133,7 +133,7 @@ class PlanarRod:
         )
 
     def stresses(self, across: Array, along: Array) -> Vec2:
-        """Shear and axial force of elements with these edges in their own frame [N]."""
+        """Shear and axial forces of elements, from edges in the element's frame [N]."""
         inverse = self.inverse_lengths
         shear = self.stiffness[0] * (across * inverse - self.rest_strains[0])
         axial = self.stiffness[1] * (along * inverse - 1 - self.rest_strains[1])
@@ -155,39 +155,39 @@ def inertia_about_normal(rod: Rod, constants: PlanarRod) -> Array:
 
 @pytree
 class PlanarVerlet(Verlet):
-    """Position Verlet of a rod in a plane, of either law."""
+    """Position Verlet of a rod in a plane, for either law."""
 
     plane: PlaneName = static()
     """The plane of motion."""
     start: RodState
-    """The state at the start of the call: components out of the plane stay so."""
+    """State at the start of the call; its components out of the plane are kept."""
     constants: PlanarRod
-    """Constants of the rod, in the plane."""
+    """Constants of the rod in the plane."""
     inverse_inertia: Array
-    """One over the rotary inertia of the elements about the normal [1/(kg m^2)]."""
+    """Inverse rotary inertia of the elements about the normal [1/(kg m^2)]."""
 
     @abstractmethod
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """Angle about the normal by which elements turn in a time `dt` [rad]."""
+        """Angle about the normal by which elements rotate in a time `dt` [rad]."""
 
     @abstractmethod
     def spin_from_momentum(self, momentum: Array) -> Array:
-        """The scene's own variable, from angular momentum about the normal."""
+        """Spin in the law's own variable, from angular momentum about the normal."""
 
     @abstractmethod
     def momentum_from_spin(self, spin: Array) -> Array:
-        """Angular momentum about the normal, from the scene's own variable."""
+        """Angular momentum about the normal, from the law's own variable."""
 
     @abstractmethod
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
-        """`spin` and `spin_is_velocity` of the motion as effects see it."""
+        """Values of `spin` and `spin_is_velocity` of the motion that effects see."""
 
     @abstractmethod
     def spin_in_plane(self, spin: Vec3) -> Array:
-        """The scene's own variable about the normal, from that of a motion in space."""
+        """Spin about the normal in the law's own variable, from that in space."""
 
     def enter(self, state: RodState) -> PlanarMotion:
-        """Takes the in-plane part of a state apart."""
+        """Unpacks the in-plane part of a state."""
         a, b, out = PLANES[self.plane]
         _, _, d3 = directors(split_quaternion(state.orientations))
         remainders = state.remainders
@@ -202,7 +202,7 @@ class PlanarVerlet(Verlet):
         return self.constrain_rates(self.constrain(motion))
 
     def leave(self, motion: PlanarMotion) -> RodState:
-        """Puts the state together again."""
+        """Packs a motion into a state."""
         _, _, out = PLANES[self.plane]
         start = self.start
         return RodState(
@@ -218,7 +218,7 @@ class PlanarVerlet(Verlet):
         )
 
     def drift(self, motion: PlanarMotion, dt: Array) -> PlanarMotion:
-        """Moves nodes and turns elements at unchanged rates for `dt` [s]."""
+        """Moves nodes and rotates elements at unchanged rates for `dt` [s]."""
         turn = self.angle_turned(motion.spin, dt)
         sine_ratio, c = sine_ratio_and_cosine(turn * turn)
         s = turn * sine_ratio
@@ -272,7 +272,7 @@ class PlanarVerlet(Verlet):
         )
         if held.orientation is free.orientation:
             return motion
-        # By how much elements are turned back, the short way around.
+        # Angle by which constraints rotate elements, the short way around.
         turned = multiply_quaternions(held.orientation, conjugate(free.orientation))
         way = jnp.where(turned[0] < 0, -1, 1)
         back = 2 * jnp.arctan2(way * turned[1 + out], way * turned[0])
@@ -294,7 +294,7 @@ class PlanarVerlet(Verlet):
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
 
     def dissipate(self, motion: PlanarMotion) -> PlanarMotion:
-        """Applies damping that is solved by itself."""
+        """Applies damping that is solved separately."""
         if not dissipates(self.scene):
             return motion
         a, b, _ = PLANES[self.plane]
@@ -303,7 +303,7 @@ class PlanarVerlet(Verlet):
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(slowed.spin))
 
     def view(self, motion: PlanarMotion) -> Motion:
-        """The motion as effects see it. Fields that no effect reads cost nothing."""
+        """Motion as effects see it. Fields that no effect reads cost nothing."""
         start = self.start
         spin, is_velocity = self.spin_in_space(motion.spin)
         return Motion(
@@ -316,20 +316,20 @@ class PlanarVerlet(Verlet):
         )
 
     def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
-        """With that out of the plane, which stays as it is."""
+        """Remainder in space; its component out of the plane does not change."""
         if motion.remainder is None or self.start.remainders is None:
             return None
         return self._in_space(motion.remainder, self.start.remainders)
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
-        """Three components from the two in the plane and the one out of it."""
+        """Three components from two in the plane and one out of it."""
         a, b, _ = PLANES[self.plane]
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside
         return components[0], components[1], components[2]
 
     def _orientation(self, motion: PlanarMotion) -> Quaternion:
-        """The orientation at the start, turned about the normal."""
+        """Orientation at the start, rotated about the normal."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
         turn[PLANES[self.plane][2]] = jnp.sin(0.5 * motion.turn)
@@ -344,16 +344,17 @@ def spread(a: Array) -> Array:
 
 
 def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
-    """The orientation next to a given one whose elements lie in the plane exactly.
+    """Nearest orientation to a given one whose elements lie exactly in the plane.
 
-    Quaternions q that turn the material vector m into the plane's normal e are those
-    with e q = q m; (q - e q m)/2 is the nearest. One m for all elements: they are not
-    twisted. Without, rounding would tilt and twist them a little more in every call.
+    Quaternions q that rotate the material vector m into the plane's normal e satisfy
+    e q = q m; (q - e q m)/2 is the nearest. All elements share one m, because they are
+    not twisted. Without this, round-off would tilt and twist them a little more in
+    every call.
     """
     n1, n2 = _but_for_rounding(normal[0]), _but_for_rounding(normal[1])
     length = jnp.sqrt(n1 * n1 + n2 * n2)
     m1, m2 = n1 / length, n2 / length
-    # e q, of which one component is minus one of q's and the others are moved.
+    # e q: one component is minus a component of q, the others are permuted.
     scalar, vector = orientation[0], orientation[1:]
     a, b, c = vector[out], scalar, vector
     turned = [c[0], c[1], c[2]]
@@ -371,7 +372,7 @@ def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
 
 
 def _but_for_rounding(component: Array) -> Array:
-    """The mean, or zero where that is all but zero: most normals are d1 or d2."""
+    """Mean, or zero if it is round-off: most normals are d1 or d2."""
     mean = jnp.mean(component)
     return jnp.where(jnp.abs(mean) < 64 * jnp.finfo(mean.dtype).eps, 0, mean)
 

@@ -1,8 +1,8 @@
 r"""PyElastica mode: PyElastica 1.0's law and stepping order, on jaxrod's state.
 
-For comparing with the reference and for reproducing published results. With
+For comparisons with the reference and for reproducing published results. With
 $\ell$ the current and $\hat\ell$ the rest length, $e = \ell/\hat\ell$,
-$\varepsilon$ the mean current over rest length at a joint, and $t$ the tangent,
+$\varepsilon$ the mean of current over rest length at a joint, and $t$ the tangent,
 
 - forces: $\Delta^h (R\, S(\sigma-\sigma_0)/e)$;
 - couples (material frame): $\Delta^h(\tau/\varepsilon^3)
@@ -55,29 +55,29 @@ class PyElasticaStepper(Verlet):
     """Constants of the PyElastica step for one scene and one step size."""
 
     decay: tuple[Array, Array] | None
-    """Shares of velocities and spins left by damping after one step [1]."""
+    """Fractions of velocities and spins left by damping after one step [1]."""
     lengths: Array
-    """Rest lengths [m]."""
+    """Rest lengths of the elements [m]."""
     inverse_lengths: Array
-    """One over the rest lengths of the elements [1/m]."""
+    """Inverse rest lengths of the elements [1/m]."""
     inverse_joint_lengths: Array
-    """One over the rest lengths of the joints [1/m]."""
+    """Inverse rest lengths of the joints [1/m]."""
     shear_stretch: Vec3
     """Shear and axial stiffness [N]."""
     bend_twist: Vec3
-    """Joint stiffness [N m^2]."""
+    """Bending and twist stiffness of the joints [N m^2]."""
     rest_strains: Vec3
     rest_curvatures: Vec3
     inverse_masses: Array
-    """One over the masses of the nodes [1/kg]."""
+    """Inverse masses of the nodes [1/kg]."""
     inertia: Vec3
     """Rotary inertia about d1, d2, d3 [kg m^2]."""
     inverse_inertia: Vec3
-    """One over the rotary inertia about d1, d2, d3 [1/(kg m^2)]."""
+    """Inverse rotary inertia about d1, d2, d3 [1/(kg m^2)]."""
 
     @staticmethod
     def create(scene: Scene, dt: Array) -> PyElasticaStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         rod: Rod = scene.rod
         inertia = vectors.split(rod.principal_inertias)
         rates = damping_rates(scene)
@@ -99,18 +99,18 @@ class PyElasticaStepper(Verlet):
         )
 
     def enter(self, state: RodState) -> Motion:
-        """Takes a state apart; angular momentum becomes angular velocity."""
+        """Unpacks a state; angular momentum becomes angular velocity."""
         velocities = vectors.split(angular_velocities(self.scene.rod, state))
         motion = replace(motion_of(state), spin=velocities, spin_is_velocity=True)
         return constrain_rates(self.scene, constrain(self.scene, motion))
 
     def leave(self, motion: Motion) -> RodState:
-        """Puts the state together; angular velocity becomes angular momentum."""
+        """Packs a motion into a state; angular velocity becomes angular momentum."""
         state = state_of(motion)
         return with_angular_velocities(self.scene.rod, state, state.angular_momenta)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves nodes and turns elements at constant rates for `dt` [s]."""
+        """Moves nodes and rotates elements at constant rates for `dt` [s]."""
         turn = rotation_exp(vectors.scale(dt, motion.spin))
         orientation = normalise(multiply_quaternions(motion.orientation, turn))
         return constrain(self.scene, replace(motion, orientation=orientation).moved(dt))
@@ -141,7 +141,7 @@ class PyElasticaStepper(Verlet):
             vectors.difference(moment),
             vectors.pair_sum(vectors.scale(0.5, vectors.cross(rotation, moment))),
         )
-        # (R^T t) x n times the rest length: the edge over its stretch.
+        # (R^T t) x n times the rest length: the edge divided by its stretch.
         couples = vectors.add(
             couples,
             vectors.cross(vectors.scale(inverse_stretch, local), stress),
@@ -162,7 +162,7 @@ class PyElasticaStepper(Verlet):
 
         Args:
             motion: The motion in the middle of the step.
-            others: Loads of what is not in the scene, if any.
+            others: Loads from outside the scene, if any.
         """
         internal = self.internal_loads(motion)
         assert internal.forces is not None and internal.couples is not None
@@ -201,7 +201,7 @@ class PyElastica(Method):
 
     @property
     def law(self) -> Law:
-        """PyElastica 1.0's law."""
+        """Name of PyElastica 1.0's law."""
         return "pyelastica"
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PyElasticaStepper:

@@ -1,19 +1,19 @@
 r"""The method without twist: an element is a direction, not a frame.
 
-In a naturally straight rod with sections alike in all directions, under loads that do
-not twist it, twist is a fast motion without consequence: only the small polar inertia
-drives it. Left out, an element is a unit vector $d$ with an angular momentum $P$
-perpendicular to it. With edge $\Delta x$, rest length $\hat\ell$ and $\theta$ the angle
-between neighbours,
+In a naturally straight rod with isotropic sections, under loads that do not twist it,
+twist is a fast motion without consequence: only the small polar inertia drives it.
+Without it, an element is a unit vector $d$ with an angular momentum $P$ perpendicular
+to it. With edge $\Delta x$, rest length $\hat\ell$ and $\theta$ the angle between
+neighbours,
 
 $$W = \tfrac12 \sum \hat\ell\,
     [S_1 |\Delta x/\hat\ell - a d|^2 + S_3 (a - 1)^2]
     + \tfrac12 \sum B_1\, \theta^2/\hat D, \qquad a = d\cdot\Delta x/\hat\ell,$$
 
-which is the consistent law at its minimum over all twists. Between kicks elements turn
-along great circles, at $\dot d = P/J_1 \times d$; couples are world vectors.
-Symplectic, second order, conserving momentum and angular momentum like
-`jaxrod.methods.consistent`, whose limit for a vanishing polar inertia it is.
+which is the minimum of the consistent law over all twists. Between kicks elements turn
+along great circles, at $\dot d = P/J_1 \times d$; couples are world vectors. The method
+is symplectic, of second order, and conserves momentum and angular momentum. It is the
+limit of `jaxrod.methods.consistent` for vanishing polar inertia.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class TorsionFreeMotion:
-    """A rod without twist, as the inside of a step sees it."""
+    """A rod without twist, as used inside a step."""
 
     position: Vec3
     """Node positions, world frame [m]."""
@@ -82,7 +82,7 @@ class TorsionFreeMotion:
 
     @property
     def view(self) -> Motion:
-        """The motion as effects see it. Fields that no effect reads cost nothing."""
+        """Motion as effects see it. Fields that no effect reads cost nothing."""
         return Motion(
             position=self.position,
             orientation=frame_along(self.direction),
@@ -99,25 +99,25 @@ class TorsionFreeStepper(Verlet):
     start: RodState
     """The state at the start of the call."""
     inverse_lengths: Array
-    """One over the rest lengths of the elements [1/m]."""
+    """Inverse rest lengths of the elements [1/m]."""
     stiffness: tuple[Array, Array]
     """Shear and axial stiffness [N]."""
     rest_stretch: Array
     """Length at rest over rest length [1]."""
     joint: Array
-    """Bending stiffness over joint length, of wall joints too [N m]."""
+    """Bending stiffness over joint length, including wall joints [N m]."""
     inverse_inertia: Array
-    """One over the transverse rotary inertia [1/(kg m^2)]."""
+    """Inverse transverse rotary inertia [1/(kg m^2)]."""
     velocity_kick: Kick
     spin_kick: Kick
     walls: tuple[Vec3 | None, Vec3 | None]
-    """Directions that walls give the rod at its start and its finish."""
+    """Directions of the walls at the rod's start and finish; `None` without a wall."""
     root: End = static(default="start")
-    """The end whose frame the others follow."""
+    """The end from which frames are transported along the rod."""
 
     @staticmethod
     def create(scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         check_structure(scene)
         rod = scene.rod
         shear, _, axial = vectors.split(rod.shear_stretch_stiffness)
@@ -148,7 +148,7 @@ class TorsionFreeStepper(Verlet):
         )
 
     def enter(self, state: RodState) -> TorsionFreeMotion:
-        """Takes directions and what turns them from a state."""
+        """Unpacks directions and the spin across them from a state."""
         motion = constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
         direction = directors(motion.orientation)[2]
         return TorsionFreeMotion(
@@ -160,7 +160,7 @@ class TorsionFreeStepper(Verlet):
         )
 
     def leave(self, motion: TorsionFreeMotion) -> RodState:
-        """Puts the state together again, with frames that are not twisted."""
+        """Packs a motion into a state, with frames that are not twisted."""
         direction = motion.direction
         wall = wall_of(self.scene)
         if wall is None:
@@ -175,7 +175,7 @@ class TorsionFreeStepper(Verlet):
         return state_of(replace(motion.view, orientation=orientation, spin=spin))
 
     def drift(self, motion: TorsionFreeMotion, dt: Array) -> TorsionFreeMotion:
-        """Moves nodes and turns elements freely for a time `dt` [s]."""
+        """Moves nodes and rotates elements freely for a time `dt` [s]."""
         d = motion.direction
         turn = vectors.scale(dt * self.inverse_inertia, motion.spin)
         sine_ratio, cosine = sine_ratio_and_cosine(vectors.dot(turn, turn))
@@ -195,7 +195,7 @@ class TorsionFreeStepper(Verlet):
         )
 
     def view(self, motion: TorsionFreeMotion) -> Motion:
-        """The motion as effects see it. What they do not look at costs nothing."""
+        """Motion as effects see it. Fields that no effect reads cost nothing."""
         return motion.view
 
     def kick(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
@@ -204,7 +204,7 @@ class TorsionFreeStepper(Verlet):
         edges = motion.view.edges
         shear, axial = self.stiffness
         along = vectors.dot(d, edges) * self.inverse_lengths
-        # Shear stiffness times the whole edge, and along the element what differs.
+        # Shear stiffness times the whole edge, plus the difference along the element.
         excess = axial * (along - self.rest_stretch) - shear * along
         whole = vectors.scale(shear * self.inverse_lengths, edges)
         forces = vectors.difference(vectors.add(whole, vectors.scale(excess, d)))
@@ -223,7 +223,7 @@ class TorsionFreeStepper(Verlet):
         return self.constrain_rates(self.dissipate(kicked))
 
     def dissipate(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
-        """Applies damping that is solved by itself."""
+        """Applies damping that is solved separately."""
         if not dissipates(self.scene):
             return motion
         slowed = dissipate(self.scene, motion.view, self.dt)
@@ -240,7 +240,7 @@ class TorsionFreeStepper(Verlet):
         start, finish = (int(wall is not None) for wall in self.walls)
 
         def ends(c: Array, k: int) -> tuple[Array, Array]:
-            """A component of the directions before and after every joint."""
+            """Components of the directions before and after every joint."""
             for wall, where in zip(self.walls, ((1, 0, 0), (0, 1, 0)), strict=True):
                 if wall is not None:
                     c = lax.pad(c, wall[k], [where])
@@ -295,7 +295,7 @@ class TorsionFreeStepper(Verlet):
 
 
 def _across(vector: Vec3, direction: Vec3) -> Vec3:
-    """The part of a vector perpendicular to a direction."""
+    """Component of a vector perpendicular to a direction."""
     along = vectors.dot(vector, direction)
     return vectors.subtract(vector, vectors.scale(along, direction))
 
@@ -308,7 +308,7 @@ class TorsionFree(Method):
 
     @property
     def solves_drag(self) -> bool:
-        """With the loads of every kick."""
+        """True: drag is solved together with the loads of every kick."""
         return True
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
@@ -316,28 +316,28 @@ class TorsionFree(Method):
         return TorsionFreeStepper.create(scene, state, dt)
 
     def check(self, scene: Scene) -> None:
-        """Raises ValueError if the rod or an effect has to do with twist."""
+        """Raises ValueError if twist matters for the rod or an effect."""
         check_torsion_free(scene)
 
     def check_evolving(self, scene: Scene) -> None:
-        """Raises ValueError if a wall does not stand still."""
+        """Raises ValueError if a wall moves."""
         check_walls_stand(scene)
 
     def check_state(self, scene: Scene, state: RodState) -> None:
-        """Raises as `check` does: a scene may have been changed since it was made."""
+        """Raises as `check` does: a scene may have changed since it was made."""
         check_torsion_free(scene)
 
 
 def torsion_free() -> TorsionFree:
     """Drops twist and halves the arithmetic; neglects polar inertia.
 
-    For a naturally straight rod with sections alike in all directions, under loads that
-    do not twist it. Couples about the axis that cannot be seen on the host (traced
-    ones), and spin about it in a state, are dropped.
+    For a naturally straight rod with isotropic sections, under loads that do not twist
+    it. Couples about the axis whose values are not known on the host (traced ones) and
+    spin about the axis in a state are dropped.
 
-    What d1 and d2 are means nothing here: every call turns those of the first element
-    the shortest way from where they were, so that they depend on how a run is divided
-    into calls and records.
+    The directions d1 and d2 have no meaning here. Every call turns those of the first
+    element by the smallest rotation from where they were, so they depend on how a run
+    is divided into calls and records.
 
     Returns:
         The method, for `make_scene(..., method=...)`.

@@ -1,4 +1,4 @@
-"""Checks of what a scene without twist may contain, in words."""
+"""Checks of what a scene without twist may contain."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ def wall_of(scene: Scene) -> Wall | None:
 
 
 def has_elastic_wall(effect: Effect, rod: Rod) -> bool:
-    """Whether the loads of an effect are those of a joint to a wall, and no others."""
+    """Whether an effect's only loads are those of an elastic joint to a wall."""
     wall = effect.wall(rod)
     return wall is not None and wall.stiffness is not None
 
 
 def check_structure(scene: Scene) -> None:
-    """Checks, whether traced or not, that no effect is of a kind that twists.
+    """Checks, also for traced scenes, that no effect is of a kind that twists.
 
     Raises:
-        ValueError: If one is.
+        ValueError: If an effect is.
     """
     held = 0
     for effect in scene.effects:
@@ -62,10 +62,10 @@ def check_structure(scene: Scene) -> None:
 
 
 def check_walls_stand(scene: Scene) -> None:
-    """Checks that no wall depends on time or remembers.
+    """Checks that no wall depends on time or has memory.
 
     Raises:
-        ValueError: If one does: the frames of elements are taken from it once.
+        ValueError: If a wall does: the frames of elements are taken from it once.
     """
     for effect in scene.evolving_effects:
         if at_largest(effect).wall(scene.rod) is not None:
@@ -76,9 +76,9 @@ def check_walls_stand(scene: Scene) -> None:
 
 
 def _holds_elements(effect: Effect, rod: Rod) -> bool:
-    """Whether an effect has anything to do with how elements are turned or turn.
+    """Whether an effect constrains orientations or spins of elements.
 
-    Of many rods at once it is not known: each is looked at when it steps.
+    For batches of rods it is not known: each rod is checked when it steps.
     """
     if rod.rest_lengths.ndim > 1:
         return False
@@ -100,13 +100,13 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
 
 
 def check_torsion_free(scene: Scene) -> None:
-    """Checks that nothing would twist the rod of a scene but its own inertia.
+    """Checks that only its own inertia could twist the rod of a scene.
 
-    Where values are traced, or of many rods at once, the structure alone is checked.
+    If values are traced or belong to batches of rods, only the structure is checked.
 
     Raises:
         ValueError: If the rod is curved or sheared at rest, if its sections differ
-            about d1 and d2, or if a load depends on how elements are turned about d3
+            about d1 and d2, or if a load depends on the rotation of elements about d3
             or turns them about it.
     """
     check_structure(scene)
@@ -154,10 +154,10 @@ def _refuse(demand: str, found: str) -> None:
 
 @jax.jit
 def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
-    """Shares of each effect's loads that turn with the elements, and that twist them.
+    """Fractions of each effect's loads that turn with the elements or twist them.
 
-    Looked at on a rod of no particular shape, before and after its elements are
-    turned about their axes. A wall's twist is known to be none: it is left out.
+    Computed on a generic rod, before and after its elements are rotated about their
+    axes. A wall is known not to twist, so it is left out.
     """
     before = trial_motion(rod)
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
@@ -184,18 +184,18 @@ def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
 
 
 def _across(orientation: Quaternion, couples: Vec3) -> Vec3:
-    """The part of couples perpendicular to d3, in the world frame."""
+    """Component of couples perpendicular to d3, in the world frame."""
     d1, d2, _ = directors(orientation)
     return vectors.add(vectors.scale(couples[0], d1), vectors.scale(couples[1], d2))
 
 
 def _gap(one: Vec3, other: Vec3) -> Array:
-    """The largest change of a component."""
+    """Largest change of a component, relative to the largest component."""
     x, y, z = vectors.subtract(one, other)
     return _share(jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z)), one)
 
 
 def _share(part: Array, whole: Vec3) -> Array:
-    """The largest of parts, of the largest component of the whole; zero of nothing."""
+    """Largest of parts, over the largest component of the whole; zero if that is."""
     size = jnp.max(jnp.abs(vectors.join(whole)))
     return jnp.max(part) / jnp.where(size > 0, size, 1)

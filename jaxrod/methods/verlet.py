@@ -1,4 +1,4 @@
-"""Position Verlet: drift, kick, drift, with the half drifts of neighbours merged."""
+"""Position Verlet: drift, kick, drift, with neighbouring half drifts merged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class Verlet(ABC):
-    """Position Verlet, of the drift and kick that a subclass defines.
+    """Position Verlet, with the drift and kick that a subclass defines.
 
     A cycle goes from the middle of one step, where its kick acts, to the middle of
     the next.
@@ -31,11 +31,11 @@ class Verlet(ABC):
 
     @abstractmethod
     def enter(self, state: RodState) -> Any:
-        """Takes a state apart into what drift and kick work on."""
+        """Unpacks a state into the form that drift and kick use."""
 
     @abstractmethod
     def leave(self, motion: Any) -> RodState:
-        """Puts the state together again."""
+        """Packs a motion into a state."""
 
     @abstractmethod
     def drift(self, motion: Any, dt: Array) -> Any:
@@ -43,10 +43,10 @@ class Verlet(ABC):
 
     @abstractmethod
     def kick(self, motion: Any) -> Any:
-        """Changes the rates by all loads over one step, at rest."""
+        """Changes the rates by all loads over one step, at fixed configuration."""
 
     def view(self, motion: Any) -> Motion:
-        """The motion as effects see it. What they do not look at costs nothing."""
+        """Motion as effects see it. Fields that no effect reads cost nothing."""
         return motion
 
     def constrain_rates(self, motion: Any) -> Any:
@@ -66,49 +66,49 @@ class Verlet(ABC):
         return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))
 
     def evolving(self, scene: Scene, first: Array) -> EvolvingVerlet:
-        """The same for a scene that depends on time or remembers."""
+        """Stepper for a scene that depends on time or has memory."""
         return EvolvingVerlet(self, scene, first)
 
 
 @pytree
 class EvolvingVerlet:
-    """Position Verlet of a scene that depends on time or remembers.
+    """Position Verlet of a scene that depends on time or has memory.
 
-    Loads and rates are those of the middle of a step, where the kick acts; what is held
-    is where it is at the end of a drift.
+    Loads and rates are those of the middle of a step, where the kick acts. Driven
+    supports have their positions at the end of a drift.
     """
 
     steps_of_end: ClassVar[int] = 1
     verlet: Verlet
-    """The stepper of the scene as it is when it begins."""
+    """Stepper of the scene in its initial form."""
     scene: Scene
     """The scene with its schedules."""
     first: Int[Array, ""]
-    """Steps since time zero when it begins."""
+    """Number of steps since time zero at the beginning."""
 
     def begin(self, state: RodState) -> tuple[Any, Now]:
-        """To the middle of the first step."""
+        """Carry in the middle of the first step, from the initial state."""
         now = Now(self.first, memory_in(self.scene, state))
         return self._at(now, 0.5).begin(state), now
 
     def cycle(self, carry: tuple[Any, Now]) -> tuple[Any, Now]:
-        """From the middle of a step to the middle of the next."""
+        """Advances from the middle of a step to the middle of the next."""
         kicked, now = self._kick(carry)
         return self._at(now, 0.5).drift(kicked, self.verlet.dt), now
 
     def end(self, carry: tuple[Any, Now]) -> RodState:
-        """From the middle of the last step to its end."""
+        """Final state, from the carry in the middle of the last step."""
         kicked, now = self._kick(carry)
         last = self._at(now, 0.0)
         moved = last.drift(kicked, 0.5 * self.verlet.dt)
         if self.scene.depends_on_time:
-            # What is driven has the rates of now, not those of half a step ago.
+            # Driven supports get their rates of now, not those of half a step ago.
             moved = last.constrain_rates(moved)
         state = last.leave(moved)
         return replace(state, memory=now.memory) if any(now.memory) else state
 
     def _kick(self, carry: tuple[Any, Now]) -> tuple[Any, Now]:
-        """The kick, and what effects remember of it; the clock shows the next step."""
+        """Motion after the kick, and the memory of effects, advanced by one step."""
         motion, now = carry
         present = self._at(now, 0.5)
         kicked = present.kick(motion)
@@ -116,6 +116,6 @@ class EvolvingVerlet:
         return kicked, remembering(present.scene, seen, self.verlet.dt, now)
 
     def _at(self, now: Now, fraction: float) -> Verlet:
-        """The stepper with the scene as it is a part of a step later."""
+        """Stepper with the scene at a fraction of a step later."""
         scene = scene_at(self.scene, now, fraction, self.verlet.dt)
         return replace(self.verlet, scene=scene)
