@@ -174,7 +174,7 @@ def _tanh_ratio(square: Array) -> Array:
 
 
 def check_drag(scene: Scene) -> None:
-    """Raises ValueError for several effects with drag, or drag without a stable step."""
+    """Raises ValueError for several effects with drag or drag without a stable step."""
     now = scene.at(0.0)
     found = jax.eval_shape(lambda: drag_on(now, trial_motion(scene.rod)))
     limited = scene.method.explicit and not scene.method.solves_drag

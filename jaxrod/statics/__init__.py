@@ -1,1 +1,1 @@
-"""Equilibria, and the linear systems behind them and behind implicit steps."""
+"""Equilibria, and the linear systems of equilibria and implicit steps."""

@@ -1,4 +1,4 @@
-"""The tangent of a whole rod from those of its elements and joints."""
+"""Tangent of a whole rod, assembled from those of its elements and joints."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from jaxrod.statics.block_tridiagonal import BlockTridiagonal
 def assembled(
     element: ElementTangent, joint: JointTangent, masses: Array, turning: Matrix
 ) -> BlockTridiagonal:
-    """The matrix of the whole rod.
+    """Matrix of the whole rod.
 
-    Block `k` is node `k` (its displacement) and element `k` (its turn); the last node
-    has no element, and zeros in its place.
+    Block `k` is node `k` (its displacement) and element `k` (its rotation); the last
+    node has no element, and zeros in its place.
 
     Args:
-        element: Of the elements.
-        joint: Of the joints.
-        masses: To add on the diagonal of the nodes, `(n + 1,)`.
-        turning: To add to the elements' own blocks.
+        element: Tangents of the elements.
+        joint: Tangents of the joints.
+        masses: Terms to add on the diagonal of the nodes, `(n + 1,)`.
+        turning: Matrices to add to the elements' diagonal blocks.
     """
     bend = stacked(joint.stiffness)
     carried = bend - stacked(skew(joint.couple))
@@ -41,7 +41,7 @@ def assembled(
 
 
 def _placed(blocks: Array, before: int, after: int) -> Array:
-    """Blocks with zeros put at the ends of the chain."""
+    """Blocks padded with zeros at the ends of the chain."""
     return jnp.pad(blocks, ((before, after), (0, 0), (0, 0)))
 
 

@@ -1,13 +1,13 @@
-r"""Block-tridiagonal linear systems: those of Newton's method on a chain of elements.
+r"""Block-tridiagonal linear systems, for Newton's method on a chain of elements.
 
 Row $k$ couples the unknowns of block $k$ with those of its two neighbours,
 
 $$L_k x_{k-1} + D_k x_k + U_k x_{k+1} = b_k.$$
 
-Block elimination (Thomas' algorithm) solves it in two passes along the chain, work
-and memory in proportion to the number of blocks. Blocks are eliminated without
-exchanging rows, which is safe for what rods give: positive definite matrices up to
-small non-symmetric parts, whatever the units of the unknowns. No LAPACK: a call per
+Block elimination (the Thomas algorithm) solves it in two passes along the chain, with
+work and memory in proportion to the number of blocks. Blocks are eliminated without
+pivoting. That is safe for the matrices of rods: they are positive definite up to small
+non-symmetric parts, whatever the units of the unknowns. LAPACK is not used: a call per
 block would cost more than the elimination, and would not batch.
 """
 
@@ -24,16 +24,16 @@ from jaxrod.structure import pytree
 
 @pytree
 class BlockTridiagonal:
-    """A square matrix of `n` by `n` blocks, zero but near the diagonal.
+    """A square matrix of `n` by `n` blocks that is block-tridiagonal.
 
     Each field has a block for every row. The first block of `lower` and the last of
-    `upper` lie outside the matrix and have to be zero.
+    `upper` lie outside the matrix and must be zero.
     """
 
     lower: Float[Array, "n m m"]
     """Block `k` couples row `k` to the unknowns of block `k - 1`."""
     diagonal: Float[Array, "n m m"]
-    """Couples each row to its own unknowns."""
+    """Block `k` couples row `k` to the unknowns of block `k`."""
     upper: Float[Array, "n m m"]
     """Block `k` couples row `k` to the unknowns of block `k + 1`."""
 
@@ -55,7 +55,7 @@ class BlockTridiagonal:
         )
 
     def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
-        """The solution for a right side, not finite if the matrix is singular.
+        """Solution for a right-hand side; not finite if the matrix is singular.
 
         Differentiable any number of times in both modes; reverse mode solves with
         the transposed matrix instead of going back through the elimination.
@@ -70,18 +70,18 @@ class BlockTridiagonal:
     def is_positive(self) -> Bool[Array, ""]:
         """Whether all pivots are positive: a symmetric matrix is positive definite.
 
-        False where it is not finite.
+        False if it is not finite.
         """
         _, pivots = _descend(self, jnp.zeros(self.diagonal.shape[:2], self.dtype))
         return jnp.all(pivots > 0)
 
     def stiffened(self, index: int, block: Float[Array, "m m"]) -> BlockTridiagonal:
-        """The matrix with something added to a block of its diagonal."""
+        """Matrix with a block added to its diagonal."""
         return replace(self, diagonal=self.diagonal.at[index].add(block))
 
     @property
     def dtype(self) -> jnp.dtype:
-        """Type of the entries."""
+        """Dtype of the entries."""
         return self.diagonal.dtype
 
 
@@ -108,12 +108,11 @@ def _descend(
     """Reduces the diagonal blocks to identities, one after the other.
 
     Returns:
-        The upper blocks and the right side that this leaves, side by side, and the
-        pivots.
+        The remaining upper blocks and right-hand side, side by side, and the pivots.
     """
     size = right.shape[-1]
-    # What stands right of each diagonal block once it is reduced to the identity:
-    # its upper block and its right side.
+    # Each row, once its diagonal block is the identity, has only these left: its upper
+    # block and its right-hand side.
     beside = jnp.concatenate([matrix.upper, right[:, :, None]], axis=2)
 
     def down(
@@ -132,7 +131,7 @@ def _descend(
 
 
 def _reduce(diagonal: Array, beside: Array) -> tuple[Array, Array]:
-    """The inverse of a block times what stands beside it (Gauss and Jordan); pivots."""
+    """Inverse of a block times the columns next to it (Gauss-Jordan), and pivots."""
     size = diagonal.shape[0]
     rows = jnp.concatenate([diagonal, beside], axis=1)
     pivots = []
@@ -146,12 +145,12 @@ def _reduce(diagonal: Array, beside: Array) -> tuple[Array, Array]:
 
 
 def _later(blocks: Array) -> Array:
-    """Row `k` holds what row `k - 1` held; the first is zero."""
+    """Blocks shifted by one row: row `k` has the old row `k - 1`, the first is zero."""
     return jnp.pad(blocks[:-1], ((1, 0),) + ((0, 0),) * (blocks.ndim - 1))
 
 
 def _earlier(blocks: Array) -> Array:
-    """Row `k` holds what row `k + 1` held; the last is zero."""
+    """Blocks shifted by one row: row `k` has the old row `k + 1`, the last is zero."""
     return jnp.pad(blocks[1:], ((0, 1),) + ((0, 0),) * (blocks.ndim - 1))
 
 
@@ -160,5 +159,5 @@ def _swapped(blocks: Array) -> Array:
 
 
 def _times(blocks: Array, vector: Array) -> Array:
-    """Each block times its vector: a sum of columns, no matrix unit."""
+    """Each block times its vector, as a sum of columns, without matrix units."""
     return jnp.sum(blocks * vector[:, None, :], axis=2)

@@ -10,13 +10,13 @@ from jaxrod.geometry.vectors import Vec3
 
 
 def blocks(nodes: Vec3, elements: Vec3) -> Float[Array, "n+1 6"]:
-    """Node and element fields side by side; zeros where the last node has none."""
+    """Node and element fields side by side; the last node has zeros for an element."""
     padded = [vectors.pad(entry, 0, 1) for entry in elements]
     return jnp.stack([*nodes, *padded], axis=-1)
 
 
 def unblocked(step: Float[Array, "n+1 6"]) -> tuple[Vec3, Vec3]:
-    """The node and the element field of an array of blocks."""
+    """Node and element fields of an array of blocks."""
     return (
         (step[:, 0], step[:, 1], step[:, 2]),
         (step[:-1, 3], step[:-1, 4], step[:-1, 5]),

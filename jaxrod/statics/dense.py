@@ -1,9 +1,8 @@
 """Dense linear systems: for effects that couple distant parts of a rod.
 
-The counterpart of `jaxrod.statics.block_tridiagonal` for a matrix without zeros to make
-use of. A rod of `n` elements has `6 n + 3` unknowns, work grows with their cube: with
-tens of elements about as much as the elimination along the chain, with hundreds far
-more.
+This is the counterpart of `jaxrod.statics.block_tridiagonal` for a full matrix. A rod
+of `n` elements has `6 n + 3` unknowns, and work grows with their cube. With tens of
+elements it is about as much as the elimination along the chain, with hundreds far more.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ _COLUMNS_AT_ONCE = 128
 
 @pytree
 class Dense:
-    """A square matrix of `n` by `n` blocks, any of which may be there."""
+    """A square matrix of `n` by `n` blocks, all of which may be nonzero."""
 
     entries: Float[Array, "n m n m"]
-    """Row block, row, column block, column."""
+    """Entries by row block, row, column block and column."""
 
     def multiply(self, vector: Float[Array, "n m"]) -> Float[Array, "n m"]:
         """The matrix times a vector."""
         return jnp.sum(self.entries * vector[None, None], axis=(2, 3))
 
     def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
-        """The solution for a right side, not finite if the matrix is singular.
+        """Solution for a right-hand side; not finite if the matrix is singular.
 
         Differentiable any number of times in both modes; reverse mode solves with
         the transposed matrix.
@@ -43,22 +42,22 @@ class Dense:
         return scale * solution.reshape(right.shape)
 
     def is_positive(self) -> Bool[Array, ""]:
-        """Whether the matrix is positive definite, but for small antisymmetric parts.
+        """Whether the symmetric part of the matrix is positive definite.
 
-        False where it is not finite.
+        False if it is not finite.
         """
         _, scaled = self._scaled()
         factor = jnp.linalg.cholesky(0.5 * (scaled + scaled.T), symmetrize_input=False)
         return jnp.all(jnp.isfinite(factor))
 
     def stiffened(self, index: int, block: Float[Array, "m m"]) -> Dense:
-        """The matrix with something added to a block of its diagonal."""
+        """Matrix with a block added to its diagonal."""
         return Dense(self.entries.at[index, :, index, :].add(block))
 
     def _scaled(self) -> tuple[Float[Array, "n m"], Float[Array, "size size"]]:
-        """The matrix in unknowns that make its diagonal one, and their unit.
+        """Scale of the unknowns, and the matrix scaled so that its diagonal is one.
 
-        Displacements and turns have other units, pivots are chosen by size.
+        Displacements and rotations have different units, but pivots are chosen by size.
         """
         n, m = self.entries.shape[:2]
         flat = self.entries.reshape(n * m, n * m)
@@ -68,7 +67,7 @@ class Dense:
 
 
 def dense(matrix: BlockTridiagonal) -> Dense:
-    """The same matrix with its zeros."""
+    """Dense form of a block-tridiagonal matrix."""
     n = len(matrix.diagonal)
     blocks = (matrix.lower, matrix.diagonal, matrix.upper)
     entries = sum(
@@ -83,11 +82,11 @@ def columns(
     function: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
 ) -> Dense:
-    """The matrix of any linear function, by `n m` directions."""
+    """Matrix of any linear function, from `n m` directions."""
     seeds = jnp.eye(like.size, dtype=like.dtype).reshape(like.size, *like.shape)
     if like.size <= _COLUMNS_AT_ONCE:
         answers = jax.vmap(function)(seeds)
     else:
-        # All at once, pairs of nodes times directions would take gigabytes.
+        # In one batch, pairs of nodes times directions would take gigabytes.
         answers = lax.map(function, seeds, batch_size=_COLUMNS_AT_ONCE)
     return Dense(jnp.moveaxis(answers, 0, -1).reshape(*like.shape, *like.shape))

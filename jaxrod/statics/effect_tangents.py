@@ -1,8 +1,8 @@
 """Tangent stiffness of effects: derivatives of their loads by the configuration.
 
-An effect may know it in closed form (`Effect.turning_tangent`). Any other is
-differentiated: in as many directions as tell neighbours apart where it promises to see
-no further (`Effect.reach`), in all of them otherwise.
+An effect may have it in closed form (`Effect.turning_tangent`). Any other effect is
+differentiated. If it promises to depend on neighbours only (`Effect.reach`), three
+colours of directions suffice; otherwise all directions are used.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from jaxrod.statics.blocks import blocks, unblocked
 from jaxrod.statics.dense import Dense, columns, dense
 
 Tangent = BlockTridiagonal | Dense
-"""Tangent of a chain, or of one with effects that couple distant parts of it."""
+"""Tangent of a chain: block-tridiagonal, or dense if distant parts are coupled."""
 
 
 def has_closed_form(effect: Effect) -> bool:
-    """Whether there is no more to know of the loads than `Effect.turning_tangent`."""
+    """Whether `Effect.turning_tangent` is the whole derivative of the loads."""
     kind = type(effect)
     knows = kind.turning_tangent is not Effect.turning_tangent
     return knows or kind.loads is Effect.loads
 
 
 def with_turning_tangents(turning: Matrix, scene: Scene, motion: Motion) -> Matrix:
-    """A derivative by the elements' own turns with that of effects that know theirs."""
+    """Derivative by the elements' own rotations, plus closed-form terms of effects."""
     for effect in scene.effects:
         if type(effect).turning_tangent is not Effect.turning_tangent:
             own = effect.turning_tangent(scene.rod, motion)
@@ -53,20 +53,20 @@ def with_differentiated(
     momentum: Matrix,
     free: Float[Array, "n+1 6"],
 ) -> Tangent:
-    """A tangent with that of the effects that have no closed form.
+    """Tangent including the effects that have no closed form.
 
     Args:
-        chain: The tangent without them.
+        chain: Tangent without them.
         scene: The scene.
-        motion: Where the rod is.
+        motion: Configuration of the rod.
         pace: Velocities per displacement [1/s].
-        momentum: Derivative of the angular momenta by the turns.
-        free: One for what can move, zero for what the scene holds.
+        momentum: Derivative of the angular momenta by the rotations.
+        free: One for each component that can move, zero for those the scene holds.
     """
     others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
     near = tuple(effect for effect in others if effect.reach == "neighbours")
     far = tuple(effect for effect in others if effect.reach == "any")
-    # Fused with what computes the motion, 18 times over, it compiles for minutes.
+    # Fused 18 times with the computation of the motion, it would compile for minutes.
     barrier = lax.optimization_barrier
 
     def push_of(effects: tuple[Effect, ...]) -> Callable[[Array], Array]:
@@ -86,7 +86,7 @@ def with_differentiated(
 def change_of_loads(
     scene: Scene, motion: Motion, pace: Array, momentum: Matrix
 ) -> Callable[[Float[Array, "n+1 6"]], Float[Array, "n+1 6"]]:
-    """The derivative of the loads of all effects by a step, in the world frame."""
+    """Derivative of the loads of all effects by a step, in the world frame."""
     none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
     _, push = jax.linearize(lambda there: total_loads(scene, there, none), motion)
 
@@ -110,12 +110,12 @@ def change_of_loads(
 
 
 def total_loads(scene: Scene, motion: Motion, others: Loads) -> Float[Array, "n+1 6"]:
-    """Other loads and those of all effects, couples in the world frame."""
+    """Sum of other loads and those of all effects, with couples in the world frame."""
     assert others.forces is not None and others.couples is not None
     loads = external_loads(scene, motion, others.forces, others.couples)
-    # Fusing further, XLA's CPU compiler takes minutes over the derivative.
-    # One by one: those that do not depend on what is differentiated are no part
-    # of reverse mode.
+    # Without barriers XLA's CPU compiler takes minutes over the derivative. There is
+    # one barrier per array, so that reverse mode leaves out loads that do not depend on
+    # the differentiated variables.
     loads = jax.tree.map(lax.optimization_barrier, loads)
     assert loads.forces is not None and loads.couples is not None
     return blocks(loads.forces, to_world(directors(motion.orientation), loads.couples))
@@ -125,10 +125,10 @@ def coloured(
     push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
 ) -> BlockTridiagonal:
-    """The matrix of a linear function whose blocks see no further than neighbours.
+    """Matrix of a linear function whose blocks depend on neighbours only.
 
-    Then every third block can be moved at once: `3 m` directions, whatever the number
-    of blocks.
+    Every third block can then be moved at once (colouring), which takes `3 m`
+    directions, whatever the number of blocks.
     """
     n, m = like.shape
     colour = jnp.arange(n) % 3

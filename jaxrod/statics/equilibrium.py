@@ -1,4 +1,4 @@
-"""Statics: where all loads on a rod balance, and how that depends on every number."""
+"""Statics: equilibria of a rod under its loads, and their derivatives."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ class Equilibrium:
     converged: Bool[Array, ""]
     """Whether all loads balance there, to the tolerance."""
     stable: Bool[Array, ""]
-    """Whether it has converged and the stored energy is least there: the tangent is
-    positive definite, but for what is `loose`.
+    """Whether it has converged at a minimum of the stored energy: the tangent is
+    positive definite, except for `loose` modes.
 
-    For loads with a potential; with loads that turn with the rod (follower couples)
-    it says nothing about instability in motion (flutter).
+    It is meant for loads with a potential. For loads that turn with the rod (follower
+    couples) it does not exclude instability in motion (flutter).
     """
     loose: Bool[Array, ""]
-    """Whether the rod could move as a whole, or all elements turn about their own
-    axes, and nothing would resist: as on two pins, or on a smooth floor.
+    """Whether nothing resists a motion of the rod as a whole, or a rotation of all
+    elements about their own axes: as on two pins, or on a smooth floor.
 
-    The balance of loads does not say where it is on that way. Derivatives are those of
-    a rod that does not move on it in its middle, and say nothing about loads that would
-    drive it.
+    The balance of loads does not determine the position along such a mode. Derivatives
+    are those of a rod whose middle does not move along it, and are not valid for loads
+    that would drive it.
     """
     iterations: Int[Array, ""]
-    """Newton's corrections taken."""
+    """Number of Newton corrections taken."""
     force_residual: Float[Array, ""]
-    """The largest component of force out of balance at a node [N]."""
+    """Largest component of unbalanced force at a node [N]."""
     couple_residual: Float[Array, ""]
-    """The largest component of couple out of balance on an element [N m]."""
+    """Largest component of unbalanced couple on an element [N m]."""
 
 
 def equilibrium(
@@ -61,18 +61,18 @@ def equilibrium(
     tolerance: ArrayLike | None = None,
     max_iterations: int = 100,
 ) -> Equilibrium:
-    """Finds where the loads on a rod balance, starting from a state.
+    """Finds an equilibrium of a rod under its loads, starting from a state.
 
     Works inside jit and vmap. The equilibrium is differentiable in both modes with
     respect to every number of the scene, by the implicit function theorem: one
     linear solve, whatever the number of iterations.
 
-    Near a limit point (buckling, snap-through) there may be nothing to find nearby:
-    look at `converged`. The method finds equilibria, stable or not: look at `stable`.
+    Near a limit point (buckling, snap-through) there may be no equilibrium nearby:
+    check `converged`. The method finds equilibria, stable or not: check `stable`.
 
     Args:
-        scene: The scene; something has to hold the rod.
-        state: Where to start from, and where what is held is held. Its velocities
+        scene: The scene; an effect must hold the rod.
+        state: Initial guess; held components are held at its values. Its velocities
             do not matter.
         tolerance: Iteration ends after a correction below this many element lengths
             and radians; by default 1e-7, or 3e-4 in single precision.
@@ -84,7 +84,7 @@ def equilibrium(
     Raises:
         ValueError: If the law is not "consistent", if nothing holds the rod, or if
             an argument is out of range.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
     """
     scene = scene_of(scene, state)
     if scene.method.law != "consistent":
@@ -115,7 +115,7 @@ def _is_loose(scene: Scene) -> bool:
 
 
 def _at_rest(scene: Scene, base: Motion) -> Balance:
-    """The balance of loads alone."""
+    """Balance of loads without inertia."""
     still = jnp.zeros((), scene.rod.rest_lengths.dtype)
     return Balance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
 
@@ -132,7 +132,7 @@ def _equilibrium(
         max_iterations,
     )
     found = _at_rest(scene, end.base).motion(end.moves)
-    # Held components are as the state and the scene have them, derivatives included.
+    # Held components have the values of the state and the scene, with derivatives.
     balance = _at_rest(scene, _keep_held(scene, found, start))
     moves = balanced(balance, _no_moves(found))
     force, couple = unblocked(balance.residual(moves))
@@ -148,11 +148,11 @@ def _equilibrium(
 
 
 def _no_moves(motion: Motion) -> Moves:
-    """Moves of zero, made of the motion.
+    """Moves that are zero, computed from the motion.
 
-    Under `vmap` they have to be as many as what they are differentiated with: of plain
-    zeros there would be one set for all rods, and JAX takes the derivatives of a
-    compiled function with its own derivative rule to be one set, too.
+    Under `vmap` they must be batched like the inputs they are differentiated with.
+    Plain zeros would be unbatched, and JAX takes the derivatives of a compiled function
+    with its own derivative rule to be unbatched, too.
     """
 
     def nothing(component: Array) -> Array:
@@ -165,7 +165,7 @@ def _no_moves(motion: Motion) -> Moves:
 
 
 def _keep_held(scene: Scene, found: Motion, start: Motion) -> Motion:
-    """The motion found, with what the scene holds as it was at the start."""
+    """Motion found, with the components that the scene holds as at the start."""
     nodes, elements = unblocked(_at_rest(scene, start).free)
     turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)
     x, y, z = (

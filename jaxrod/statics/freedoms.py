@@ -1,7 +1,7 @@
-"""Free components of positions and rates under the constraints of a scene.
+"""Degrees of freedom: free components of positions and rates in a scene.
 
-A component is held if `Effect.constrain_rates` gives it the same rate for any rate it
-had, or if `Effect.constrain` gives it the same place for any place it had.
+A component is held if `Effect.constrain_rates` gives it the same rate whatever rate it
+had, or if `Effect.constrain` gives it the same place whatever place it had.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from jaxrod.rods.motion import Motion
 from jaxrod.scene import Scene, constrain, constrain_rates
 
 _TURN = (0.8, 0.36, 0.48, 0.0)
-"""Rotation of 74 degrees, by which an element is turned to see whether it is held."""
+"""Rotation by 74 degrees, applied to an element to find out whether it is held."""
 
 
 def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
-    """One for every component that can move, zero for one that is held.
+    """Array that is one for every free component and zero for every held one.
 
     Args:
         scene: The scene.
-        motion: Where the rod is.
+        motion: Configuration of the rod.
 
     Returns:
-        Of the nodes and of the elements, in the components of velocity and spin.
+        Flags of the nodes and of the elements, in the components of velocity and spin.
     """
     nodes, elements = free_rates(scene, motion)
     placed = free_places(scene, motion)
@@ -40,7 +40,7 @@ def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
-    """The `freedoms` under `Effect.constrain_rates` alone."""
+    """Free components under `Effect.constrain_rates` alone, as in `freedoms`."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
@@ -55,7 +55,7 @@ def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """The `freedoms` under `Effect.constrain` alone; `None` if it holds nothing."""
+    """Free components under `Effect.constrain` alone; `None` if it holds nothing."""
     here = constrain(scene, motion)
     if here is motion:
         return None
@@ -69,7 +69,7 @@ def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
 
 
 def _elsewhere(scene: Scene, motion: Motion) -> Motion:
-    """Every node displaced in every direction, every element turned."""
+    """Motion with every node displaced in every direction and every element rotated."""
     length = scene.rod.length
     moved = vectors.add(motion.position, (length, length, length))
     turn = tuple(jnp.full_like(motion.orientation[0], part) for part in _TURN)
@@ -79,7 +79,7 @@ def _elsewhere(scene: Scene, motion: Motion) -> Motion:
 
 
 def _differ(one: Quaternion, other: Quaternion) -> Array:
-    """One where any component differs, zero where none does."""
+    """Array that is one where any component differs, zero elsewhere."""
     differs = one[0] != other[0]
     for a, b in zip(one[1:], other[1:], strict=True):
         differs |= a != b

@@ -1,20 +1,20 @@
-r"""Motions of a rod as a whole that nothing resists, and how statics gets on with them.
+r"""Loose modes: motions of a rod as a whole that nothing resists, in statics.
 
-A rod on two pins can spin about its axis, one on a smooth floor can slide: the tangent
-stiffness $T$ is singular, and where the rod is on its way is not determined by the
-balance of loads. If the loads do not drive such a mode $m$, $m\cdot r = 0$, then a
-spring that resists it at one place $u$ changes nothing but that:
+A rod on two pins can spin about its axis, one on a smooth floor can slide. The tangent
+stiffness $T$ is then singular, and the balance of loads does not determine the position
+along the mode. If the loads do not drive such a mode $m$, $m\cdot r = 0$, then a spring
+that resists it at one place $u$ changes only that position:
 
 $$(T + \sigma\,u u^T)\,s = -r \quad\Rightarrow\quad
-  \sigma\,(m\cdot u)(u\cdot s) = -m\cdot r = 0 \quad\Rightarrow\quad T s = -r,$$
+  \sigma\,(m\cdot u)(u\cdot s) = -m\cdot r = 0 \quad\Rightarrow\quad T s = -r.$$
 
-the solution that leaves that place where it is, exactly and whatever the stiffness. If
-they do drive it, $u\cdot s$ does not vanish: Newton's method moves the rod on and on,
-and does not converge unless it gets to where they do not.
+This is the solution that leaves that place fixed, exactly and whatever the stiffness.
+If the loads do drive the mode, $u\cdot s$ does not vanish. Newton's method then keeps
+moving the rod, and converges only if it reaches a place where they do not.
 
-The modes looked at are the six motions of a rigid body and the turning of all elements
-about their own axes, which a rod of round section that is straight at rest does not
-resist however it is bent.
+The modes that are checked are the six rigid-body motions and the rotation of all
+elements about their own axes. A rod of round section that is straight at rest does not
+resist the latter, however it is bent.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ from jaxrod.statics.blocks import blocks
 from jaxrod.statics.dense import Dense
 
 _ROUNDINGS = 16
-"""Multiple of rounding up to which a resistance counts as none. Modes that nothing
-resists have 3; those that pins resist have 3000 in float32 even for n = 100 and
-L/r = 1000."""
+"""Multiple of the machine epsilon up to which a resistance counts as zero. Loose modes
+have 3; modes that pins resist have 3000 in float32 even for n = 100 and L/r = 1000."""
 
 
 def loose_modes(
@@ -49,17 +48,17 @@ def loose_modes(
     Args:
         tangent: The tangent stiffness.
         rod: The rod.
-        motion: Where it is.
-        free: One for what can move, zero for what the scene holds.
+        motion: Its configuration.
+        free: One for each component that can move, zero for those the scene holds.
 
     Returns:
-        Displacements of nodes, in lengths of the rod, and turns of elements [rad];
-        zeros in place of modes that something resists.
+        Displacements of nodes, in lengths of the rod, and rotations of elements [rad];
+        zeros in place of modes that are resisted.
     """
     modes, units = _modes_of_the_whole(rod, motion), _units(rod)
     steps = units[None] * modes
     resisted = jax.vmap(tangent.multiply)(free[None] * steps)
-    # The size of rows without cancellation.
+    # Size of the rows without cancellation.
     sizes = jax.tree.map(jnp.abs, tangent)
     whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(steps)), axis=0)
     resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
@@ -72,10 +71,10 @@ def loose_modes(
 
 
 def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
-    """Whether there is a mode among some.
+    """Whether any mode is nonzero.
 
-    Turning a straight rod about its axis less turning its elements about theirs is
-    nothing but rounding, and nothing resists it.
+    Rotation of a straight rod about its axis minus rotation of its elements about
+    theirs is nothing but round-off, and nothing resists it.
     """
     return jnp.max(jnp.abs(modes)) > 0.01
 
@@ -83,10 +82,10 @@ def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
 def held_in_the_middle(
     tangent: BlockTridiagonal | Dense, rod: Rod, modes: Float[Array, "7 n+1 6"]
 ) -> BlockTridiagonal | Dense:
-    """The tangent with springs against modes in the middle of the rod.
+    """Tangent with springs against the modes in the middle of the rod.
 
-    They are as stiff as the rod is in bending: a correction is then of the size that
-    loads which drive the mode would bend it by.
+    They are as stiff as the rod is in bending. A correction is then about as large as
+    the bending under the loads that drive the mode.
     """
     middle = _middle(rod)
     local = modes[:, middle] / _units(rod)
@@ -96,7 +95,7 @@ def held_in_the_middle(
 
 
 def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
-    """Three displacements, three rotations about the middle, turning about d3."""
+    """Three displacements, three rotations about the middle, and rotation about d3."""
     middle = _middle(rod)
     length = jnp.sum(rod.rest_lengths)
     x, y, z = ((c - c[middle]) / length for c in motion.position)
@@ -111,7 +110,7 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """A field of unit vectors along an axis of the world."""
+    """Field of unit vectors along a world axis."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 
@@ -121,7 +120,7 @@ def _middle(rod: Rod) -> int:
 
 
 def _units(rod: Rod) -> Float[Array, "1 6"]:
-    """Units of displacements and turns: the length of the rod [m], and one [rad]."""
+    """Units of displacements and rotations: length of the rod [m], and one [rad]."""
     length = jnp.sum(rod.rest_lengths)
     one = jnp.ones_like(length)
     return jnp.stack([length, length, length, one, one, one])[None]

@@ -1,8 +1,8 @@
-"""Newton's method for the balance of loads on a rod, damped where it has to be.
+"""Newton's method for the balance of loads on a rod, damped where necessary.
 
-A correction is tried in full and judged by the one that would follow it: if that is
-too large, half is tried. This measure of progress depends neither on units nor on how
-much stiffer stretch is than bending, so that steps stay long for slender rods.
+A full correction is tried and judged by the correction that would follow it. If that is
+too large, half of it is tried. This measure of progress depends neither on units nor on
+the ratio of stretching to bending stiffness, so steps stay long for slender rods.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from jaxrod.statics.residual import Balance, Moves
 from jaxrod.structure import pytree
 
 LARGEST_TURN = 1.0
-"""No correction turns an element by more than this at once [rad]."""
+"""Largest rotation of an element in one correction [rad]."""
 LARGEST_GROWTH = 4.0
 """Largest ratio of a correction to the one before, with inertia. Some growth is
-harmless: the first correction has to do away with the guess's stretch."""
+harmless: the first correction has to remove the stretch of the guess."""
 SMALLEST_SHARE = 1e-4
-"""Less than this of a correction is not worth taking: there is nothing to find."""
+"""Smallest fraction of a correction that is tried; below it the search has failed."""
 
 
 @pytree
@@ -39,14 +39,14 @@ class Search:
     tangent: Tangent
     """Tangent at the moves."""
     loose: Bool[Array, ""]
-    """Whether the rod could move as a whole there and nothing would resist."""
+    """Whether nothing resists a motion of the rod as a whole there."""
     step: Float[Array, "n+1 6"]
-    """The whole correction of the moves."""
+    """Full correction of the moves."""
     share: Float[Array, ""]
-    """Share of the correction to try [1]."""
+    """Fraction of the correction to try [1]."""
     trials: Int[Array, ""]
     iterations: Int[Array, ""]
-    """Corrections taken."""
+    """Number of corrections taken."""
     converged: Bool[Array, ""]
     """Whether the correction is below the tolerance."""
 
@@ -59,17 +59,17 @@ def newton(
 ) -> Search:
     """Searches for moves that balance.
 
+    At rest every accepted configuration becomes the new base, so that elements can
+    rotate any number of times. Without inertia, which makes any tangent definite,
+    progress is judged with more care: the correction that the previous tangent would
+    give must shrink.
+
     Args:
         balance: The balance of loads.
-        guess: The first step from the base, taken as it is.
+        guess: The first step from the base, taken in full.
         tolerance: The search ends at a correction of less than this many element
             lengths and radians; it is still added.
         max_iterations: Largest number of trials.
-
-    At rest every configuration taken becomes the new base, so that elements can turn
-    any number of times; and without inertia, which makes any tangent definite, progress
-    is judged with more care: by the correction that the tangent of before would make,
-    which has to shrink.
     """
     none = jax.tree.map(jnp.zeros_like, (balance.base.position, balance.base.spin))
     lengths = balance.scene.rod.rest_lengths
@@ -99,7 +99,7 @@ def newton(
             better = rest <= (1 - 0.25 * search.share) * size(search.step)
         else:
             better = size(step) <= LARGEST_GROWTH * size(search.step)
-        # A guess that is further off than it is large is worse than none.
+        # A guess whose correction is much larger than itself is worse than none.
         first = search.iterations == 0
         unmoved = search.share * size(search.step) == 0
         better = jnp.where(first, unmoved | (size(step) <= 2 * size(guess)), better)
@@ -139,10 +139,10 @@ def newton(
 
 
 def largest(field: Vec3) -> Array:
-    """The largest absolute component."""
+    """Largest absolute value of all components."""
     return jnp.max(jnp.stack([jnp.max(jnp.abs(component)) for component in field]))
 
 
 def default_tolerance(dtype: jnp.dtype) -> float:
-    """A correction whose square is near round-off."""
+    """Tolerance of a correction whose square is near round-off."""
     return 3e-4 if jnp.finfo(dtype).bits <= 32 else 1e-7

@@ -1,8 +1,8 @@
-"""Checks that effects keep the promises implicit steps and equilibria rely on.
+"""Checks that effects keep the promises that implicit steps and equilibria rely on.
 
-Those methods take the derivative of an effect's loads from what it promises, and what
-it holds from a few trials. A broken promise would be a wrong derivative, or a rod held
-where it is free, without any sign.
+These methods rely on an effect's promises for the derivative of its loads, and on a few
+trials for what it holds. A broken promise would silently give a wrong derivative, or
+hold a rod where it is free.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from jaxrod.validation import is_traced
 
 
 def check_promises(scene: Scene) -> None:
-    """Checks what implicit steps and equilibria rely on; nothing where it is traced.
+    """Checks the promises of effects, unless the scene is traced.
 
-    Effects are tried out on a rod of no particular shape, and on the same rod crumpled
-    up. Deviations elsewhere alone are not seen.
+    Effects are tested on a generic rod, and on the same rod shrunk to almost a point.
+    Deviations that occur only elsewhere are not detected.
 
     Raises:
-        ValueError: If loads change otherwise than an effect's `turning_tangent` or
-            `reach` says, or if it holds parts of components, or ties some to others.
+        ValueError: If loads do not change as an effect's `turning_tangent` or `reach`
+            declares, or if it holds parts of components, or couples some to others.
     """
     if is_traced(scene) or scene.rod.rest_lengths.ndim > 1:
         return
@@ -68,7 +68,7 @@ def check_promises(scene: Scene) -> None:
 
 
 def _says(effect: Effect) -> bool:
-    """Whether an effect says of its loads what may not be so.
+    """Whether an effect makes promises about its loads that may not hold.
 
     Those of the library have tests.
     """
@@ -110,7 +110,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
     shape = trial_motion(rod)
 
     def gap(size: Array, moved: Array) -> Array:
-        """In a rod shrunk to a size, of changes of places (1) or of rates (0)."""
+        """Gap in a rod shrunk to a size, for changes of places (1) or of rates (0)."""
         motion = replace(shape, position=vectors.scale(size, shape.position))
 
         def loads(motion: Motion) -> Array:
@@ -149,7 +149,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
         else:
             said = coloured(push, step).multiply(step)
         sizes = jnp.abs(jnp.stack([true - said, true, said, now]))
-        # Forces and couples have other units.
+        # Forces and couples have different units.
         off, *whole = jnp.max(sizes.reshape(4, -1, 2, 3), axis=(1, 3))
         return jnp.max(_share(off, jnp.max(jnp.stack(whole), axis=0)))
 
@@ -158,7 +158,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
 
 def _mixing(effect: Effect, rod: Rod) -> Array:
-    """Deviation from holding whole components, relative to the given ones."""
+    """Deviation from holding whole components, relative to the expected values."""
     alone, motion = Scene(rod, (effect,), Method()), trial_motion(rod)
     nodes, turns = unblocked(_any_step(rod))
 
@@ -198,13 +198,13 @@ def _expected(
     given: Sequence[Array],
     found: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Components as an effect holds them, and as it should: wholly or not at all."""
+    """Components as found, and as expected if an effect holds them fully or not."""
     parts = zip(free, held, given, found, strict=True)
     return [(d, jnp.where(a == 1, c, b)) for a, b, c, d in parts]
 
 
 def _any_step(rod: Rod) -> Float[Array, "n+1 6"]:
-    """Displacements about as large as the rod, and turns."""
+    """Arbitrary displacements about as large as the rod, and rotations."""
     random = np.random.default_rng(0).normal(size=(rod.n_elements + 1, 6))
     length = jnp.sum(rod.rest_lengths)
     units = jnp.stack([length] * 3 + [jnp.ones_like(length)] * 3)

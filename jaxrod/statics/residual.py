@@ -1,10 +1,10 @@
 r"""The balance of loads that an implicit method solves for, and its derivative.
 
-From a base configuration nodes are displaced by $d$ and elements turned by rotation
-vectors $\theta$ in their material frames. At the pace $w$ (one over a duration; zero
-in statics) they do so with velocities $v = w d$ and angular momenta
-$P = R J\,w\theta$, and all loads $f, c$, at the displaced configuration and at these
-rates, balance damping and the change from the base rates $v_b, P_b$:
+From a base configuration nodes are displaced by $d$ and elements rotated by rotation
+vectors $\theta$ in their material frames. At the pace $w$ (the inverse of a duration;
+zero in statics) they move with velocities $v = w d$ and angular momenta
+$P = R J\,w\theta$. All loads $f, c$, at the displaced configuration and at these rates,
+balance damping and the change from the base rates $v_b, P_b$:
 
 $$m\,((w + g_t)\,v - w\,v_b) = f, \qquad (w + g_r)\,P - w\,P_b = c.$$
 """
@@ -50,10 +50,10 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class Moves:
-    """Displacements of nodes and turns of elements from a base configuration."""
+    """Displacements of nodes and rotations of elements from a base configuration."""
 
     displacement: Vec3
-    """World frame, `n + 1` nodes [m]."""
+    """Displacements, world frame, `n + 1` nodes [m]."""
     turn: Vec3
     """Rotation vectors in the base material frames, `n` elements [rad]."""
 
@@ -67,7 +67,7 @@ class Balance:
     law: ElasticLaw
     """Constants of the elastic law."""
     base: Motion
-    """Configuration from which moves start, and the rates that inertia would keep."""
+    """Configuration from which moves start, with the rates that inertia maintains."""
     pace: Float[Array, ""]
     """Rates per move [1/s]; zero in statics."""
     damping: tuple[Array, Array] | None
@@ -88,11 +88,11 @@ class Balance:
             velocity=vectors.scale(self.pace, moves.displacement),
             spin=to_world(directors(orientation), momentum),
         )
-        # What is driven has moved already: its rate does not follow from its move.
+        # Driven components have moved already: their rate does not follow from moves.
         return moved if self.at_rest else constrain_rates(self.scene, moved)
 
     def residual(self, moves: Moves) -> Float[Array, "n+1 6"]:
-        """Inertia and damping less the loads, zero for what the scene holds.
+        """Inertia and damping minus the loads; zero for held components.
 
         Forces on nodes [N] and couples on elements [N m], world frame.
         """
@@ -112,9 +112,9 @@ class Balance:
         return self.free * (blocks(push, twist) - loads)
 
     def tangent(self, moves: Moves) -> Tangent:
-        """Derivative of the residual by a step: see `moved`.
+        """Derivative of the residual by a step as in `moved`.
 
-        Held components keep the identity for their rows and columns.
+        Rows and columns of held components are those of the identity.
         """
         motion = self.motion(moves)
         node_rate, element_rate = self._rates
@@ -134,10 +134,10 @@ class Balance:
         )
 
     def held_tangent(self, moves: Moves) -> tuple[Tangent, Bool[Array, ""]]:
-        """The tangent to solve with: without inertia, what nothing resists is held.
+        """Tangent to solve with: without inertia, loose modes are held.
 
         Returns:
-            The tangent, and whether there is something that nothing resists.
+            The tangent, and whether there are loose modes.
         """
         tangent = self.tangent(moves)
         if not self.at_rest:
@@ -148,9 +148,9 @@ class Balance:
         return held_in_the_middle(tangent, rod, modes), are_any(modes)
 
     def moved(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """Moves with a small step on top, to first order.
+        """Moves with a small step added, to first order.
 
-        A step displaces the nodes and turns the elements, both in the world frame.
+        A step displaces the nodes and rotates the elements, both in the world frame.
         """
         change = self.change(moves, step)
         return Moves(
@@ -159,11 +159,12 @@ class Balance:
         )
 
     def followed(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """`moved` to first order, but with strains that change in proportion.
+        """Moves as in `moved` to first order, but with strains that change linearly.
 
-        Turned elements of a slender rod would otherwise find their nodes off by the
-        square of the turn, and be stretched: far stiffer than bending, this is what
-        keeps Newton's method to small turns. So the edges turn with the elements.
+        Otherwise the nodes of rotated elements of a slender rod would be off by the
+        square of the rotation, which stretches the elements. Stretching is far stiffer
+        than bending, so that would limit Newton's method to small rotations. Therefore
+        the edges turn with the elements.
         """
         moved = self.moved(moves, step)
         displacement, turn = unblocked(step)
@@ -190,7 +191,7 @@ class Balance:
         return Moves(displacement, vectors.add(own, change))
 
     def following(self, guess: Float[Array, "n+1 6"], found: Moves) -> Moves:
-        """Moves found, but of what the scene holds those of the guess."""
+        """Moves found, with those of the guess for held components."""
         free = unblocked(self.free)
         displacement, turn = unblocked(guess)
         own = to_material(directors(self.base.orientation), turn)
@@ -207,7 +208,7 @@ class Balance:
 
     @property
     def free(self) -> Float[Array, "n+1 6"]:
-        """One for what can move, zero for what the scene holds."""
+        """Array that is one for components that can move, zero for held ones."""
         return blocks(*freedoms(self.scene, self.base))
 
     @property
@@ -217,13 +218,13 @@ class Balance:
 
     @property
     def _rates(self) -> tuple[Array, Array]:
-        """Pace and damping rate together, of velocities and of spins [1/s]."""
+        """Sum of pace and damping rate, for velocities and for spins [1/s]."""
         if self.damping is None:
             return self.pace, self.pace
         return self.pace + self.damping[0], self.pace + self.damping[1]
 
     def _momentum_tangent(self, moves: Moves, motion: Motion) -> Matrix:
-        """Derivative of the angular momenta by the turn."""
+        """Derivative of the angular momenta by the rotation."""
         frame = directors(motion.orientation)
         inertia = turned_diagonal(frame, vectors.scale(self.pace, self._inertia))
         turn = to_world(frame, moves.turn)
@@ -232,14 +233,14 @@ class Balance:
 
 
 def _coupling(moves: Moves) -> Array:
-    """The coupling coefficient of the turns: see `rotation_log_and_coupling`."""
+    """Coupling coefficient of the rotations: see `rotation_log_and_coupling`."""
     return rotation_log_and_coupling(rotation_exp(moves.turn))[1]
 
 
 def _restricted(
     matrix: BlockTridiagonal, free: Float[Array, "n+1 6"]
 ) -> BlockTridiagonal:
-    """The identity in place of the rows and columns of what is not free."""
+    """Matrix with rows and columns of held components replaced by the identity's."""
     before = jnp.pad(free[:-1], ((1, 0), (0, 0)))
     after = jnp.pad(free[1:], ((0, 1), (0, 0)))
     held = jnp.eye(6, dtype=free.dtype)[None] * (1 - free)[:, :, None]
@@ -251,10 +252,10 @@ def _restricted(
 
 
 def _closed(gaps: Array, free: Array) -> Array:
-    """Displacements whose differences are the gaps, zero where nodes are not free.
+    """Displacements whose differences are the gaps, zero at nodes that are held.
 
-    If both ends are held what is left over is shared out along the rod; if none is
-    the mean is zero.
+    If both ends are held the remainder is distributed along the rod; if none is, the
+    mean is zero.
     """
     total = vectors.pad(jnp.cumsum(gaps), 1, 0)
     start, finish = free[0] == 0, free[-1] == 0
@@ -265,7 +266,7 @@ def _closed(gaps: Array, free: Array) -> Array:
 
 
 def displaced(motion: Motion, displacement: Vec3) -> Motion:
-    """The nodes moved [m]; with a remainder, by Kahan's compensated sum."""
+    """Motion with nodes displaced [m]; with a remainder, by Kahan's compensated sum."""
     if motion.remainder is None:
         return replace(motion, position=vectors.add(motion.position, displacement))
     step = vectors.subtract(displacement, motion.remainder)
@@ -276,11 +277,11 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
 
 @jax.custom_jvp
 def balanced(balance: Balance, moves: Moves) -> Moves:
-    """The moves that balance, found by other means, as a function of the balance.
+    """Moves that balance, found by other means, as a function of the balance.
 
-    The value is `moves` itself. Its derivative, by the implicit function theorem, is
-    that of the exact solution: one linear solve, however many iterations it took. What
-    the scene holds changes as it does in `moves`.
+    The value is `moves` itself. Its derivative is that of the exact solution, by the
+    implicit function theorem: one linear solve, however many iterations it took. Held
+    components change as they do in `moves`.
     """
     return moves
 
