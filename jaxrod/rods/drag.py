@@ -1,13 +1,13 @@
-r"""Drag of what surrounds a rod: rates of decay along and across it, and its loads.
+r"""Drag of the fluid around a rod: decay rates along and across it, and its loads.
 
-Relative to the surroundings, which flow at $u$, a node moves at $w = v - u$, of which
-$w_\parallel$ is along the rod and $w_\perp$ across it. Drag alone would make it
+Relative to the fluid, which flows at $u$, a node moves at $w = v - u$, with the
+component $w_\parallel$ along the rod and $w_\perp$ across it. Drag alone gives
 
 $$\dot w_\parallel = -(g_\parallel + q_\parallel |w_\parallel|)\, w_\parallel, \qquad
-  \dot w_\perp = -(g_\perp + q_\perp |w_\perp|)\, w_\perp,$$
+  \dot w_\perp = -(g_\perp + q_\perp |w_\perp|)\, w_\perp.$$
 
-and likewise angular momenta, with rates of their own, about the axis of an element and
-across it.
+Angular momenta decay in the same way, with their own rates, about the axis of an
+element and across it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from jaxrod.structure import pytree
 
 @pytree
 class Drag:
-    """Rates at which surroundings slow a rod down, at one moment.
+    """Rates at which the surrounding fluid slows a rod down, at one moment.
 
-    Each is one number, or one per node (of turning: per element).
+    Each is one number or one per node; for `turning`, one per element.
     """
 
     along: Array
@@ -35,35 +35,35 @@ class Drag:
     across: Array
     """Decay rate of velocities across the rod [1/s]."""
     along_per_speed: Array | None = None
-    """Decay rate that grows with the speed along the rod, per speed [1/m]."""
+    """Increase of the decay rate along the rod per speed along it [1/m]."""
     across_per_speed: Array | None = None
-    """Decay rate that grows with the speed across the rod, per speed [1/m]."""
+    """Increase of the decay rate across the rod per speed across it [1/m]."""
     turning: tuple[Array, Array] | None = None
     """Decay rates of angular momenta about d3 and across it [1/s]."""
     flow: Vec3 | None = None
-    """Velocity of the surroundings at the nodes, world frame [m/s]."""
+    """Velocity of the fluid at the nodes, world frame [m/s]."""
 
     @property
     def grows_with_speed(self) -> bool:
-        """Whether a rate grows with the speed: structure, not values."""
+        """Whether a rate grows with the speed; depends on structure, not on values."""
         return (self.along_per_speed, self.across_per_speed) != (None, None)
 
 
 def node_tangents(motion: Motion) -> Vec3:
-    """Unit vectors along the rod at the nodes: of the mean of the edges there."""
+    """Unit vectors along the rod at the nodes: directions of the mean edges there."""
     around = vectors.pair_sum(motion.edges)
     return vectors.scale(1 / vectors.safe_norm(around), around)
 
 
 def relative_velocity(motion: Motion, drag: Drag) -> Vec3:
-    """Velocities of the nodes relative to the surroundings [m/s]."""
+    """Velocities of the nodes relative to the fluid [m/s]."""
     if drag.flow is None:
         return motion.velocity
     return vectors.subtract(motion.velocity, drag.flow)
 
 
 def drag_loads(rod: Rod, motion: Motion, drag: Drag) -> Loads:
-    """Drag as forces and couples, for methods that do not solve it with the others."""
+    """Drag as forces and couples, for methods that do not solve it with the loads."""
     tangent, relative = node_tangents(motion), relative_velocity(motion, drag)
     speed = vectors.dot(tangent, relative)
     across = vectors.subtract(relative, vectors.scale(speed, tangent))

@@ -1,11 +1,12 @@
 r"""The elastic law's tangent stiffness, in closed form, block by block.
 
-The change of minus the internal loads when nodes are displaced and elements turned by
-$\psi$ ($R \to e^{[\psi]} R$), everything in the world frame, where each element and
-each joint has just one force or couple, of opposite sign on its two sides.
+It is the derivative of the negative internal loads when nodes are displaced and
+elements rotated by $\psi$ ($R \to e^{[\psi]} R$). Everything is in the world frame,
+where each element and each joint has a single force or couple, of opposite sign on its
+two sides.
 
-An element of edge $e$ pulls its nodes together with $N$; with $D$ its stiffness over
-its length, turned into the world frame,
+An element of edge $e$ pulls its nodes together with $N$. With $D$ its stiffness over
+its length, rotated into the world frame,
 
 $$\delta N = D\,\delta e + K\psi, \quad K = D[e]_\times - [N]_\times, \qquad
   \delta(N\times e) = K^T\delta e - [e]_\times K\psi.$$
@@ -48,11 +49,11 @@ class ElementTangent:
     """Tangent stiffness of one element of a rod."""
 
     stretching: Matrix
-    """`D`: derivative of the pull by the edge."""
+    """Derivative `D` of the pull by the edge."""
     coupling: Matrix
-    """`K`: derivative of the pull by the turn."""
+    """Derivative `K` of the pull by the rotation."""
     turning: Matrix
-    """Derivative of the couple by the turn."""
+    """Derivative of the couple by the rotation."""
 
 
 @pytree
@@ -60,13 +61,13 @@ class JointTangent:
     """Tangent stiffness of one joint."""
 
     stiffness: Matrix
-    """`H`: derivative of the couple by the relative turn."""
+    """Derivative `H` of the couple by the relative rotation."""
     couple: Vec3
-    """The couple [N m]: it turns with the element after the joint."""
+    """Couple of the joint [N m], which turns with the element after the joint."""
 
 
 def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
-    """The tangent of the shear-stretch energy, per element."""
+    """Tangent of the shear-stretch energy, per element."""
     frame = directors(motion.orientation)
     edges, inverse = motion.edges, law.inverse_lengths
     local = to_material(frame, edges)
@@ -81,7 +82,7 @@ def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
 
 
 def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
-    """The tangent of the bend-twist energy, per joint."""
+    """Tangent of the bend-twist energy, per joint."""
     rotation, coupling = joint_rotations(motion.orientation)
     w, x, y, z = motion.orientation
     after = (w[1:], x[1:], y[1:], z[1:])
@@ -92,12 +93,12 @@ def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
 def turned_joint(
     after: Quaternion, rotation: Vec3, coupling: Array, stiffness: Vec3, moment: Vec3
 ) -> JointTangent:
-    """The tangent of a joint, given its state in the material frame after it.
+    """Tangent of a joint, given its state in the material frame after it.
 
     Args:
         after: Orientation of the element after the joint.
         rotation: Rotation vector of the joint [rad].
-        coupling: Its coupling coefficient, see `rotations.rotation_log_and_coupling`.
+        coupling: Coupling coefficient, see `rotations.rotation_log_and_coupling`.
         stiffness: Bend-twist stiffness over joint length [N m].
         moment: Derivative of the joint's energy by its rotation vector [N m].
     """
@@ -108,7 +109,7 @@ def turned_joint(
     couple = vectors.add(
         vectors.add(tau, vectors.scale(-0.5, bent)), vectors.scale(coupling, twice)
     )
-    # d(J^-T tau)/dphi at fixed tau: of phi x tau, of phi x (phi x tau), of c.
+    # d(J^-T tau)/dphi at fixed tau: terms of phi x tau, of phi x (phi x tau), and of c.
     slope = 2 * _coupling_slope(vectors.dot(phi, phi), coupling)
     aligned = vectors.dot(phi, tau)
     bending = add(skew(bent), subtract(outer(tau, phi), scaled_identity(aligned)))
@@ -122,10 +123,10 @@ def turned_joint(
 
 
 def times_inverse(matrix: Matrix, rotation: Vec3, coupling: Array) -> Matrix:
-    r"""A matrix times $J^{-1} = 1 + \frac12[\phi]_\times + c[\phi]_\times^2$.
+    r"""Product of a matrix and $J^{-1} = 1 + \frac12[\phi]_\times + c[\phi]_\times^2$.
 
-    This is how a rotation vector changes when its rotation is turned on, in the frame
-    it leads to: $\log(e^{\phi} e^{\psi}) = \phi + J^{-1}\psi + O(\psi^2)$.
+    The latter is the derivative of a rotation vector when its rotation is continued, in
+    the frame after it: $\log(e^{\phi} e^{\psi}) = \phi + J^{-1}\psi + O(\psi^2)$.
     """
 
     def one(row: Vec3) -> Vec3:
@@ -140,7 +141,7 @@ def _coupling_slope(squared_angle: Array, coupling: Array) -> Array:
     r"""Derivative of the coupling coefficient by the square of the angle.
 
     The closed form loses digits as $\epsilon/\theta^2$, but is multiplied by
-    $\theta^3$; the series takes over where even that would be felt.
+    $\theta^3$. The series is used where even that error would matter.
     """
     small = squared_angle < 1e-3
     series = 1 / 720 + squared_angle / 15120

@@ -7,10 +7,10 @@ $$\sigma = R^T \Delta x / \hat\ell - e_3, \qquad \kappa = \phi / \hat D,$$
 $$W = \tfrac12 \sum \hat\ell\, (\sigma-\sigma_0)\cdot S(\sigma-\sigma_0)
     + \tfrac12 \sum \hat D\, (\kappa-\kappa_0)\cdot B(\kappa-\kappa_0).$$
 
-Internal loads are minus the exact gradient of $W$, in closed form, so the discrete
-rod conserves energy (to the order of the integrator), momentum and angular momentum
-(to round-off), and stays bounded under loads that make laws without a potential run
-away.
+Internal loads are the exact negative gradient of $W$, in closed form. The discrete rod
+therefore conserves energy (to the order of the integrator), and momentum and angular
+momentum (to round-off). It stays bounded under loads that make laws without a potential
+diverge.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class ElasticLaw:
     """Constants of the internal loads of a rod, computed once per call."""
 
     inverse_lengths: Array
-    """One over the rest length, per element [1/m]."""
+    """Inverse rest length, per element [1/m]."""
     shear_stretch: Vec3
     """Shear and axial stiffness, per element [N]."""
     joint: Vec3
@@ -52,7 +52,7 @@ class ElasticLaw:
 
 
 def elastic_law(rod: Rod) -> ElasticLaw:
-    """Prepares the constants of the internal loads."""
+    """Computes the constants of the internal loads."""
     joint_lengths = rod.joint_lengths
     return ElasticLaw(
         inverse_lengths=1 / rod.rest_lengths,
@@ -97,7 +97,7 @@ def joint_couples(rotation: Vec3, coupling: Array, moment: Vec3) -> tuple[Vec3, 
 
 
 def internal_loads(law: ElasticLaw, motion: Motion) -> Loads:
-    """Minus the gradient of the stored energy.
+    """Negative gradient of the stored energy.
 
     Returns:
         Forces on nodes (world frame) [N], couples on elements (material frame) [N m].
@@ -125,7 +125,7 @@ def strains(
     """Shear-stretch strain and curvature of a state.
 
     Returns:
-        Shear-stretch strain per element, material frame [1] (zero when straight and
+        Shear-stretch strain per element, material frame [1] (zero if straight and
         unstretched), and curvature and twist per joint, material frame [1/m].
     """
     check_state(rod, state)

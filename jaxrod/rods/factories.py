@@ -1,4 +1,4 @@
-"""Making rods: host-side factories that validate and speak SI."""
+"""Factories of rods: they run on the host, check their arguments and take SI units."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from jaxrod.validation import (
 )
 
 MOST_ELEMENTS = 1_000_000
-"""More are taken for a mistake."""
+"""Largest number of elements; more are taken for a mistake."""
 ROUNDED = 0.01
-"""Places that the type tells apart may be this share of an element apart at most."""
+"""Largest spacing of floating-point positions, as a fraction of an element's length."""
 
 
 def straight_rod(
@@ -60,32 +60,32 @@ def straight_rod(
         n_elements: Number of elements, at least 2.
         length: Rest length [m].
         radius: Radius [m]: one number, one per element `(n,)`, or the pair `(2,)` of
-            base and tip radius, between which it varies linearly; for 2 elements, of
-            which a pair could be either, one number only.
+            base and tip radius, between which it varies linearly. With 2 elements a
+            pair could mean either, so one number only.
         section: Shape of the sections instead of a radius: `circle`, `tube`,
             `rectangle` or `ellipse`.
         density: Mass density [kg/m^3], one number or one per element.
         youngs_modulus: Young's modulus [Pa], one number or one per element.
         shear_modulus: Shear modulus [Pa]; by default
             `youngs_modulus / (2 (1 + poisson_ratio))`.
-        poisson_ratio: Poisson's ratio [1], used when no shear modulus is given.
+        poisson_ratio: Poisson's ratio [1], used if no shear modulus is given.
         shear_correction: Timoshenko's shear correction factor [1]; by default that of
-            the section, 27/28 of a circle.
-        joint_mean: How joints get their stiffness from two elements: "arithmetic", the
-            mean, as in PyElastica; "series", as springs one after the other, better
-            where materials change by more than a few times.
+            the section, 27/28 for a circle.
+        joint_mean: Mean of two elements' stiffnesses at their joint: "arithmetic", as
+            in PyElastica; or "series", that of springs in series, which is better
+            if materials change by more than a few times.
         start: Position of the first node [m].
         direction: Direction from first to last node; any length but zero.
-        normal: Direction of d1; its part along `direction` is removed. By default
-            a world axis perpendicular or nearly so.
+        normal: Direction of d1; its component along `direction` is removed. By default
+            a world axis perpendicular to it or nearly so.
         dtype: float32 or float64; by default JAX's default.
 
     Returns:
         The rod and its state.
 
     Raises:
-        ValueError: If an argument is out of range or does not fit, or the type cannot
-            hold it or what follows from it (masses and stiffnesses of elements).
+        ValueError: If an argument is out of range or does not fit, or if the dtype
+            cannot hold it or derived numbers (masses and stiffnesses of elements).
     """
     n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
     dtype = check_dtype(dtype)
@@ -136,26 +136,26 @@ def rod_along(
 
     Args:
         positions: Nodes of the rest shape `(3, n + 1)` [m], n at least 2.
-        radius: As in `straight_rod`.
-        section: As in `straight_rod`.
-        density: As in `straight_rod`.
-        youngs_modulus: As in `straight_rod`.
-        shear_modulus: As in `straight_rod`.
-        poisson_ratio: As in `straight_rod`.
-        shear_correction: As in `straight_rod`.
-        joint_mean: As in `straight_rod`.
+        radius: Radius, as in `straight_rod`.
+        section: Shape of the sections, as in `straight_rod`.
+        density: Mass density, as in `straight_rod`.
+        youngs_modulus: Young's modulus, as in `straight_rod`.
+        shear_modulus: Shear modulus, as in `straight_rod`.
+        poisson_ratio: Poisson's ratio, as in `straight_rod`.
+        shear_correction: Shear correction factor, as in `straight_rod`.
+        joint_mean: Mean of stiffnesses at joints, as in `straight_rod`.
         normal: Direction of d1 of the first element; see `straight_rod`.
-        directors: Material frames `(3, 3, n)`, `[i, j]` being world component j of
-            director i, orthonormal and right-handed, d3 along the rod to 10 degrees;
-            instead of `normal`.
+        directors: Material frames `(3, 3, n)`, instead of `normal`. Entry `[i, j]` is
+            world component j of director i. They are orthonormal and right-handed, with
+            d3 along the rod to 10 degrees.
         dtype: float32 or float64; by default JAX's default.
 
     Returns:
         The rod and its state.
 
     Raises:
-        ValueError: If an argument is out of range or does not fit, or the type cannot
-            hold it or what follows from it (masses and stiffnesses of elements).
+        ValueError: If an argument is out of range or does not fit, or if the dtype
+            cannot hold it or derived numbers (masses and stiffnesses of elements).
     """
     nodes = numeric("positions", positions, "m")
     if nodes.ndim != 2 or nodes.shape[0] != 3 or nodes.shape[1] < 3:
@@ -246,7 +246,7 @@ def _build(
 def _check_resolved(
     name: str, positions: np.ndarray, rest_lengths: np.ndarray, dtype: Any
 ) -> None:
-    """Raises if elements are not long beside the rounding of their nodes' positions."""
+    """Raises if elements are not much longer than the round-off of node positions."""
     farthest = np.max(np.abs(positions)).astype(dtype)
     shortest, apart = np.min(rest_lengths), np.spacing(farthest)
     if apart > ROUNDED * shortest:
@@ -258,12 +258,12 @@ def _check_resolved(
 
 
 def unstressed(rod: Rod, state: RodState) -> Rod:
-    """A copy of the rod for which the given state is free of stress.
+    """Copy of the rod for which the given state is free of stress.
 
-    Sets rest strains and rest curvatures, not rest lengths, to those of the state.
+    Sets rest strains and rest curvatures, but not rest lengths, to those of the state.
 
     Raises:
-        TypeError: If they are not a rod and a state.
+        TypeError: If the arguments are not a rod and a state.
         ValueError: If the state is not of that rod.
     """
     check_state(rod, state)

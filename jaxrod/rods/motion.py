@@ -1,4 +1,4 @@
-"""The state taken apart into component arrays, as the inside of a step sees it."""
+"""The state unpacked into component arrays, as used inside a step."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from jaxrod.structure import pytree, static
 class Motion:
     """Positions, orientations and their rates as tuples of component arrays.
 
-    The integrators carry it from step to step, and effects see it. Taking the
-    state apart once per call instead of once per step keeps stacking and slicing
+    The integrators carry it from step to step, and effects see it. Unpacking the
+    state once per call instead of once per step keeps stacking and slicing
     out of the compiled loop.
     """
 
@@ -50,7 +50,7 @@ class Motion:
     velocity: Vec3
     """Node velocities, world frame [m/s]."""
     spin: Vec3
-    """Rotation rate of the elements, in the scene's own variable.
+    """Rotation rate of the elements, in the law's own variable.
 
     Consistent mode: angular momentum, world frame [kg m^2/s]. PyElastica mode:
     angular velocity, material frame [rad/s].
@@ -89,12 +89,12 @@ class Motion:
 
     @property
     def at_rest(self) -> Motion:
-        """The same configuration without its rates."""
+        """The same configuration with zero rates."""
         still = jax.tree.map(jnp.zeros_like, (self.velocity, self.spin))
         return replace(self, velocity=still[0], spin=still[1])
 
     def moved(self, dt: Array) -> Motion:
-        """The nodes moved at their velocities for a time `dt` [s].
+        """Motion with the nodes moved at their velocities for a time `dt` [s].
 
         With a remainder this is Kahan's compensated sum.
         """
@@ -108,7 +108,7 @@ class Motion:
 
 
 def motion_of(state: RodState) -> Motion:
-    """A state taken apart; its spin is the angular momentum."""
+    """Unpacks a state; the motion's spin is the angular momentum."""
     return Motion(
         position=split(state.positions),
         orientation=split_quaternion(state.orientations),
@@ -119,7 +119,7 @@ def motion_of(state: RodState) -> Motion:
 
 
 def state_of(motion: Motion) -> RodState:
-    """The state put together again, of a motion whose spin is angular momentum."""
+    """Packs a motion whose spin is angular momentum into a state."""
     return RodState(
         positions=join(motion.position),
         orientations=join_quaternion(motion.orientation),
@@ -131,7 +131,7 @@ def state_of(motion: Motion) -> RodState:
 
 @pytree
 class Loads:
-    """Forces on nodes and couples on elements. `None` where there are none."""
+    """Forces on nodes and couples on elements; `None` if there are none."""
 
     forces: Vec3 | None = None
     """Forces on the `n + 1` nodes, world frame [N]."""
@@ -139,7 +139,7 @@ class Loads:
     """Couples on the `n` elements, material frame [N m]."""
 
     if TYPE_CHECKING:
-        # For type checkers, which do not count what `tuple(...)` holds.
+        # For type checkers, which do not count the entries of `tuple(...)`.
         def __init__(
             self,
             forces: tuple[Array, ...] | None = None,

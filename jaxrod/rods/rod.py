@@ -1,4 +1,4 @@
-"""A rod: its traced parameters, its state, and what is derived from them.
+"""A rod: its traced parameters, its state, and quantities derived from them.
 
 Layout, for a rod of `n` elements: `n + 1` nodes carry positions, velocities and
 mass; `n` elements (segments between nodes) carry orientations, angular momenta and
@@ -31,8 +31,8 @@ class Rod:
     identification. Per-length quantities (density, inertia, stiffness) do not change
     when the discretisation does.
 
-    What is derived from rods that are stacked, as `vmap` over a factory makes them, is
-    stacked as well: each rod's own, with their leading axes.
+    Quantities derived from stacked rods, as `vmap` over a factory makes them, are
+    stacked, too, with the same leading axes.
     """
 
     rest_lengths: Float[Array, " n"]
@@ -42,8 +42,8 @@ class Rod:
     linear_density: Float[Array, " n"]
     """Mass per rest length [kg/m]."""
     rotary_inertia: Float[Array, "2 n"] | Float[Array, "3 n"]
-    """Rotary inertia per rest length [kg m]: transverse (d1, d2) and polar (d3) of
-    sections alike about d1 and d2; of others about d1, d2 and d3."""
+    """Rotary inertia per rest length [kg m]. For sections with equal inertia about d1
+    and d2: transverse and polar (d3). For others: about d1, d2 and d3."""
     shear_stretch_stiffness: Float[Array, "3 n"]
     """Shear stiffness along d1, d2 and axial stiffness along d3 [N]."""
     bend_twist_stiffness: Float[Array, "3 n"]
@@ -53,7 +53,7 @@ class Rod:
     rest_curvatures: Float[Array, "3 n-1"]
     """Curvature and twist of the unstressed shape, material frame [1/m]."""
     joint_mean: JointMean = static(default="arithmetic")
-    """How joints get their stiffness from the elements they join."""
+    """Mean by which joints get their stiffness from the two elements they join."""
 
     def __repr__(self) -> str:
         """One line: elements, sizes, material; ranges where they vary."""
@@ -87,14 +87,14 @@ class Rod:
 
     @property
     def is_round(self) -> bool:
-        """Whether sections have one rotary inertia for d1 and d2: structure."""
+        """Whether rotary inertia is the same about d1 and d2; depends on structure."""
         return self.rotary_inertia.shape[-2] == 2
 
     @property
     def inertias(self) -> Float[Array, "*batch 2 n"]:
         """Rotary inertia of each element, transverse and polar [kg m^2].
 
-        Of sections that are not round the smaller transverse one: for bounds.
+        For sections that are not round, the smaller transverse one, for bounds.
         """
         inertias = self.rotary_inertia * self.rest_lengths[..., None, :]
         if self.is_round:
@@ -115,8 +115,8 @@ class Rod:
     def joint_stiffness(self) -> Float[Array, "*batch 3 n-1"]:
         """Bend-twist stiffness at the joints [N m^2].
 
-        The length-weighted mean of the neighbouring elements', as in PyElastica; with
-        `joint_mean="series"` that of springs one after the other.
+        It is the length-weighted mean of the neighbouring elements, as in PyElastica;
+        with `joint_mean="series"` it is that of springs in series.
         """
         if self.joint_mean == "series":
             compliance = self.rest_lengths[..., None, :] / self.bend_twist_stiffness
@@ -135,7 +135,7 @@ class Rod:
 
 @pytree
 class RodState:
-    """State of a rod: all that changes in time, and nothing derived from it."""
+    """State of a rod: everything that changes in time, and nothing derived from it."""
 
     positions: Float[Array, "3 n+1"]
     """Node positions, world frame [m]."""
@@ -149,8 +149,8 @@ class RodState:
     """Accumulated round-off of the positions (Kahan) [m]; `None` unless
     `compensated`."""
     memory: tuple[dict[str, Any], ...] | None = None
-    """Memory of the effects of a scene, see `jaxrod.memory`; `None` without, or as long
-    as it is what the scene begins with."""
+    """Memory of the effects of a scene, see `jaxrod.memory`. `None` if there is none,
+    or while it is the initial memory of the scene."""
 
     def __repr__(self) -> str:
         """One line: elements, tip, largest speed."""
@@ -163,7 +163,7 @@ class RodState:
 
     @property
     def tip(self) -> Float[Array, "*batch 3"]:
-        """Position of the last node [m]; of a rollout, at every record."""
+        """Position of the last node [m]; for a rollout, at every record."""
         return self.positions[..., -1]
 
 
@@ -178,7 +178,7 @@ def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
 def with_angular_velocities(
     rod: Rod, state: RodState, angular_velocities: Numbers
 ) -> RodState:
-    """A copy of the state whose elements spin as given.
+    """Copy of the state with the given angular velocities.
 
     Args:
         rod: The rod, for its inertias.
@@ -187,8 +187,8 @@ def with_angular_velocities(
             [rad/s].
 
     Raises:
-        ValueError: If they are not that many numbers.
-        TypeError: If `rod` or `state` is something else.
+        ValueError: If their shape does not fit the rod.
+        TypeError: If `rod` or `state` is of another type.
     """
     check_state(rod, state)
     given = numeric("angular_velocities", angular_velocities, "rad/s")
@@ -204,15 +204,15 @@ def with_angular_velocities(
 
 
 def compensated(state: RodState) -> RodState:
-    """A copy of the state whose positions are summed with compensation.
+    """Copy of the state whose positions are summed with compensation.
 
-    Every step adds small displacements to large positions, and in float32 the
-    rounding of these sums is what shows in axial forces. Kept in `remainders` and
-    taken account of in the next step and in the strains (Kahan's summation), it is
-    gone, for six operations per node and component. For float32; in float64 rounding
-    is far below what discretisation does.
+    Every step adds small displacements to large positions. In float32 the round-off of
+    these sums dominates the errors of axial forces. Kahan's summation removes it: the
+    round-off is kept in `remainders` and used in the next step and in the strains. That
+    costs six operations per node and component. It is meant for float32; in float64
+    round-off is far below the discretisation error.
 
-    Angular momentum gains nothing: its drift in a free rod is rounding of the loads
+    Angular momentum is not improved: its drift in a free rod is round-off of the loads
     themselves, about `u sqrt(steps)` of the sum of `m |x| |v|` over the nodes, with `u`
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
     """
@@ -221,10 +221,10 @@ def compensated(state: RodState) -> RodState:
 
 
 def check_state(rod: Rod, state: RodState) -> None:
-    """Checks that they are a rod and a state of it.
+    """Checks that the arguments are a rod and a state of it.
 
     Raises:
-        TypeError: If they are something else.
+        TypeError: If they are of other types.
         ValueError: If the state has other numbers of elements and nodes.
     """
     check_kind("rod", rod, Rod)
@@ -243,10 +243,10 @@ def check_one(state: RodState) -> None:
 
 
 def check_size(rod: Rod, state: RodState) -> None:
-    """Checks that a state is one of a scene's rod, whether traced or not.
+    """Checks that a state fits a scene's rod, whether traced or not.
 
     Raises:
-        ValueError: If its numbers of elements and nodes are others.
+        ValueError: If its numbers of elements and nodes differ.
     """
     check_one(state)
     shape = jnp.shape(rod.rest_lengths)

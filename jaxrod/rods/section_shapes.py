@@ -1,8 +1,8 @@
 """Shapes of sections: area, second moments, torsion constant and shear factors.
 
 Dimensions are one number or one per element. Shear factors are those of Kaneko and of
-Hutchinson (J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2 for circles and tubes, 27/28
-and less, and 5/6 of rectangles; an ellipse has the circle's.
+Hutchinson (J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2: for circles and tubes 27/28
+and less, for rectangles 5/6. An ellipse has the circle's.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ CIRCLE = np.float64(27 / 28)
 
 
 _LARGEST = 1e40
-"""Sixth powers of more are no numbers in double precision [m]."""
+"""Largest dimension [m]: sixth powers of larger ones overflow in double precision."""
 
 
 @pytree
 class Section:
-    """A shape of sections; one number each, or one per element."""
+    """A shape of sections; each entry is one number, or one per element."""
 
     area: Any
-    """[m^2]"""
+    """Area [m^2]."""
     second_moments: tuple[Any, Any]
-    """About d1 and d2 [m^4]."""
+    """Second moments of area about d1 and d2 [m^4]."""
     torsion_constant: Any
     """Torsional stiffness over shear modulus [m^4]."""
     shear_factors: tuple[Any, Any]
-    """Along d1 and d2 [1]."""
+    """Shear correction factors along d1 and d2 [1]."""
     radius: Any
-    """For contact, health and drawing: of the circle of the same outline's area [m]."""
+    """Radius of a circle with the area inside the outline; not for mechanics [m]."""
     is_round: bool = static(default=False)
     """Whether it is the same about d1 and d2, whatever its numbers."""
 
@@ -55,13 +55,13 @@ def _dimension(name: str, value: Numbers) -> Any:
 
 
 def circle(radius: Numbers) -> Section:
-    """A full circle.
+    """A solid circle.
 
     Args:
         radius: Radius [m].
 
     Raises:
-        ValueError: If it is not positive.
+        ValueError: If the radius is not positive.
     """
     r = _dimension("radius", radius)
     second = np.pi * r**4 / 4
@@ -78,7 +78,7 @@ def tube(outer_radius: Numbers, inner_radius: Numbers) -> Section:
         inner_radius: Inner radius, smaller [m].
 
     Raises:
-        ValueError: If they are not positive, or the inner one is not smaller.
+        ValueError: If the radii are not positive, or the inner one is not smaller.
     """
     r = _dimension("outer_radius", outer_radius)
     hole = _dimension("inner_radius", inner_radius)
@@ -98,15 +98,15 @@ def rectangle(width: Numbers, height: Numbers) -> Section:
     """A rectangle.
 
     The torsion constant is `a b^3 (1/3 - 0.21 b/a (1 - b^4 / (12 a^4)))` with the
-    longer side a and the shorter b, 0.5 % off at most (Young and Budynas, Roark's
-    Formulas).
+    longer side a and the shorter b; its error is at most 0.5 % (Young and Budynas,
+    Roark's Formulas).
 
     Args:
         width: Side along d1 [m].
         height: Side along d2 [m].
 
     Raises:
-        ValueError: If one is not positive.
+        ValueError: If a side is not positive.
     """
     w, h = _dimension("width", width), _dimension("height", height)
     xp = module_for(w, h)
@@ -132,7 +132,7 @@ def ellipse(half_width: Numbers, half_height: Numbers) -> Section:
         half_height: Semi-axis along d2 [m].
 
     Raises:
-        ValueError: If one is not positive.
+        ValueError: If a semi-axis is not positive.
     """
     a = _dimension("half_width", half_width)
     b = _dimension("half_height", half_height)

@@ -23,7 +23,7 @@ from jaxrod.validation import (
 
 @dataclass(frozen=True)
 class _Words:
-    """Formulas of a section's numbers, for messages."""
+    """Formulas of a section's properties, for messages."""
 
     radius: str
     area: str
@@ -65,30 +65,30 @@ def rod_of_section(
 
     Args:
         n: Number of elements.
-        rest_lengths: Of the elements `(n,)`, checked [m].
-        radius: Of round sections: one number, one per element, or those of base and
-            tip [m].
-        section: A shape instead.
-        density: One number or one per element [kg/m^3].
-        youngs_modulus: One number or one per element [Pa].
-        shear_modulus: One number or one per element, or `None` for Poisson's ratio
-            to give it [Pa].
-        poisson_ratio: One number or one per element [1].
-        shear_correction: One number or one per element, or `None` for the section's
-            [1].
+        rest_lengths: Rest lengths of the elements `(n,)`, checked [m].
+        radius: Radius of round sections: one number, one per element, or those of base
+            and tip [m].
+        section: A shape instead of a radius.
+        density: Mass density, one number or one per element [kg/m^3].
+        youngs_modulus: Young's modulus, one number or one per element [Pa].
+        shear_modulus: Shear modulus, one number or one per element, or `None` to
+            compute it from Poisson's ratio [Pa].
+        poisson_ratio: Poisson's ratio, one number or one per element [1].
+        shear_correction: Shear correction factor, one number or one per element, or
+            `None` for the section's [1].
         dtype: float32 or float64.
 
     Raises:
-        ValueError: If an argument is out of range, or the type cannot hold it or what
-            follows from it.
-        TypeError: If the section is something else.
+        ValueError: If an argument is out of range, or the dtype cannot hold it or
+            numbers derived from it.
+        TypeError: If the section is of another type.
     """
 
     def per_element(name: str, value: Numbers, unit: str) -> Any:
         return check_array(name, value, [(), (n,)], unit, positive=True, dtype=dtype)
 
     words = _SHAPED if radius is None else _ROUND
-    # Numbers that the type cannot hold are refused in words, not NumPy's warnings.
+    # Numbers that the dtype cannot hold raise our error, without NumPy's warnings.
     with np.errstate(all="ignore"):
         if radius is None:
             check_kind("section", section, Section)
@@ -122,8 +122,9 @@ def rod_of_section(
     with np.errstate(all="ignore"):
         line, squared = densities * area, rest_lengths**2
         twisting = shear * section.torsion_constant
-        # Not stored, but worked out in every step: squares of lengths, masses and
-        # inertias of elements, stiffnesses of joints, squares of frequencies.
+        # Checked because every step computes them, though they are not stored: squares
+        # of lengths, masses and inertias of elements, stiffnesses of joints, squares of
+        # frequencies.
         check("element length^2", squared, "m^2")
         check(f"density {words.area} element length", line * rest_lengths, "kg")
         for formula, moment in zip(words.moments[:axes], moments, strict=False):
@@ -184,7 +185,7 @@ def rod_of_section(
 
 
 def _round(radii: Any) -> Section:
-    """Full circles; their second moments from their areas, as PyElastica has them."""
+    """Solid circles; their second moments are computed from areas, as in PyElastica."""
     area = np.pi * radii**2
     second = area**2 / (4 * np.pi)
     shear = (CIRCLE, CIRCLE)
@@ -201,7 +202,7 @@ def _check_shapes(section: Section, n: int) -> None:
 
 
 def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
-    """One radius, or one for each element; for a pair those of the taper."""
+    """One radius, or one for each element; a pair is expanded to a linear taper."""
     shapes = [(), (2,), (n,)]
     radii = check_array("radius", radius, shapes, "m", positive=True, dtype=dtype)
     if radii.shape != (2,):

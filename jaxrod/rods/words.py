@@ -1,4 +1,4 @@
-"""Rods and states in a line of words: what a notebook or a debugger shows of them."""
+"""Rods and states in one line of words, for notebooks and debuggers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _PREFIXES = {9: "G", 6: "M", 3: "k", 0: ""}
 
 
 def rod_words(rod: Any) -> str:
-    """A rod: its elements, sizes and material, as far as they are known.
+    """Describes a rod: its elements, sizes and material, as far as they are known.
 
-    Nothing is computed on a device. Traced numbers, and leaves that are no arrays at
-    all (JAX makes such rods while it transforms them), are left out. Of batches and of
+    Nothing is computed on a device. Traced numbers, and leaves that are not arrays
+    (JAX makes such rods while it transforms them), are left out. For batches and for
     rods that vary along their length the range is given. Young's modulus and density
-    are those of a solid round section with the axial stiffness and mass that it has.
+    are those of a solid round section with the same axial stiffness and mass.
     """
     lengths, radii = _known(rod.rest_lengths), _known(rod.radii)
     words = [_elements(rod.rest_lengths)]
@@ -36,7 +36,7 @@ def rod_words(rod: Any) -> str:
 
 
 def state_words(state: Any) -> str:
-    """A state: its elements, where its tip is, how fast its fastest node moves."""
+    """Describes a state: its elements, tip position, and speed of the fastest node."""
     positions, velocities = _known(state.positions), _known(state.velocities)
     words = [_elements(state.orientations)]
     if positions is not None and positions.ndim == 2:
@@ -49,7 +49,7 @@ def state_words(state: Any) -> str:
 
 
 def scene_words(scene: Any) -> str:
-    """A scene: its rod, its effects by their classes, its method."""
+    """Describes a scene: its rod, its effects by their classes, its method."""
     names = [type(effect).__name__ for effect in _listed(scene.effects)]
     shown = [
         f"{names.count(name)} {name}" if names.count(name) > 1 else name
@@ -62,11 +62,11 @@ def scene_words(scene: Any) -> str:
 
 
 def or_fields(words: Any, thing: Any) -> str:
-    """The words; what cannot be put into them is named by its class alone."""
+    """Words for a thing; its class name alone if they cannot be made."""
     try:
         return words(thing)
     except Exception:
-        # Whoever prints a pytree is often looking for a fault already.
+        # Pytrees are often printed when something is already wrong.
         return f"{type(thing).__name__}(...)"
 
 
@@ -75,7 +75,7 @@ def _listed(effects: Any) -> tuple[Any, ...]:
 
 
 def _known(leaf: Any) -> np.ndarray | None:
-    """The numbers of a leaf, if it has any that can be read here and now."""
+    """Numbers of a leaf; `None` if it has none that can be read here and now."""
     import jax
 
     if isinstance(leaf, jax.core.Tracer) or not isinstance(
@@ -96,7 +96,7 @@ def _elements(leaf: Any) -> str:
 
 
 def _kind(leaf: Any, axes: int) -> list[str]:
-    """Type, shape of the batch, and whether it is traced."""
+    """Shape of the batch, dtype, and whether it is traced."""
     import jax
 
     words = []
@@ -111,7 +111,7 @@ def _kind(leaf: Any, axes: int) -> list[str]:
 
 
 def _range(values: np.ndarray, unit: str, prefixed: bool = True) -> str:
-    """One number, or the least and the largest, with a unit."""
+    """One number, or the smallest and the largest, with a unit."""
     low, high = float(np.min(values)), float(np.max(values))
     if not (math.isfinite(low) and math.isfinite(high)):
         return f"not finite {unit}"
