@@ -1,1 +1,1 @@
-"""Questions to ask of a scene: stable step, frequencies, health."""
+"""Analysis of a scene: stable step, frequencies, health."""

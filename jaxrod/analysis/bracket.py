@@ -1,8 +1,8 @@
-"""A bracket of the place where a falling function is zero, and how it is narrowed.
+"""A bracket of the zero of a decreasing function, and its narrowing.
 
-Chandrupatla's method: inverse quadratic interpolation through the last three places
-where it can be trusted, else halving. One value of the function for each narrowing, and
-no derivative.
+Chandrupatla's method: inverse quadratic interpolation through the last three places if
+it can be trusted, else bisection. It takes one function value per narrowing, and no
+derivative.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from jaxrod.structure import pytree
 
 @pytree
 class Bracket:
-    """Two places between which a falling function is zero, and the next to evaluate."""
+    """Two places around the zero of a decreasing function, and the next to evaluate."""
 
     place: Float[Array, ""]
-    """The place to evaluate next."""
+    """Place to evaluate next."""
     last: tuple[Array, Array]
-    """The place evaluated last, and the value there."""
+    """Place evaluated last, and the value there."""
     other: tuple[Array, Array]
-    """The other end, and the value there, of opposite sign."""
+    """Other end of the bracket, and the value there, of opposite sign."""
     former: tuple[Array, Array]
-    """A former end, and the value there."""
+    """Former end of the bracket, and the value there."""
 
     @staticmethod
     def between(lower: Array, upper: Array) -> Bracket:
-        """A bracket of two places at which nothing has been evaluated."""
-        # Guessed values of a function that falls like a hyperbolic tangent:
-        # only their signs have to be right.
+        """Bracket of two places at which nothing has been evaluated."""
+        # Guessed values of a function that decreases like a hyperbolic tangent: only
+        # their signs must be right.
         guess = jnp.tanh(0.5 * (upper - lower))
         return Bracket(
             0.5 * (lower + upper), (lower, guess), (upper, -guess), (upper, -guess)
@@ -39,20 +39,20 @@ class Bracket:
 
     @property
     def width(self) -> Float[Array, ""]:
-        """Distance of the ends."""
+        """Distance between the ends."""
         return jnp.abs(self.other[0] - self.last[0])
 
     @property
     def lower(self) -> Float[Array, ""]:
-        """The end at which the function is not negative."""
+        """End at which the function is not negative."""
         return jnp.minimum(self.last[0], self.other[0])
 
     def narrowed(self, value: Array, shift: float) -> Bracket:
-        """The bracket once the value at its `place` is known.
+        """Bracket after the value at its `place` is known.
 
         Args:
             value: Value of the function there.
-            shift: Least distance of the next place from either end.
+            shift: Smallest distance of the next place from either end.
         """
         same = (value >= 0) == (self.last[1] >= 0)
         last = self.place, value

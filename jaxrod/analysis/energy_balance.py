@@ -1,12 +1,12 @@
 r"""Energy balance: the bound on the growth of a rod's total energy between two states.
 
-By twice the work done; by a share of what the rod has, its kinetic energy, its elastic
-energy and that of held ends and of contact, none of which depends on the origin of
-coordinates; and by rounding. In each of $N$ steps of size $h$ coordinates are rounded
-to multiples of $\delta$, which shakes the springs between nodes, and velocities are
-rounded too; motion slower than $\delta/h$ is lost. The stiffness of the elements being
-$k$, the masses of the nodes $m$, the kinetic energy $T$ and the unit round-off
-$\epsilon$, that may come to
+The bound is the sum of three terms. The first is twice the work done. The second is a
+fraction of the rod's own energy: kinetic, elastic, and that of held ends and of
+contact, none of which depends on the origin of coordinates. The third is round-off. In
+each of $N$ steps of size $h$ coordinates are rounded to multiples of $\delta$, which
+shakes the springs between nodes. Velocities are rounded, too, and motion slower than
+$\delta/h$ is lost. With the stiffness $k$ of the elements, the masses $m$ of the nodes,
+the kinetic energy $T$ and the unit round-off $\epsilon$, that may amount to
 
 $$N\left(\tfrac16\sum k\,\delta^2 + \epsilon T\right)
   + \tfrac12\sum m\,(\delta/h)^2$$
@@ -31,14 +31,14 @@ from jaxrod.structure import pytree
 
 @pytree
 class EnergyBalance:
-    """A rod's energy at one state against that at an earlier one."""
+    """Energy of a rod in one state, compared with that in an earlier one."""
 
     growth: Float[Array, ""]
     """Growth of the total energy [J]."""
     own: Float[Array, ""]
     """Energy independent of place: kinetic, elastic, of held ends, of contact [J]."""
     rounding: Float[Array, ""]
-    """Largest growth that rounding can account for [J]."""
+    """Largest growth that round-off can explain [J]."""
 
 
 def energy_balance(
@@ -57,7 +57,7 @@ def energy_balance(
         relative: The same, with the velocities that count for the rod's own energy.
         before: Total energy earlier [J].
         dt: Step size [s].
-        n_steps: Steps since then.
+        n_steps: Number of steps since then.
     """
     rod = scene.rod
     elastic, kinetic = stored_energy(rod, state), kinetic_energy(rod, state)
@@ -71,7 +71,7 @@ def energy_balance(
     unit = jnp.finfo(total.dtype).eps
     shaken, lost = _rounding_of_positions(rod, state, dt)
     per_step = shaken + unit * kinetic
-    # Weights on both sides of the origin cancel in the total, not in its rounding.
+    # Weights on both sides of the origin cancel in the total, but not in its round-off.
     weights = jnp.sum(rod.shear_stretch_stiffness[2] * rod.rest_lengths)
     sums = unit * (8 * (jnp.abs(total) + jnp.abs(before)) + weights)
     return EnergyBalance(total - before, own, n_steps * per_step + lost + sums)
@@ -80,7 +80,7 @@ def energy_balance(
 def _rounding_of_positions(
     rod: Rod, state: RodState, dt: Array
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Elastic energy added by rounding in a step, and kinetic energy lost to it."""
+    """Elastic energy added by round-off in a step, and kinetic energy lost to it."""
     spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
     stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
     shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12

@@ -1,12 +1,12 @@
-r"""The highest frequency of small motions about a configuration, measured.
+r"""Measured highest frequency of small motions about a configuration.
 
-With $z$ a small displacement of nodes and turn of elements, loads change by $-Kz$ and
-$\omega^2$ are the eigenvalues of $M^{-1}K$. The largest is found from the action of
-$K$ alone, a forward-mode derivative of the loads: a Krylov space is built from a
-random motion (Lanczos' method; Arnoldi's, because PyElastica's loads have no
-potential), and the largest eigenvalue in it taken. Nothing dense is formed but the
-small matrix of that space. All that acts on the rod is included: the law of the
-scene's mode at this deformation, walls, user-defined effects.
+With $z$ a small displacement of nodes and rotation of elements, loads change by $-Kz$,
+and $\omega^2$ are the eigenvalues of $M^{-1}K$. The largest is found from the action of
+$K$ alone, a forward-mode derivative of the loads. A Krylov space is built from a random
+motion (Lanczos' method; Arnoldi's, because PyElastica's loads have no potential), and
+the largest eigenvalue in it is taken. The only dense matrix is the small one of that
+space. All loads on the rod are included: the scene's elastic law at this deformation,
+walls, user-defined effects.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ class Vibration:
     angular_frequency: Float[Array, ""]
     """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
-    """Share of the kinetic energy in each node's motion, world frame [1]."""
+    """Fraction of the kinetic energy in each node's motion, world frame [1]."""
     turns: Float[Array, "3 n"]
-    """Share of the kinetic energy in each element's turning, material frame [1]."""
+    """Fraction of the kinetic energy in each element's rotation, material frame [1]."""
 
 
 def highest_frequency(
     scene: Scene, state: RodState, *, size: int = KRYLOV_SIZE
 ) -> Float[Array, ""]:
-    """The highest angular frequency of small undamped motions about a state.
+    """Highest angular frequency of small undamped motions about a state.
 
-    An explicit step `h` is stable where `h * highest_frequency < 2`. Velocities and
-    damping do not enter. Costs about as much as `size` steps; works inside jit and
-    vmap. `stable_dt(scene, state=state)` uses it and adds what damping does.
+    An explicit step `h` is stable if `h * highest_frequency < 2`. Velocities and
+    damping do not enter. It costs about as much as `size` steps and works inside jit
+    and vmap. `stable_dt(scene, state=state)` uses it and adds the effect of damping.
 
     Args:
         scene: The scene.
         state: The configuration, deformed or not, in equilibrium or not.
-        size: Dimension of the space in which the motion is sought, at least 2. With
-            the default the error is below one per cent.
+        size: Dimension of the Krylov space, at least 2. With the default the error is
+            below one per cent.
 
     Returns:
         The angular frequency [rad/s].
@@ -83,7 +83,7 @@ def _measure(scene: Scene, state: RodState, size: int) -> Vibration:
 
 
 def no_damping(rod: Rod) -> InertiaFactors:
-    """The factors one, of every node mass and every rotary inertia."""
+    """Factors of one for every node mass and every rotary inertia."""
     return jnp.ones_like(rod.node_masses), jnp.ones_like(rod.rest_lengths)
 
 
@@ -93,12 +93,12 @@ def fastest_vibration(
     inertia_factors: InertiaFactors,
     size: int = KRYLOV_SIZE,
 ) -> Vibration:
-    """The fastest motion if inertias were multiplied by the given factors.
+    """Fastest motion with inertias multiplied by the given factors.
 
     Args:
         scene: The scene.
         state: The configuration.
-        inertia_factors: Of node masses `(n + 1,)` and of rotary inertias `(n,)`.
+        inertia_factors: Factors of node masses `(n + 1,)` and rotary inertias `(n,)`.
         size: Dimension of the Krylov space.
     """
     n = scene.rod.n_elements
@@ -122,10 +122,10 @@ def linearised(
     state: RodState,
     inertia_factors: InertiaFactors,
 ) -> Callable[[Array], Array]:
-    """The map from motions to minus their accelerations.
+    """Map from motions to their negative accelerations.
 
-    In coordinates scaled by the root of inertia, in which it is symmetric where the
-    loads have a potential: node displacements first, then turns.
+    In coordinates scaled by the square root of inertia, in which it is symmetric if the
+    loads have a potential: node displacements first, then rotations.
     """
     rod = scene.rod
     n = rod.n_elements
@@ -151,7 +151,7 @@ def linearised(
         assert loads.forces is not None and loads.couples is not None
         couples = loads.couples
         if scene.method.law == "consistent":
-            # The change of couples in turning frames, made symmetric.
+            # Change of couples in rotating frames, symmetrised.
             fixed = vectors.split(lax.stop_gradient(vectors.join(couples)))
             half = vectors.scale(0.5, vectors.cross(turn, fixed))
             couples = vectors.add(couples, half)
@@ -159,14 +159,14 @@ def linearised(
 
     _, change = jax.linearize(loads_after, jnp.zeros_like(root))
 
-    # Constraints stop some freedoms altogether and leave the others.
+    # Constraints hold some degrees of freedom completely and leave the others.
     nodes, (x, y, z) = freedoms(scene, still)
     about_axis = z if scene.method.twist else jnp.zeros_like(z)
     free = jnp.concatenate([*nodes, x, y, about_axis]) / root
 
     def apply(motion: Array) -> Array:
-        # Barriers: without, XLA's CPU compiler works for minutes on fusing the map
-        # with what surrounds it.
+        # Barriers: without them XLA's CPU compiler takes minutes to fuse the map with
+        # the surrounding code.
         motion = lax.optimization_barrier(free * lax.optimization_barrier(motion))
         return -free * lax.optimization_barrier(change(motion))
 
@@ -174,7 +174,7 @@ def linearised(
 
 
 def _loads(scene: Scene, motion: Motion) -> Loads:
-    """All loads of the scene's mode; couples such that inertia times turn follows."""
+    """All loads under the scene's law, with couples equal to inertia times rotation."""
     if scene.method.law == "consistent":
         internal = internal_loads(elastic_law(scene.rod), motion)
     else:
@@ -194,9 +194,9 @@ def _krylov(
 ) -> tuple[Float[Array, "size motions"], Float[Array, "size size"]]:
     """Orthonormal basis of `start, A start, A A start, ...`, and A within it.
 
-    When the space is exhausted the remaining vectors are zero.
+    Once the space is exhausted the remaining vectors are zero.
     """
-    # Below this share of a vector what is left of it is rounding.
+    # Below this fraction of a vector its remainder is round-off.
     negligible = 100 * jnp.finfo(start.dtype).eps
 
     def extend(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -204,7 +204,7 @@ def _krylov(
         image = apply(basis[k])
         whole = _norm(image)
         column = jnp.zeros_like(projected[:, 0])
-        # Orthogonalised twice, which is as good as it gets.
+        # Orthogonalised twice, which suffices for full precision.
         for _ in range(2):
             overlaps = jnp.sum(basis * image[None, :], axis=1)
             image = image - jnp.sum(overlaps[:, None] * basis, axis=0)
@@ -223,7 +223,7 @@ def _krylov(
 def _largest_eigenvalue(matrix: Array) -> tuple[Array, Array]:
     """Largest modulus of an eigenvalue of a small matrix, and its eigenvector.
 
-    By squaring the matrix again and again: works for any matrix on any device.
+    It is computed by repeated squaring, which works for any matrix on any device.
     """
 
     def square(k: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -236,14 +236,14 @@ def _largest_eigenvalue(matrix: Array) -> tuple[Array, Array]:
     power, logarithm = lax.fori_loop(
         0, _SQUARINGS, square, (matrix / size, jnp.zeros_like(size))
     )
-    # A power of high order maps everything onto the eigenvector.
+    # A high power of the matrix maps everything onto the eigenvector.
     column = jnp.argmax(jnp.sum(power**2, axis=0))
     return size * jnp.exp(logarithm), power[:, column]
 
 
 def _norm(a: Array) -> Array:
-    # In units of the largest: the squares of squared frequencies of small, stiff rods
-    # are beyond float32.
+    # In units of the largest entry: for small, stiff rods the squares of squared
+    # frequencies overflow float32.
     unit = lax.stop_gradient(jnp.max(jnp.abs(a)))
     unit = jnp.where(unit > 0, unit, 1)
     return unit * jnp.sqrt(jnp.sum((a / unit) ** 2))

@@ -1,21 +1,20 @@
-"""Numerical health of a state: is it one a simulation can be trusted to continue?
+"""Numerical health of a state: whether a simulation can be trusted to continue from it.
 
-Inside a compiled program nothing raises: failure is data. Look at the flags after an
-`advance` and go on from the last state that was sound:
+Inside a compiled program nothing raises: failure is data. Check the flags after an
+`advance` and continue from the last sound state:
 
     after = jaxrod.advance(scene, before, dt, 7)
     flagged = jaxrod.health(scene, after, dt).flagged
     state = jaxrod.freeze(flagged, before, after)
 
-Nothing is clamped or repaired. Under `vmap` every rod of a batch has flags of its own,
-and one does not affect the others.
+Nothing is clamped or repaired. Under `vmap` every rod of a batch has its own flags, and
+one does not affect the others.
 
 The answer does not depend on the rod's place and orientation, nor on the units, up to
-the rounding of its coordinates. Far from the origin rounding dominates: a coordinate
-near 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64), which strains an
-element of 5 cm by a thousandth, shakes the rod a little in every step
-(`jaxrod.analysis.energy_balance` says by how much) and loses motion of less than that
-per step.
+round-off of its coordinates. Far from the origin round-off dominates: a coordinate near
+1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64). That strains an element
+of 5 cm by a thousandth, shakes the rod a little in every step (by an amount given in
+`jaxrod.analysis.energy_balance`), and loses motion of less than that per step.
 """
 
 from __future__ import annotations
@@ -54,26 +53,26 @@ class HealthLimits:
     """Limits beyond which a state is flagged."""
 
     smallest_stretch: Float[Array, ""] | float = 0.3
-    """Extent of an element along its axis over that at rest [1]. Negative where it
-    points against its axis d3."""
+    """Smallest extent of an element along its axis d3, over that at rest [1]. It is
+    negative if the element points against d3."""
     largest_stretch: Float[Array, ""] | float = 2.5
-    """Length of an element over that at rest [1]."""
+    """Largest length of an element, over that at rest [1]."""
     largest_joint_angle: Float[Array, ""] | float = 2.5
-    """Change of the rotation vector between neighbouring elements from rest [rad]; no
-    measure of rotation goes past pi."""
+    """Largest change of the rotation vector between neighbouring elements from rest
+    [rad]; no measure of rotation exceeds pi."""
     largest_travel: Float[Array, ""] | float = 0.5
-    """Distance a node moves in one step, over the radius [1]."""
+    """Largest distance that a node moves in one step, over the radius [1]."""
     largest_turn: Float[Array, ""] | float = 1.0
-    """Angle an element turns in one step [rad]."""
+    """Largest angle that an element rotates in one step [rad]."""
     largest_norm_error: Float[Array, ""] | float = 1e-3
-    """Square of the norm of a quaternion, less one [1]."""
+    """Largest deviation of the squared norm of a quaternion from one [1]."""
     largest_violation: Float[Array, ""] | float = 1.0
-    """Violation of what an effect ties the rod to, see `Effect.violation` [1]: over the
+    """Largest violation of an effect's constraint, see `Effect.violation` [1]: over the
     radius, the distance of a held end from its place and the depth of a node in a
     body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
-    """Energy from nowhere over what the rod has, kinetic and elastic [1]. Sound steps
-    gain up to 0.003 of that in free motion, up to 0.1 in hard impacts."""
+    """Largest unexplained energy, over the rod's own kinetic and elastic energy [1].
+    Sound steps gain up to 0.003 of that in free motion, up to 0.1 in hard impacts."""
 
 
 @pytree
@@ -81,21 +80,21 @@ class Health:
     """Flags and the measured values behind them, for one state."""
 
     finite: Bool[Array, ""]
-    """Every number of the state is finite, and so are their squares."""
+    """Whether every number of the state and its square are finite."""
     stretch: Bool[Array, ""]
     """Flag: an element is too short or too long, sheared flat or inside out."""
     joint_angle: Bool[Array, ""]
     """Flag: neighbouring elements are bent too far from their rest shape."""
     speed: Bool[Array, ""]
-    """Flag: a node crosses more than half a radius per step."""
+    """Flag: a node moves more than half a radius per step."""
     spin: Bool[Array, ""]
-    """Flag: an element turns more than a radian per step."""
+    """Flag: an element rotates more than a radian per step."""
     norm: Bool[Array, ""]
     """Flag: an orientation is not a unit quaternion."""
     violation: Bool[Array, ""]
     """Flag: a held end is off its place, or the rod is deep inside a body."""
     energy: Bool[Array, ""]
-    """Flag: energy grew by more than work and rounding can account for."""
+    """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]
     """Smallest extent of an element along its axis d3 over that at rest [1]."""
     largest_stretch: Float[Array, ""]
@@ -103,18 +102,18 @@ class Health:
     largest_joint_angle: Float[Array, ""]
     """Largest change of a joint's rotation vector from rest [rad]."""
     largest_speed: Float[Array, ""]
-    """Largest speed of a node, relative to the rod's mean motion where nothing holds or
-    touches it [m/s]."""
+    """Largest speed of a node [m/s]; relative to the rod's mean motion if nothing holds
+    or touches it."""
     largest_spin: Float[Array, ""]
     """Largest angular velocity of an element [rad/s]."""
     largest_norm_error: Float[Array, ""]
     """Largest error of the square of a quaternion's norm [1]."""
     largest_violation: Float[Array, ""]
-    """Largest violation of what an effect ties the rod to [1]."""
+    """Largest violation of an effect's constraint [1]."""
     energy_growth: Float[Array, ""]
-    """Growth of the total energy; zero where it is not examined [J]."""
+    """Growth of the total energy; zero if it is not examined [J]."""
     energy_allowed: Float[Array, ""]
-    """Growth that work, rounding and the limit account for [J]."""
+    """Growth that work, round-off and the limit allow [J]."""
 
     @property
     def flagged(self) -> Bool[Array, ""]:
@@ -160,13 +159,13 @@ def health(
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
 ) -> Any:
-    """Examines a state. Cheap; works inside jit and vmap.
+    """Examines a state. It is cheap and works inside jit and vmap.
 
-    Where nothing ties the rod to a place (no held end, no contact), speeds and kinetic
-    energy count relative to its mean motion.
+    If nothing ties the rod to a place (no held end, no contact), speeds and kinetic
+    energy are relative to its mean motion.
 
     Args:
-        scene: The scene, or a system: of that no energy is examined.
+        scene: The scene, or a system, whose energy is not examined.
         state: The state to examine.
         dt: The step size in use [s]. If it is traced and not positive, speed and spin
             are flagged.
@@ -175,7 +174,7 @@ def health(
             examined.
         work_input: Work done on the rod since then by loads without a potential [J].
             Energy may grow by twice as much.
-        n_steps: Steps since then: round-off grows with them
+        n_steps: Number of steps since then: round-off grows with it
             (`jaxrod.analysis.energy_balance`).
 
     Returns:
@@ -207,8 +206,8 @@ def health(
     speed = _largest_norm(vectors.split(relative.velocities))
     spin = _largest_spin(scene.rod, state)
     norm_error = jnp.max(jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1))
-    # Every number of the state is in one of these, which costs less than to look at
-    # them all again.
+    # Every number of the state enters one of these, which is cheaper than checking all
+    # of them again.
     measured = jnp.stack([longest, norm_error, speed, spin])
     finite = jnp.all(jnp.isfinite(measured))
     growth, allowed = zero, zero
@@ -246,8 +245,8 @@ def health(
 def _stretches(rod: Rod, state: RodState) -> tuple[Array, Array]:
     """Smallest extent of an element along its axis d3, and largest length.
 
-    Over those at rest. The extent is negative where an element is inside out and zero
-    where it is sheared flat.
+    Both are over those at rest. The extent is negative if an element is inside out and
+    zero if it is sheared flat.
     """
     edges = vectors.inner_difference(vectors.split(state.positions))
     edges = vectors.scale(1 / rod.rest_lengths, edges)
@@ -272,35 +271,36 @@ def _largest_spin(rod: Rod, state: RodState) -> Array:
 
 
 def _violation(scene: Scene, state: RodState) -> Array | None:
-    """The worst of all effects; `None` if none ties the rod to a place."""
+    """Largest violation of all effects; `None` if none ties the rod to a place."""
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
     return functools.reduce(jnp.maximum, worst) if worst else None
 
 
 def _without_mean_motion(rod: Rod, state: RodState) -> RodState:
-    """The state as seen from the nodes' centre of mass."""
+    """State with velocities relative to the nodes' centre of mass."""
     mean = momentum(rod, state) / jnp.sum(rod.node_masses)
     return replace(state, velocities=state.velocities - mean[:, None])
 
 
 def _largest_norm(vector: vectors.Vec3) -> Array:
-    """Largest length of all vectors of a field; differentiable where it is zero."""
+    """Largest length of all vectors of a field; differentiable at zero."""
     square = jnp.max(vectors.dot(vector, vector))
     return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
 
 
 def freeze(flagged: Bool[Array, "*batch"], before: State, after: State) -> State:
-    """The last sound state: `after`, but `before` where a flag rose.
+    """The last sound state: `after`, or `before` where a flag is set.
 
-    A rod that is frozen in every step from its first flag on stays as it was before
-    that flag, bit for bit. Others are not touched.
+    A rod that is frozen in every step after its first flag keeps its state before that
+    flag, bit for bit. Others are not changed.
 
     Args:
-        flagged: From `health`; one for a state, or one for every entry of a batch.
-        before: The state before the steps that were examined: any pytree of arrays
+        flagged: Flags from `health`; one for a state, or one for every entry of a
+            batch.
+        before: State before the steps that were examined: any pytree of arrays
             whose leading axes are those of `flagged`.
-        after: The state after them.
+        after: State after them.
 
     Returns:
         A pytree like both.

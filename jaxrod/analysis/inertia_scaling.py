@@ -1,12 +1,12 @@
 r"""Inertia scaling: larger steps for slender rods.
 
-In a rod much thinner than its elements are long, the fastest motion is the rocking of
-elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$, so an irrelevant mode limits
-the step. Increasing only the transverse rotary inertia slows it; mass and polar
-inertia, which carry axial and torsional waves, stay as they are. Bending frequencies
-change by the square of the inertia's share in them, which stays within the error of the
-discretisation while the enlarged radius of gyration is below that of a sphere as long
-as the element.
+If a rod is much thinner than its elements are long, its fastest motion is the rocking
+of elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$. An irrelevant mode then
+limits the step. Increasing only the transverse rotary inertia slows it; mass and polar
+inertia, which carry axial and torsional waves, do not change. Bending frequencies
+change by the square of the inertia's share in them. That stays within the
+discretisation error while the enlarged radius of gyration is below that of a sphere as
+long as the element.
 """
 
 from __future__ import annotations
@@ -28,41 +28,41 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
 
 SHARE_OF_OTHER_LIMITS = 0.9
-"""Share of the limit of stretch and twist up to which an automatic step goes."""
+"""Largest automatic step, as a fraction of the limit of stretch and twist."""
 _ROUNDS = 200
 
 
 @pytree
 class InertiaScaling:
-    """A scene with enlarged transverse inertia, and what that changed."""
+    """A scene with enlarged transverse inertia, and the resulting changes."""
 
     scene: Scene
-    """The scene, its rod's transverse rotary inertia enlarged."""
+    """The scene with enlarged transverse rotary inertia of its rod."""
     factors: Float[Array, " n"]
     """Enlarged over true transverse rotary inertia, per element [1]."""
     dt_before: Float[Array, ""]
-    """Stability limit of the scene as it was [s]."""
+    """Stability limit of the original scene [s]."""
     dt: Float[Array, ""]
-    """Stability limit now [s]."""
+    """Stability limit of the new scene [s]."""
 
     @property
     def gain(self) -> Float[Array, ""]:
-        """Ratio of the stability limits, now over before [1]."""
+        """Ratio of the new and the original stability limit [1]."""
         return self.dt / self.dt_before
 
 
 def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     """Enlarges the transverse rotary inertia of a scene's rod for larger steps.
 
-    Automatically (without `dt`): as far as it helps, which is until stretch or twist
-    limit the step, but never beyond the radius of gyration of a sphere as long as the
-    element. A rod thicker than its elements are long is left as it is. With `dt`: as
-    far as that step asks for, without regard to the frequencies, whose changes
-    `frequency_changes` gives. Rates of rotational damping act on the enlarged inertia:
-    the couples they stand for grow with it.
+    Without `dt` it is enlarged as far as it helps, that is until stretch or twist limit
+    the step, but never beyond the radius of gyration of a sphere as long as the
+    element. A rod thicker than its elements are long is not changed. With `dt` it is
+    enlarged as far as that step requires, whatever happens to the frequencies;
+    `frequency_changes` gives their changes. Rates of rotational damping act on the
+    enlarged inertia: the couples that they represent grow with it.
 
     Args:
-        scene: The scene; effects and damping are as before. Of a schedule, the bound
+        scene: The scene; effects and damping do not change. For a schedule, the bound
             on its size counts.
         dt: Step size to be made stable [s].
 
@@ -70,7 +70,7 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
         The new scene, with the factors and both stability limits.
 
     Raises:
-        ValueError: If `dt` is above what stretch and twist allow.
+        ValueError: If `dt` is larger than stretch and twist allow.
     """
     check_scene(scene)
     given, scene = scene, scene.at_largest
@@ -101,9 +101,9 @@ def frequency_changes(
     """Relative changes of the lowest natural frequencies by the enlarged inertia.
 
     Args:
-        scaling: From `scale_inertia`.
+        scaling: Result of `scale_inertia`.
         state: The configuration about which the rod vibrates.
-        n_modes: Number of frequencies to compare, without those that are zero.
+        n_modes: Number of nonzero frequencies to compare.
 
     Returns:
         Relative change of each frequency [1], the lowest first.
@@ -113,7 +113,7 @@ def frequency_changes(
     true = _scaled(scaling.scene, 1 / scaling.factors)
     before = natural_frequencies(true, state)
     after = natural_frequencies(scaling.scene, state)
-    # Rigid motions have frequencies of the size of rounding.
+    # Rigid motions have frequencies of the size of round-off.
     eps = float(jnp.finfo(state.positions.dtype).eps)
     moving = before > 10 * np.sqrt(eps) * before[-1]
     return (after[moving] / before[moving] - 1)[:n_modes]
@@ -126,21 +126,21 @@ def _scaled(scene: Scene, factors: Array) -> Scene:
 
 
 def _reasonable(rod: Rod) -> Array:
-    """Factor up to which an element's inertia stays that of a ball of its length."""
+    """Factor up to which an element's inertia is at most that of a ball as long."""
     largest = rod.linear_density * rod.rest_lengths**2 / 4
     return jnp.maximum(largest / jnp.max(rod.rotary_inertia[:-1], axis=0), 1)
 
 
 @jax.jit
 def _other_limit(scene: Scene) -> Array:
-    """The step that stretch and twist allow [s]."""
+    """Step that stretch and twist allow [s]."""
     bounds = frequency_bounds(scene, no_damping(scene.rod))
     return 2 / jnp.max(bounds[1:])
 
 
 @jax.jit
 def _factors(scene: Scene, dt: Array, largest: Array) -> Array:
-    """The smallest factors, up to the largest ones, with which `dt` is stable."""
+    """Smallest factors, up to the largest ones, with which `dt` is stable."""
     eps = jnp.finfo(dt.dtype).eps
     budget = 2 / dt * (1 - 100 * eps)
 
@@ -151,5 +151,5 @@ def _factors(scene: Scene, dt: Array, largest: Array) -> Array:
     def enlarge(_: int, factors: Array) -> Array:
         return jnp.minimum(factors * excess(factors) ** 2, largest)
 
-    # Every round takes the excess away as far as it is the element's own.
+    # Every round removes the part of the excess that is due to the element itself.
     return lax.fori_loop(0, _ROUNDS, enlarge, jnp.ones_like(largest))

@@ -20,10 +20,11 @@ def natural_frequencies(
 ) -> np.ndarray:
     """Angular frequencies of small undamped motions about a state at rest.
 
-    From the dense eigenvalue problem of the `6 n + 3` freedoms, less those that
-    constraints hold: for looking at a rod, not for the inside of a loop. A straight
-    rod of round section bends alike in two planes and has its bending frequencies
-    twice; a free one starts with the six zeros of rigid motions.
+    They come from the dense eigenvalue problem of the `6 n + 3` degrees of freedom,
+    without those that constraints hold. It is for looking at a rod, not for the inside
+    of a loop. A straight rod of round section bends in the same way in two planes and
+    has its bending frequencies twice. A free one starts with the six zeros of rigid
+    motions.
 
     Args:
         scene: The scene, in consistent mode.
@@ -31,13 +32,13 @@ def natural_frequencies(
         n_modes: Number of modes, the lowest ones; by default all.
 
     Returns:
-        Angular frequencies, rising `(n_modes,)` [rad/s]; zero for motions without
+        Angular frequencies, increasing `(n_modes,)` [rad/s]; zero for motions without
         (or with negative) stiffness.
 
     Raises:
         ValueError: If the scene's loads have no potential, there are fewer modes, or
             anything is traced.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
     """
     scene = scene_of(scene, state)
     if n_modes is not None:
@@ -78,6 +79,6 @@ def _stiffness(scene: Scene, state: RodState) -> jax.Array:
 
 @jax.jit
 def _free(scene: Scene, state: RodState) -> jax.Array:
-    """Freedoms that no constraint holds; node displacements first, then turns."""
+    """Flags of degrees of freedom that are free; node displacements, then rotations."""
     nodes, elements = freedoms(scene, motion_of(state))
     return jnp.concatenate([*nodes, *elements]) != 0

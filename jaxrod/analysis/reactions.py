@@ -1,4 +1,4 @@
-"""Reactions: what supports do to hold or drive a rod."""
+"""Reactions: loads of supports that hold or drive a rod."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from jaxrod.scene import Scene, damping_rates, external_loads, scene_of
 def reactions(scene: Scene, state: RodState) -> tuple[Reaction | None, ...]:
     """Forces, couples and power of every support of a scene, in order of its effects.
 
-    The force on a node that is held is its mass times its acceleration less all other
-    loads on it. Power is what a driven end does to the rod: total energy grows by it,
-    less what damping takes. Of a node that two effects hold each says the whole force.
+    The force on a held node is its mass times its acceleration minus all other loads on
+    it. Power is that of a driven end on the rod: total energy grows by it, minus the
+    power of damping. If two effects hold one node, each reports the whole force.
 
     Args:
-        scene: The scene, under the consistent law; one that depends on time as it is at
+        scene: The scene, under the consistent law; if it depends on time, the scene at
             the time of the state, `scene.at(time)`.
         state: The state.
 
     Returns:
-        One for each effect; `None` for those that hold nothing.
+        One reaction for each effect; `None` for effects that hold nothing.
 
     Raises:
         ValueError: If the law is another one, the scene depends on time, or the state
             is not of its rod.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
     """
     scene = scene_of(scene, state)
     if scene.method.law != "consistent":

@@ -1,43 +1,45 @@
-r"""The largest safe time step of a scene, and which mode of motion sets it.
+r"""The largest safe time step of a scene, and the mode of motion that limits it.
 
 Position Verlet is stable while $h\,\omega_{\max} < 2$. Without a state, the highest
-frequency about the unstressed shape is bounded element by element: if every element
-shares its mass between its nodes, and its stiffness and that of its joints are within
-$\lambda$ times its own inertia, so are they all together. For an element of mass $m$,
-length $\ell$, rotary inertia $J$, shear stiffness $S$ and joints worth $\beta$
-(half of each joint's squared frequency), $\lambda$ is the larger root of
-
+frequency about the unstressed shape is bounded element by element. Every element shares
+its mass between its nodes. If its stiffness and that of its joints are within $\lambda$
+times its own inertia for every element, they are for the whole rod. For an element of
+mass $m$, length $\ell$, rotary inertia $J$, shear stiffness $S$ and joints that
+contribute $\beta$ (half of each joint's squared frequency), $\lambda$ is the larger
+root of
 $$(\lambda - a)(\lambda - c - \beta) = a c,\qquad
   a = \frac{4 S}{m\,\ell},\quad c = \frac{S\,\ell}{J},$$
 
 or the squared frequency of stretch, if that is larger. For a long uniform rod this is
-the exact limit; it holds for any taper, curvature and stiffness, and
-`Effect.stability_bound` adds what effects do.
+the exact limit. It holds for any taper, curvature and stiffness, and
+`Effect.stability_bound` adds the contribution of effects.
 
-Frequencies change when the rod is deformed. Under PyElastica's law they grow as one
-over the stretch of a compressed rod. Under the consistent law compression by a share
-$\varepsilon$ raises the highest by at most $0.6\,\varepsilon$, and by 8 % at the most,
-at a third: a safety factor of 0.9 covers it, one of 0.99 rods that are never compressed
-by more than 1.5 %. Violent vibrations of single elements need more room: Verlet has
-resonances of third and fourth order at $\sqrt3/2$ and $\sqrt2/2$ of the limit, and
-undamped rods with strains of a tenth and joint angles of a radian from each element to
-the next blew up at factors from 0.72 on, at 0.65 none of 64.
+Frequencies change when the rod is deformed. Under PyElastica's law they grow in inverse
+proportion to the stretch of a compressed rod. Under the consistent law compression by a
+fraction $\varepsilon$ raises the highest by at most $0.6\,\varepsilon$, and never by
+more than 8 %, at a third. A safety factor of 0.9 covers that; one of 0.99 covers rods
+that are never compressed by more than 1.5 %. Violent vibrations of single elements need
+more margin: Verlet has resonances of third and fourth order at $\sqrt3/2$ and
+$\sqrt2/2$ of the limit. Undamped rods with strains of a tenth and joint angles of a
+radian from each element to the next blew up at factors from 0.72 on; at 0.65 none of 64
+did.
 
-Damping enters the limit as added inertia. Solved exactly in the kick (consistent mode)
-a rate $g$ makes of an inertia $m$ the inertia $m\,\frac{gh}2\coth\frac{gh}2$, as a
-factor after the kick (PyElastica mode) $m\,(1+e^{gh})/2$, and explicit drag of rate
-$c$ takes $m\,ch/2$ away. With these inertias the step is stable exactly while
-$h\,\omega_{\max} < 2$. As $h\,\omega_{\max}$ grows with $h$, the one step where it is 2
-is bracketed and then found to rounding.
+Damping enters the limit as added inertia. Solved exactly in the kick (consistent mode),
+a rate $g$ turns an inertia $m$ into $m\,\frac{gh}2\coth\frac{gh}2$. As a factor after
+the kick (PyElastica mode) it gives $m\,(1+e^{gh})/2$, and explicit drag of rate $c$
+subtracts $m\,ch/2$. With these inertias the step is stable exactly while
+$h\,\omega_{\max} < 2$. As $h\,\omega_{\max}$ grows with $h$, the single step at which
+it is 2 is bracketed and then found to round-off.
 
-Three things make the bound smaller than the limit. All that may touch is taken to
-touch. Stiffness and drag are added as if one motion felt both: friction drags along a
-surface, contact is stiff across it, and the step that each allows alone is up to 1.62
-times as large (the golden ratio, where both allow the same). In PyElastica mode motions
-that decay by more than 1.28 in an exponent within a step are taken to decay less: there
-the bound grows in proportion to the rate, while the limit may have no end. Friction
-drags what moves and what turns; each is given its share by inertia without damping, so
-that the bound of rods that only turn with much damping is up to five times too small.
+Three things make the bound smaller than the limit. First, everything that may touch is
+assumed to touch. Second, stiffness and drag are added as if they acted on one motion.
+But friction drags along a surface, and contact is stiff across it. The step that each
+allows alone is up to 1.62 times as large (the golden ratio, if both allow the same).
+Third, in PyElastica mode motions that decay by an exponent of more than 1.28 within a
+step are assumed to decay less. There the bound grows in proportion to the rate, while
+the limit may be infinite. Friction acts on nodes and on elements. Each gets its part by
+inertia without damping, so the bound of rods that only rotate with much damping is up
+to five times too small.
 """
 
 from __future__ import annotations
@@ -71,13 +73,13 @@ Details = TypeVar("Details")
 
 MODE_NAMES = ("shear and bending", "stretch", "twist")
 _MOST_ROUNDS = 100
-"""Far more than are needed: halving alone takes sixty."""
+"""Largest number of rounds, far more than needed: bisection alone takes sixty."""
 _DECAY_SLOPE = 0.5
-"""Bound on what damping adds to inertia, over its exponent, if solved exactly."""
+"""Bound on the inertia that damping adds, over its exponent, if solved exactly."""
 _FACTOR_TURN = 1.2784645427610738
 """Root of 1 + exp x = x exp x."""
 _FACTOR_SLOPE = 1.7955607383343108
-"""(1 + exp x) / 2x there: the same bound of rates multiplied after the kick."""
+"""Value of (1 + exp x) / 2x there: the same bound for rates multiplied after a kick."""
 
 
 @pytree
@@ -91,15 +93,16 @@ class StableStep:
     mode: Int[Array, ""]
     """Index into `MODE_NAMES` of the limiting motion."""
     angular_frequency: Float[Array, ""]
-    """The highest angular frequency without damping: a bound, or as measured at the
-    given state [rad/s]."""
+    """Highest angular frequency without damping: a bound, or measured at the given
+    state [rad/s]."""
     uncertainty: Float[Array, ""]
-    """Share by which the step that balances damping or drag may be larger than was
-    found: rounding for the bound, a thousandth at a given state, zero without [1]."""
+    """Fraction by which the exact step with damping or drag may be larger than the one
+    found [1]: round-off for the bound, a thousandth at a given state, zero without
+    damping and drag."""
 
     @property
     def limiting_mode(self) -> str:
-        """The limiting motion in words; for concrete values only."""
+        """Limiting motion in words; for concrete values only."""
         return f"{MODE_NAMES[int(self.mode)]} of element {int(self.element)}"
 
 
@@ -116,26 +119,27 @@ def stable_dt(scene: Composite, safety: ArrayLike = ...) -> Any: ...
 def stable_dt(
     scene: Model, safety: ArrayLike = 0.8, *, state: RodState | None = None
 ) -> Any:
-    """The largest step at which a scene is stable, times a safety factor.
+    """Largest step at which a scene is stable, times a safety factor.
 
-    Without a state: a bound in closed form for the unstressed shape, never above the
-    true limit there. With a state: measured at that deformation, to a per cent, from
-    `highest_frequency`, for the cost of some hundred steps. Use it for rods that are
-    strongly compressed in PyElastica mode, or to have the last few per cent.
+    Without a state it is a bound in closed form for the unstressed shape, never above
+    the true limit there. With a state it is measured at that deformation, to a per
+    cent, from `highest_frequency`, for the cost of some hundred steps. Use that for
+    rods that are strongly compressed in PyElastica mode, or to gain the last few per
+    cent.
 
     Args:
-        scene: The scene, or a system; of a schedule, the bound on its size counts.
+        scene: The scene, or a system; for a schedule, the bound on its size counts.
         safety: Fraction of the limit to use, in (0, 1]: 0.5 is cautious, 0.9 fast.
             Above 0.9 a rod that is compressed while it moves may blow up.
         state: The deformation at which to measure, if any.
 
     Returns:
-        The step, and which element and motion limit it.
+        The step, and the element and motion that limit it.
 
     Raises:
         ValueError: If `safety` is not in (0, 1], or the state is not of the scene's
             rod.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
     """
     if isinstance(scene, Composite):
         if state is not None:
@@ -146,7 +150,7 @@ def stable_dt(
     dtype = scene.rod.rest_lengths.dtype
     factor = as_array("safety", safety, "", positive=True, at_most=1, dtype=dtype)
     if scene.method.solves_drag:
-        # It only adds inertia, which can be left out.
+        # Drag only adds inertia, which can be left out.
         scene = without_drag(scene)
     if state is None:
         return _bounded(scene.at_largest, factor)
@@ -160,9 +164,9 @@ def compression(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Factor by which a state's compression lowers the bound, and its smallest extent.
 
-    Frequencies grow as one over the stretch of compressed elements in PyElastica mode.
-    In consistent mode it is the bound of the compressed elements that counts,
-    under the largest values of schedules, as for `stable_dt`.
+    In PyElastica mode frequencies grow in inverse proportion to the stretch of
+    compressed elements. In consistent mode the factor is the ratio of the bounds with
+    and without compression, at the largest values of schedules, as in `stable_dt`.
 
     Returns:
         A factor of at most one, and the smallest extent of an element along d3 over
@@ -218,19 +222,19 @@ def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
 
 _Search = tuple[Array, Array, Bracket, Any]
 """Round, the step without damping, bracket of the logarithm of the step over that, and
-what else is known."""
+further details."""
 
 
 class _Found(NamedTuple):
-    """The step at which h times the frequency is 2, and what else is known."""
+    """The step at which h times the frequency is 2, and further details."""
 
     step: Array
     undamped: Array
-    """The step without damping and drag [s]."""
+    """Step without damping and drag [s]."""
     uncertainty: Array
     """Width of the bracket, of which the step is the lower end [1]."""
     details: Any
-    """Those of the last measurement."""
+    """Details of the last measurement."""
 
 
 _Model = tuple[Scene, RodState | None]
@@ -238,13 +242,13 @@ _Measure = Callable[[_Model, InertiaFactors], tuple[Array, Any]]
 
 
 def _bounds(model: _Model, factors: InertiaFactors) -> tuple[Array, Array]:
-    """The bound on the highest frequency, and that of every element and motion."""
+    """Bound on the highest frequency, and that of every element and motion."""
     frequencies = frequency_bounds(model[0], factors)
     return jnp.max(frequencies), frequencies
 
 
 def _vibration(model: _Model, factors: InertiaFactors) -> tuple[Array, Vibration]:
-    """The highest frequency at a state, and the motion that has it."""
+    """Highest frequency at a state, and the motion that has it."""
     scene, state = model
     assert state is not None
     vibration = fastest_vibration(scene, state, factors)
@@ -255,14 +259,14 @@ def _vibration(model: _Model, factors: InertiaFactors) -> tuple[Array, Vibration
 def _largest_step(
     measure: _Measure, tolerance: float, model: _Model, nothing: Any
 ) -> _Found:
-    """The step h at which h times the frequency, damping included, is 2.
+    """Step h at which h times the frequency, including damping, is 2.
 
     Args:
-        measure: Gives the highest frequency for given factors of the inertias, and
-            anything else that is known of it.
-        tolerance: Width of the bracket that is narrow enough [1].
+        measure: Function from factors of the inertias to the highest frequency and
+            further details.
+        tolerance: Width at which the bracket is narrow enough [1].
         model: The scene, and the state at which to measure.
-        nothing: Details of the same kind as those that `measure` gives.
+        nothing: Details with the structure of those that `measure` gives.
     """
     scene = model[0]
     if not _is_damped(scene):
@@ -272,8 +276,8 @@ def _largest_step(
     dtype = scene.rod.rest_lengths.dtype
     floor = 16 * float(jnp.finfo(dtype).eps)
 
-    # All in one loop, so that what is measured is compiled once. Round 0 is without
-    # damping and gives the bracket.
+    # All in one loop, so that `measure` is compiled once. Round 0 is without damping
+    # and gives the bracket.
     def unfinished(carry: _Search) -> Array:
         k, _, bracket, _ = carry
         return (k < 2) | ((bracket.width > tolerance) & (k < _MOST_ROUNDS))
@@ -288,10 +292,10 @@ def _largest_step(
             raw,
         )
         frequency, details = measure(model, factors)
-        # Numbers of effects may be of more digits than those of the rod.
+        # Numbers of effects may have a wider dtype than those of the rod.
         limit = (2 / frequency).astype(dtype)
         details = jax.tree.map(lambda a, b: a.astype(b.dtype), details, nothing)
-        # Where drag takes all inertia away nothing is stable.
+        # If drag takes all inertia away, nothing is stable.
         least = jnp.minimum(jnp.min(raw[0]), jnp.min(raw[1]))
         room = jnp.where(least > floor, jnp.tanh(jnp.log(limit / step)), -1)
         begun = Bracket.between(*_brackets(scene, limit))
@@ -311,7 +315,7 @@ def _largest_step(
 def _largest_step_jvp(
     measure: _Measure, tolerance: float, primals: Any, tangents: Any
 ) -> tuple[_Found, _Found]:
-    r"""The derivative of the step, from the balance that defines it.
+    r"""Derivative of the step, from the balance that defines it.
 
     With $y = \log h$ and $b(y) = \log(2/\omega(y)) - y = 0$, $dy = -db/b'(y)$. The
     search itself is not differentiated.
@@ -337,17 +341,17 @@ def _largest_step_jvp(
         step_rate = (-found.step * change / slope).astype(found.step.dtype)
     else:
         step_rate = undamped_rate
-    # What limits the step is a place, and has no derivative.
+    # The element and mode that limit the step are indices, without a derivative.
     still = jax.tree.map(jnp.zeros_like, found)
     return found, still._replace(step=step_rate, undamped=undamped_rate)
 
 
 def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
-    """Logarithms of steps, over that without damping, between which the step is.
+    """Logarithms of steps, relative to that without damping, that bracket the step.
 
     With the largest rate of drag everywhere, and no damping, the balance is a quadratic
-    equation; so it is with the largest rate of damping and no drag. No step is larger
-    than what takes all inertia of any node or element away.
+    equation. So it is with the largest rate of damping and no drag. The step must also
+    be below the one that takes all inertia of any node or element away.
     """
     rates, drags = _rates(scene)
     slope = _DECAY_SLOPE if scene.method.law == "consistent" else _FACTOR_SLOPE
@@ -365,13 +369,13 @@ def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
         )
     lower = 2 / (worst + jnp.sqrt(worst * worst + 4))
     upper = jnp.minimum(0.5 * (slowest + jnp.sqrt(slowest * slowest + 4)), gone)
-    # Apart by more than rounding.
+    # Apart by more than round-off.
     lower, upper = jnp.log(lower) - 1e-3, jnp.log(upper) + 1e-3
     return lower.astype(undamped.dtype), upper.astype(undamped.dtype)
 
 
 def _total(scene: Scene, name: str) -> Array | None:
-    """A field of `StabilityBound` added up over all effects; `None` if none has it."""
+    """Sum of a field of `StabilityBound` over all effects; `None` if none has it."""
     total = None
     for effect in scene.effects:
         part = getattr(effect.stability_bound(scene.rod), name, None)
@@ -381,7 +385,7 @@ def _total(scene: Scene, name: str) -> Array | None:
 
 
 def _is_damped(scene: Scene) -> bool:
-    """Whether an effect of the scene damps or drags: structure, not values."""
+    """Whether an effect of the scene has damping or drag; depends on structure only."""
     drags = (_total(scene, "node_drag"), _total(scene, "element_drag"))
     return damping_rates(scene) is not None or drags != (None, None)
 
@@ -389,7 +393,7 @@ def _is_damped(scene: Scene) -> bool:
 def _rates(
     scene: Scene,
 ) -> tuple[tuple[Array | None, Array | None], tuple[Array | None, Array | None]]:
-    """Rates of damping and of explicit drag [1/s], each of nodes and of turning."""
+    """Rates of damping and of explicit drag [1/s], each for nodes and for elements."""
     rod = scene.rod
     transverse, polar = rod.inertias
     least = jnp.minimum(transverse, polar) if scene.method.twist else transverse
@@ -402,9 +406,9 @@ def _rates(
 
 
 def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
-    """Effective over true masses and rotary inertias of a rod with damping.
+    """Ratios of effective and true masses and rotary inertias of a rod with damping.
 
-    Not above zero where nothing is stable, however soft the rod is.
+    They are not above zero if nothing is stable, however soft the rod is.
     """
     added = _added_by_decay if scene.method.law == "consistent" else _added_by_factor
     factors = []
@@ -419,7 +423,7 @@ def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
 
 
 def _added_by_decay(exponent: Array) -> Array:
-    """(x/2) coth(x/2) - 1, for damping solved with the kick."""
+    """Value of (x/2) coth(x/2) - 1, for damping solved in the kick."""
     half = 0.5 * exponent
     small = half < 1e-2
     safe = jnp.where(small, 1, half)
@@ -427,10 +431,10 @@ def _added_by_decay(exponent: Array) -> Array:
 
 
 def _added_by_factor(exponent: Array) -> Array:
-    """(1 + exp x) / 2 - 1, for rates multiplied by exp(-x) after the kick.
+    """Value of (1 + exp x) / 2 - 1, for rates multiplied by exp(-x) after the kick.
 
-    From the least of (1 + exp x) / 2x on, in proportion to x instead: so steps times
-    frequencies grow with the step, with drag or without, and have one balance.
+    Beyond the minimum of (1 + exp x) / 2x it is replaced by a multiple of x. Then step
+    times frequency grows with the step, with drag or without, and has one balance.
     """
     grown = 0.5 * jnp.expm1(jnp.minimum(exponent, _FACTOR_TURN))
     return jnp.where(exponent < _FACTOR_TURN, grown, _FACTOR_SLOPE * exponent - 1)
@@ -441,14 +445,14 @@ def frequency_bounds(
 ) -> Float[Array, "3 n"]:
     """Bounds on the highest angular frequency about the unstressed shape [rad/s].
 
-    One row per entry of `MODE_NAMES`, one column per element; the bound is the
-    largest.
+    There is one row per entry of `MODE_NAMES` and one column per element; the bound is
+    the largest entry.
 
     Args:
         scene: The scene.
-        factors: Of the node masses and of the rotary inertias, in place of damping.
-        extents: Of the elements along d3 over their rest length, if they are stretched
-            or compressed: then an estimate [1].
+        factors: Factors of node masses and rotary inertias that represent damping.
+        extents: Extents of the elements along d3 over their rest lengths, if they are
+            stretched or compressed; the result is an estimate then [1].
     """
     rod = scene.rod
     extent = 1 + rod.rest_strains[2] if extents is None else extents
@@ -466,7 +470,7 @@ def frequency_bounds(
     if not scene.method.twist:
         twist = jnp.zeros_like(twist)
     across, along = (4 * part / (mass * lengths) for part in (shear, stretch))
-    # The axial force turns the element too: it acts along d3, not along the edge.
+    # The axial force also turns the element: it acts along d3, not along the edge.
     tension = stretch * (extent - 1 - rod.rest_strains[2])
     lever = shear * extent - tension
     rocking = extent * lever * lengths / transverse
@@ -477,14 +481,14 @@ def frequency_bounds(
         anchored = jnp.maximum(anchored[1:], anchored[:-1])
         across, along = across + anchored, along + anchored
     squares = jnp.stack([_larger_root(across, rocking + bend, coupling), along, twist])
-    # A rod sheared at rest couples stretch with turning, at most by this much.
+    # A rod sheared at rest couples stretch and rotation, by at most this much.
     sheared = _root(rod.rest_strains[0] ** 2 + rod.rest_strains[1] ** 2)
     tilting = sheared * jnp.sqrt(jnp.maximum(shear, stretch) * lengths / least)
     return _root(squares) + tilting[None, :]
 
 
 def _root(number: Array) -> Array:
-    """Square root with slope zero at zero."""
+    """Square root with derivative zero at zero."""
     positive = number > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, number, 1)), 0)
 
@@ -494,11 +498,11 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
 
     Args:
         first: One diagonal entry, positive.
-        second: The other, positive.
-        coupling: The entry off the diagonal.
+        second: Other diagonal entry, positive.
+        coupling: Off-diagonal entry.
     """
-    # In units of the larger entry: the squares of squared frequencies of small, stiff
-    # rods are beyond float32.
+    # In units of the larger entry: for small, stiff rods the squares of squared
+    # frequencies overflow float32.
     unit = jnp.maximum(first, second)
     half_difference, coupled = 0.5 * (first - second) / unit, coupling / unit
     root = _root(half_difference * half_difference + coupled * coupled)
@@ -508,9 +512,9 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
 def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Array]:
     r"""Bounds of joints on each element, in bending and in twist [rad^2/s^2].
 
-    A joint's squared frequency with half the inertia of either element, half for each
-    of the two. In a joint bent by $\theta$ at rest, bending is stiffer by the square
-    of $\frac\theta2/\sin\frac\theta2$ and mixes with twist.
+    They are half of a joint's squared frequency with half the inertia of either
+    element, for each of the two. In a joint bent by $\theta$ at rest, bending is
+    stiffer by the square of $\frac\theta2/\sin\frac\theta2$ and mixes with twist.
     """
     stiffness = rod.joint_stiffness / rod.joint_lengths[None, :]
     bending = jnp.maximum(stiffness[0], stiffness[1])
@@ -523,7 +527,7 @@ def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Arr
     any_axis = jnp.maximum(bending, stiffness[2]) * mobility[2]
     curved = any_axis / jnp.sinc(half_angle / jnp.pi) ** 2
     mixed = (jnp.sqrt(jnp.maximum(bend, twist)) + half_angle * jnp.sqrt(any_axis)) ** 2
-    # Both hold; without curvature the second is exact and neither mixes.
+    # Both bounds hold; without curvature the second is exact and neither mixes.
     straight = half_angle <= jnp.sqrt(jnp.finfo(half_angle.dtype).eps)
     either = jnp.minimum(curved, mixed)
     bend = jnp.where(straight, bend, either)

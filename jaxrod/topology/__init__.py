@@ -1,1 +1,1 @@
-"""Topology of curves and ribbons: twist, writhe, link, and what passed through what."""
+"""Topology of curves and ribbons: twist, writhe, link, and passages through curves."""

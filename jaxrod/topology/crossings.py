@@ -1,11 +1,10 @@
-r"""What passed through what between two moments.
+r"""Passages of curves through each other between two moments.
 
-Nodes are taken to move straight from where they were to where they are. The vector from
-a point of one segment to a point of another is then a map of a cube, of two places and
-time, and segments pass through each other where it is zero. How often, counted with
-sign, is the solid angle of the surface of the cube's image over that of a sphere: a
-whole number however large the motion, and the sum over all pairs is by how much the
-Gauss integral has jumped.
+Nodes are assumed to move in straight lines between the moments. The vector from a point
+of one segment to a point of another is then a map of a cube, of two places and time.
+Segments pass through each other where it is zero. The signed number of passages is the
+solid angle of the surface of the cube's image over that of a sphere. It is an integer
+however large the motion. The sum over all pairs is the jump of the Gauss integral.
 """
 
 from __future__ import annotations
@@ -25,22 +24,22 @@ def crossings(
     other_before: Curve | None = None,
     other_after: Curve | None = None,
 ) -> Float[Array, "n m"]:
-    """How often each element of a curve passed through each of another, or of itself.
+    """Number of passages of each element of a curve through those of another or itself.
 
-    Signed, +1 where the Gauss integral grows; a half where they touch at one of the two
-    moments. Between the moments nodes move straight: compare states between which no
-    element turns by more than a right angle. Elements that share a node do not count.
-    Of a rollout, `jax.vmap` over neighbouring records.
+    They are signed, +1 where the Gauss integral grows, and a half where elements touch
+    at one of the two moments. Between the moments nodes move in straight lines: compare
+    states between which no element rotates by more than a right angle. Elements that
+    share a node do not count. For a rollout, use `jax.vmap` over neighbouring records.
 
     Args:
         before: A state, or nodes `(3, n + 1)`, at the first moment [m].
-        after: The same at the second.
-        other_before: The other curve, with `m + 1` nodes; by default the same one.
-        other_after: The same at the second.
+        after: The same at the second moment.
+        other_before: Other curve, with `m + 1` nodes; by default the same curve.
+        other_after: Other curve at the second moment.
 
     Returns:
-        Counts per pair of elements `(n, m)`; of a curve with itself every pair is
-        there twice.
+        Counts per pair of elements `(n, m)`; for a curve with itself every pair occurs
+        twice.
 
     Raises:
         ValueError: If numbers of nodes do not agree, or one of the others is missing.
@@ -59,7 +58,7 @@ def crossings(
     def seen_from(segment: tuple[Array, Array, Array, Array]) -> Array:
         places = split(segment[0]), split(segment[1])
         places_later = split(segment[2]), split(segment[3])
-        # Index: place along the first, place along the second, moment.
+        # Index: place along the first segment, place along the second, moment.
         vector = {
             (s, u, t): subtract(corners[u][t], (places, places_later)[t][s])
             for s in (0, 1)
@@ -88,7 +87,7 @@ def crossed(
 ) -> Bool[Array, ""]:
     """Whether a curve passed through itself, or another, between two moments.
 
-    Arguments as in `crossings`, which says where.
+    Arguments are those of `crossings`, which also gives the places.
     """
     counts = crossings(before, after, other_before, other_after)
     return jnp.any(jnp.abs(counts) > 0.25)
@@ -110,8 +109,8 @@ def _moving(
 def _winding(d: dict[tuple[int, int, int], Vec3]) -> Array:
     """Solid angle of the surface of a cube over that of a sphere [1].
 
-    Opposite faces are cut along the same diagonal, so that what is on a face belongs
-    to one of the two cubes that share it.
+    Opposite faces are cut along the same diagonal, so that a point on a face belongs to
+    one of the two cubes that share it.
     """
     total = jnp.zeros_like(d[0, 0, 0][0])
     for k in (0, 1):

@@ -1,8 +1,8 @@
-r"""Curves as polylines: how they are given, and how their ends are completed.
+r"""Curves as polylines: their forms as arguments, and the completion of their ends.
 
-Writhe and link are invariants of closed curves. An open one is left as it is, closed by
-a segment, or lengthened by a straight piece at each end, so long that what lies beyond
-it adds little.
+Writhe and link are invariants of closed curves. An open curve is left open, closed by a
+segment, or lengthened by a straight piece at each end. The pieces are so long that the
+rest of a closure would add little.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from jaxrod.topology.solid_angles import unit
 from jaxrod.validation import Numbers, as_array, numeric
 
 Ends = Literal["open", "joined", "next_tangent", "end_to_end", "net_tangent"]
-"""What is done about the ends of a curve.
+"""Treatment of the ends of a curve.
 
-"open": nothing. "joined": the last node is joined to the first, be it at the same place
-(a welded ring) or not. The others add a straight piece at each end, as PyElastica's
-`type_of_additional_segment` does: along the end elements, along the line from one end
-to the other, along the line between the means of both halves' nodes.
+"open": none. "joined": the last node is joined to the first, whether it is at the same
+place (a welded ring) or not. The others add a straight piece at each end, as
+PyElastica's `type_of_additional_segment` does: along the end elements, along the line
+from one end to the other, along the line between the mean nodes of both halves.
 """
 
 KINDS = (jnp.float32, jnp.float64)
@@ -52,16 +52,16 @@ def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
 
 
 def _kind(given: Any) -> Any:
-    """The floating-point type of an array that has one; `None` for JAX's default."""
+    """Floating-point dtype of a JAX array; `None` for others, to use JAX's default."""
     kind = getattr(given, "dtype", None)
     return kind if isinstance(given, jax.Array) and kind in KINDS else None
 
 
 def normals_of(curve: Curve, normals: Numbers | None) -> Float[Array, "3 n"]:
-    """Normals of the elements: those given, or d1 of a state.
+    """Normals of the elements: the given ones, or d1 of a state.
 
     Raises:
-        ValueError: If there are none, or not as many as elements.
+        ValueError: If there are none, or not one per element.
     """
     if isinstance(curve, RodState) and normals is None:
         return curve.directors[0]
@@ -74,13 +74,13 @@ def normals_of(curve: Curve, normals: Numbers | None) -> Float[Array, "3 n"]:
 
 
 def check_ends(ends: Ends, allowed: tuple[Ends, ...] = get_args(Ends)) -> None:
-    """Raises a `ValueError` if there is no such way of completing a curve."""
+    """Raises a `ValueError` if there is no such treatment of ends."""
     if not isinstance(ends, str) or ends not in allowed:
         raise ValueError(f"ends must be one of {', '.join(allowed)}, got {ends!r}")
 
 
 def seamless(nodes: Float[Array, "3 nodes"]) -> Float[Array, "3 nodes"]:
-    """The nodes of a ring: ends apart by no more than rounding are one place."""
+    """Nodes of a ring, whose ends are merged if they differ by round-off only."""
     gap = nodes[:, 0] - nodes[:, -1]
     edges = nodes[:, 1:] - nodes[:, :-1]
     typical = jnp.sum(edges * edges) / edges.shape[1]
@@ -89,7 +89,7 @@ def seamless(nodes: Float[Array, "3 nodes"]) -> Float[Array, "3 nodes"]:
 
 
 def end_directions(nodes: Float[Array, "3 nodes"], ends: Ends) -> tuple[Array, Array]:
-    """Unit vectors `(3,)` outwards at the first and the last node."""
+    """Unit vectors `(3,)` pointing outwards at the first and the last node."""
     if ends == "next_tangent":
         first, last = nodes[:, 0] - nodes[:, 1], nodes[:, -1] - nodes[:, -2]
     elif ends == "end_to_end":
@@ -114,7 +114,7 @@ def completed(
     directions: tuple[Array, Array] | None = None,
     extension: Array | None = None,
 ) -> Float[Array, "3 all"]:
-    """The curve with what is added at its ends."""
+    """Curve including the pieces that are added at its ends."""
     if ends == "open":
         return nodes
     if ends == "joined":
@@ -138,6 +138,6 @@ def shortest(nodes: Float[Array, "3 nodes"]) -> Array:
 
 
 def across(directions: Vec3, tangents: Vec3) -> Vec3:
-    """Unit vectors along the parts of vectors perpendicular to unit tangents."""
+    """Unit vectors along the components of vectors perpendicular to unit tangents."""
     along = scale(dot(directions, tangents), tangents)
     return unit(subtract(directions, along))

@@ -1,4 +1,4 @@
-r"""Signed solid angles, finite and differentiable wherever a curve may be.
+r"""Signed solid angles, finite and differentiable for any position of the curves.
 
 A spherical triangle of unit vectors $a, b, c$ has the signed area
 
@@ -6,9 +6,9 @@ $$\Omega = 2\,\mathrm{atan2}\big(a\cdot(b\times c),\ 1 + a\cdot b + b\cdot c
     + c\cdot a\big)$$
 
 (van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30, 1983). Seen from all points of
-one segment, another one sweeps a spherical parallelogram: two such triangles. Without
-arcsines there is nothing that rounding can take out of range, and what has no direction
-(the vector between points that coincide) subtends nothing and has the gradient zero.
+one segment, another one sweeps a spherical parallelogram: two such triangles. There are
+no arcsines whose argument round-off could put out of range. A vector without direction
+(between points that coincide) subtends no angle and has zero gradient.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from jaxtyping import Array
 from jaxrod.geometry.vectors import Vec3, cross, dot, scale
 
 ROUNDING = 64
-"""Sines and cosines below so many units of round-off are of no direction at all."""
+"""Multiple of round-off below which sine and cosine together define no direction."""
 
 
 def unit(a: Vec3) -> Vec3:
-    """Directions; zero, with zero gradient, for zero vectors."""
+    """Unit vectors; zero, with zero gradient, for zero vectors."""
     squared = dot(a, a)
     there = squared > 0
     inverse = 1 / jnp.sqrt(jnp.where(there, squared, 1))
@@ -33,8 +33,8 @@ def unit(a: Vec3) -> Vec3:
 def triangle(a: Vec3, b: Vec3, c: Vec3) -> Array:
     """Signed area of spherical triangles of unit vectors, within 2 pi [sr].
 
-    Zero, the mean of what it is on both sides, where the centre of the sphere lies in
-    the flat triangle.
+    It is zero, the mean of the values on both sides, if the centre of the sphere lies
+    in the flat triangle.
     """
     volume = dot(a, cross(b, c))
     cosines = 1 + dot(a, b) + dot(b, c) + dot(c, a)

@@ -1,4 +1,4 @@
-r"""Twist of a ribbon: how far its normals turn about its centreline.
+r"""Twist of a ribbon: the angle by which its normals turn about its centreline.
 
 From each element to the next the normal $u$ is carried without twist, by the smallest
 rotation that takes the tangent $t$ to the next one $t'$,
@@ -8,7 +8,7 @@ $$\tilde u = u - \frac{u\cdot t'}{1 + t\cdot t'}\,(t + t'), \qquad
   \tilde u\cdot u'\big).$$
 
 The angles are those of Klenin and Langowski's method 2a, without their special case for
-elements in line.
+collinear elements.
 """
 
 from __future__ import annotations
@@ -44,13 +44,14 @@ def twist(
 ) -> Float[Array, ""]:
     """Twist of a ribbon in whole turns, right-handed positive [1].
 
-    For a closed ribbon (`ends="joined"`) it is `link` less `writhe`, as long as no
-    joint is twisted by half a turn. Of frames, use `jax.vmap`.
+    For a closed ribbon (`ends="joined"`) it is `link` minus `writhe`, as long as no
+    joint is twisted by half a turn. For several frames, use `jax.vmap`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
-        normals: Normals `(3, n)` of the elements; by default d1 of the state. Their
-            parts across the elements count: a sheared rod's d1 leaves the section.
+        normals: Normals `(3, n)` of the elements; by default d1 of the state. Only
+            their components across the elements count: a sheared rod's d1 leaves the
+            section.
         ends: "open" or "joined".
 
     Raises:
@@ -69,7 +70,7 @@ def twist(
         u, v = _inner(sides, slice(-1, None)), _inner(sides, slice(0, 1))
         last, first = _inner(tangents, slice(-1, None)), _inner(tangents, slice(0, 1))
         gap = unit(split(nodes[:, :1] - nodes[:, -1:]))
-        # Where there is no gap there is no direction of one.
+        # Without a gap the direction of the bridge is that of the last element.
         bridge = subtract(gap, scale(dot(gap, gap) - 1, last))
         u = _carried(_carried(u, last, bridge), bridge, first)
         total = total + _angle(u, v, first)[0]

@@ -1,13 +1,13 @@
 r"""Writhe of a curve, linking number of two, link of a ribbon.
 
 The Gauss integral of two curves is a sum over pairs of their segments, of the signed
-solid angle $\Omega_{ij}$ under which segment j is seen from all of segment i:
+solid angle $\Omega_{ij}$ under which segment j is seen from all points of segment i:
 
 $$\mathrm{Lk} = \frac1{4\pi}\sum_{i,j}\Omega_{ij}, \qquad
   \mathrm{Wr} = \frac1{4\pi}\sum_{i \ne j}\Omega_{ij},$$
 
 exact for polygons (Klenin and Langowski, Biopolymers 54, 2000). For a closed ribbon
-$\mathrm{Lk} = \mathrm{Tw} + \mathrm{Wr}$, with `twist` beside this file.
+$\mathrm{Lk} = \mathrm{Tw} + \mathrm{Wr}$, see `jaxrod.topology.twist`.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ def writhe(
 ) -> Float[Array, ""]:
     """Writhe of a curve: its signed crossings, averaged over all directions of view.
 
-    Without a unit; 0 for a curve in a plane, and changed by 2 where the curve passes
-    through itself. Of frames, use `jax.vmap`.
+    It has no unit. It is 0 for a curve in a plane, and changes by 2 when the curve
+    passes through itself. For several frames, use `jax.vmap`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
         ends: "open"; "joined" for a closed curve, whether its last node is at the
             first one's place or one element before it; "next_tangent", "end_to_end" or
             "net_tangent" to lengthen an open one at both ends, as PyElastica does.
-        extension: Length added at each end [m]; by default that of the curve.
+        extension: Length added at each end [m]; by default the length of the curve.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -63,14 +63,14 @@ def writhe(
 def linking_number(
     first: Curve, second: Curve, *, ends: Ends = "joined"
 ) -> Float[Array, ""]:
-    """Gauss linking number of two curves: how often one winds around the other.
+    """Gauss linking number of two curves: the number of windings around each other.
 
-    A whole number for closed curves; for open ones, their Gauss integral, which changes
-    by 1 where they pass through each other.
+    It is an integer for closed curves. For open ones it is their Gauss integral, which
+    changes by 1 when they pass through each other.
 
     Args:
         first: A state, or nodes `(3, n + 1)` [m].
-        second: Another, with as many nodes or not.
+        second: Another curve, whose number of nodes may differ.
         ends: "joined" or "open".
 
     Raises:
@@ -92,19 +92,19 @@ def link(
     ends: Ends = "open",
     extension: Numbers | None = None,
 ) -> Float[Array, ""]:
-    """Link of a ribbon: of its centreline with a line beside it, along d1.
+    """Link of a ribbon: of its centreline with a parallel line, offset along d1.
 
-    A whole number for closed ribbons. With ends other than "joined" it is that of the
+    It is an integer for closed ribbons. With ends other than "joined" it is that of the
     lengthened pair of lines, near twist plus writhe for a long `extension`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
         normals: Normals `(3, n)` of the elements, of any length; by default d1 of the
-            state. Their parts across the elements count.
+            state. Only their components across the elements count.
         offset: Distance of the second line [m]; by default a hundredth of the shortest
             element. PyElastica takes the radius.
-        ends: As in `writhe`.
-        extension: As in `writhe`.
+        ends: Treatment of the ends, as in `writhe`.
+        extension: Length added at each end, as in `writhe`.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -122,7 +122,7 @@ def link(
             "offset", offset, "m", [(), (n,)], positive=True, dtype=nodes.dtype
         )
         distance = jnp.broadcast_to(given, (n,))
-    # A node beside the line has the normal of the element before it.
+    # Each node of the second line uses the normal of the element before it.
     step = distance[None, :] * jnp.stack(across_elements)
     beside = nodes + jnp.concatenate([step[:, :1], step], axis=1)
     outwards, longer = _added(nodes, ends, extension)
@@ -135,10 +135,10 @@ def link(
 def gauss_integral(
     first: Float[Array, "3 a"], second: Float[Array, "3 b"]
 ) -> Float[Array, ""]:
-    """Sum of the solid angles of all pairs of segments over those of a sphere [1]."""
+    """Sum of the solid angles of all pairs of segments over that of a sphere [1]."""
     starts, finishes = split(second[:, :-1]), split(second[:, 1:])
 
-    # Remembering the solid angles' intermediate values would take most of the memory.
+    # Storing the solid angles' intermediate values would take most of the memory.
     @jax.checkpoint
     def seen_from(segment: tuple[Array, Array]) -> Array:
         start, finish = split(segment[0]), split(segment[1])
@@ -167,7 +167,7 @@ def _ring_or_line(nodes: Array, ends: Ends) -> Array:
 def _added(
     nodes: Array, ends: Ends, extension: Numbers | None
 ) -> tuple[tuple[Array, Array] | None, Array | None]:
-    """Outward directions and lengths of what is added at the ends, if anything is."""
+    """Outward directions and lengths of the added pieces; `None` if there are none."""
     if ends in ("open", "joined"):
         if extension is not None:
             raise ValueError(f"ends={ends!r} adds nothing: leave out extension")
