@@ -12,8 +12,8 @@ Environments are in `jaxrod.envs`, learners and optimisers in `jaxrod.training`,
 drawing in `jaxrod.viz`.
 
 `import jaxrod` loads nothing: every name is imported from its module when it is
-first used, so the command line answers at once and `jaxrod doctor` can report on
-a JAX that jaxrod refuses to run on. Type checkers read `__init__.pyi`.
+first used. The command line therefore answers at once, and `jaxrod doctor` can report
+on a JAX that jaxrod refuses to run on. Type checkers read `__init__.pyi`.
 """
 
 from __future__ import annotations
@@ -210,8 +210,8 @@ def _submodule(name: str) -> Any:
     try:
         return importlib.import_module(f"jaxrod.{_SUBMODULES[name]}")
     except ModuleNotFoundError as error:
-        # An optional package is missing. Attribute look-up has to say so as
-        # attributes do, or help(jaxrod) and hasattr would fail.
+        # An optional package is missing. Attribute look-up must raise AttributeError,
+        # or help(jaxrod) and hasattr would fail.
         raise AttributeError(f"jaxrod.{name} cannot be imported: {error}") from error
 
 

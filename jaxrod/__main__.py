@@ -1,4 +1,4 @@
-"""`python -m jaxrod` is `jaxrod`."""
+"""Entry point of `python -m jaxrod`, the same as `jaxrod`."""
 
 import sys
 

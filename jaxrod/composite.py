@@ -1,4 +1,4 @@
-"""Composite models: what is more than one scene, and is stepped and asked like one."""
+"""Composite models: models of more than one scene, used like a single scene."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from jaxtyping import Array, ArrayLike, Float
 
 
 class Stepper(Protocol):
-    """An integrator with its constants worked out, as `advance` runs it.
+    """An integrator with its constants computed, as `advance` runs it.
 
-    `begin` takes a state apart into the carry of the integrator, `cycle` is what
-    the loop repeats, `end` finishes and puts the state together. Position Verlet's
-    cycle ends where the kick of the next step acts, half a step on, so that
-    neighbouring half drifts are one: `end(cycle(cycle(begin(state))))` is three
-    steps, the last one finished by `end`.
+    `begin` unpacks a state into the carry of the integrator, `cycle` is the body of the
+    loop, `end` finishes and packs the state. Position Verlet's cycle ends where the
+    kick of the next step acts, half a step on, so that neighbouring half drifts are
+    merged: `end(cycle(cycle(begin(state))))` is three steps, the last one finished by
+    `end`.
     """
 
     steps_of_end: ClassVar[int]
@@ -25,16 +25,16 @@ class Stepper(Protocol):
         """Carry before the first step, from the initial state."""
 
     def cycle(self, carry: Any) -> Any:
-        """A step that `end` does not finish."""
+        """Takes a step that `end` does not finish."""
 
     def end(self, carry: Any) -> Any:
-        """The state, from the carry after the last cycle."""
+        """Final state, from the carry after the last cycle."""
 
 
 class Composite(ABC):
-    """Base of what is more than one scene, and is stepped and asked like one.
+    """Base of models of more than one scene, which are used like a single scene.
 
-    The functions that take a scene take it too, with its own kind of state.
+    The functions that take a scene also take such a model, with its own kind of state.
     """
 
     @property
@@ -45,40 +45,40 @@ class Composite(ABC):
     @property
     @abstractmethod
     def remembers(self) -> bool:
-        """Whether an effect has something that it remembers."""
+        """Whether an effect has memory."""
 
     @property
     @abstractmethod
     def evolves(self) -> bool:
-        """Whether it depends on time or remembers."""
+        """Whether it depends on time or has memory."""
 
     @abstractmethod
     def recalling(self, state: Any) -> Any:
-        """Itself with what its effects remember as it is in a state."""
+        """The model with the memory of its effects as in a state."""
 
     @abstractmethod
     def check_run(self, state: Any, dt: ArrayLike) -> Array:
-        """Checks the arguments of a run; gives the step its type."""
+        """Checks the arguments of a run; returns the step in the model's dtype."""
 
     @abstractmethod
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
-        """The integrator of a run; `first` counts where it evolves."""
+        """Integrator of a run; `first` is used if the model evolves."""
 
     @abstractmethod
     def with_memory(self, state: Any) -> Any:
-        """The state with the memory that its effects begin with, if it has none."""
+        """State with the initial memory of its effects, if it has none yet."""
 
     @abstractmethod
     def step_warning(self, dt: Array) -> str | None:
-        """Words about a concrete step that is not stable; `None` for one that is."""
+        """Warning about a concrete step that is not stable; `None` if it is stable."""
 
     @abstractmethod
     def stable_step(self, safety: ArrayLike) -> Any:
-        """The largest stable step times a safety factor, in its field `dt`."""
+        """Largest stable step times a safety factor, in the field `dt`."""
 
     @abstractmethod
     def health(self, state: Any, dt: ArrayLike, limits: Any) -> Any:
-        """Flags and what is behind them."""
+        """Flags of a state and the values behind them."""
 
     @abstractmethod
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:

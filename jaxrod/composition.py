@@ -1,4 +1,4 @@
-"""Composing a scene from a rod, effects and a method, with checks in words."""
+"""Composition of a scene from a rod, effects and a method, with checks."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from jaxrod.validation import check_held, check_kind, is_traced, knows_constants
 
 @knows_constants
 def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scene:
-    """A scene: a rod and all that acts on it.
+    """Makes a scene: a rod, the effects on it, and a method.
 
-    Floating-point numbers of effects and of the method are converted to the rod's type.
+    Floating-point numbers of effects and of the method are converted to the rod's
+    dtype.
 
     Args:
         rod: The rod.
@@ -36,12 +37,12 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             `planar("xy", pyelastica())`.
 
     Raises:
-        ValueError: If the scene is not one for the method, two effects hold the same
+        ValueError: If the scene does not fit the method, two effects hold the same
             node along the same axis, or the same element, or the loads of an effect
             do not fit the rod.
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
-            method is not a `Method`; if the class of an effect is no pytree, defines
-            no hook, or nearly one.
+            method is not a `Method`. Also if the class of an effect is not a pytree,
+            defines no hook, or has a method whose name is nearly that of a hook.
     """
     check_kind("rod", rod, Rod)
     for effect in effects:
@@ -52,7 +53,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         check_own_class(effect, Effect, "an effect")
     dtype = rod.rest_lengths.dtype
     listed = _in_type(dtype, "effects", effects)
-    # Only now: a number that the type cannot hold is refused before it is warned of.
+    # Only now: a number that the dtype cannot hold must raise before any warning.
     warn_of_thickness(rod)
     held = []
     for effect in effects:
@@ -75,13 +76,13 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     check_drag(scene)
     method.check(scene.at(0.0))
     if scene.evolves:
-        # Zero now may be out of the plane or about the axis later.
+        # Values that are zero now may leave the plane or act about the axis later.
         method.check(scene.stirred)
     return scene
 
 
 def _check_evolution(scene: Scene) -> None:
-    """Raises where an effect may not depend on time or remember."""
+    """Raises ValueError if an effect must not depend on time or have memory."""
     for effect in scene.evolving_effects:
         name = type(effect).__name__
         memories = [getattr(effect, field) for field in memory_fields(effect)]
@@ -99,7 +100,7 @@ def _check_evolution(scene: Scene) -> None:
 
 
 def _in_type(dtype: Any, name: str, tree: Any) -> Any:
-    """Effects or a method with their real numbers in the rod's type."""
+    """Effects or a method with their real numbers in the rod's dtype."""
 
     def cast(path: Any, leaf: Any) -> Array:
         array = jnp.asarray(leaf)

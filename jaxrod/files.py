@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and read with their names in every complaint."""
+"""Files written completely or not at all, and read with their names in every error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TEMPORARY = ".partial"
 
 
 class DamagedFileError(ValueError):
-    """A file cannot be what it is there for."""
+    """A file does not have the content it should have."""
 
 
 class LinkedFileError(ValueError):
@@ -31,13 +31,13 @@ class UntrustedError(ValueError):
 
 
 def refuse_link(path: Path) -> None:
-    """Refuses a file or folder that is a link, to be asked before writing there.
+    """Refuses a file or folder that is a link; to be called before writing there.
 
-    A folder that was unpacked from an archive may hold links to anywhere. The folder
-    that the user names may be a link itself; what lies in it may not.
+    A folder that was unpacked from an archive may contain links to anywhere. The folder
+    that the user names may itself be a link; its content must not be.
 
     Raises:
-        LinkedFileError: it is a link.
+        LinkedFileError: If it is a link.
     """
     if path.is_symlink() or _is_junction(path):
         raise LinkedFileError(
@@ -48,35 +48,35 @@ def refuse_link(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Makes a folder in one that was given, if it is not there.
+    """Makes a folder in a given one, if it does not exist.
 
     Raises:
-        LinkedFileError: it is a link, wherever that leads.
-        OSError: it cannot be made; with its name.
+        LinkedFileError: If it is a link, wherever that leads.
+        OSError: If it cannot be made; with its name.
     """
     refuse_link(path)
     path.mkdir(parents=True, exist_ok=True)
 
 
 def open_to_write(path: Path, flags: int) -> int:
-    """Opens a file in a folder that was given, to be written to in its place.
+    """Opens a file in a given folder, for writing in place.
 
-    Nothing is cut off: that is for the caller, once the file is known to be the right
+    It is not truncated: the caller does that, once the file is known to be the right
     one.
 
     Args:
-        path: a plain file, under no other name; made if `flags` say so.
-        flags: those of `os.open`.
+        path: A plain file, without a second name; made if `flags` say so.
+        flags: Flags of `os.open`.
 
     Returns:
-        The number of the open file.
+        The descriptor of the open file.
 
     Raises:
-        LinkedFileError: it is a link, has a second name, or is not a plain file.
-        OSError: it cannot be opened; with its name.
+        LinkedFileError: If it is a link, has a second name, or is not a plain file.
+        OSError: If it cannot be opened; with its name.
     """
     refuse_link(path)
-    # A pipe in its place must not keep the process waiting; Windows has neither flag.
+    # A pipe in its place must not block the process; Windows has neither flag.
     flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
@@ -99,7 +99,7 @@ def open_to_write(path: Path, flags: int) -> int:
 
 
 def _is_junction(path: Path) -> bool:
-    """Whether it is what Windows has instead of a link to a folder."""
+    """Whether a path is a junction, the link to a folder on Windows."""
     return bool(getattr(os.path, "isjunction", lambda path: False)(path))
 
 
@@ -109,18 +109,18 @@ def write_atomically(
     *,
     private: bool = False,
 ) -> None:
-    """Replaces a file by new content in one step, whenever the process may die.
+    """Replaces a file by new content in one step, even if the process dies.
 
-    When this returns, the new content is on the disk. A link is replaced itself; what
-    it leads to stays as it is.
+    When this returns, the new content is on the disk. A link is itself replaced; its
+    target does not change.
 
     Args:
-        path: file to write; its folder must exist.
-        content: the bytes to write, or what writes them into an open file.
-        private: whether nobody but this user may read it.
+        path: File to write; its folder must exist.
+        content: Bytes to write, or a function that writes them into an open file.
+        private: Whether nobody but this user may read it.
 
     Raises:
-        OSError: it cannot be written; with the name of the file.
+        OSError: If it cannot be written; with the name of the file.
     """
     target = Path(path)
     if target.is_dir():
@@ -138,7 +138,7 @@ def write_atomically(
                 file.flush()
                 os.fsync(file.fileno())
             if not private:
-                # mkstemp makes private files; give this one the usual permissions.
+                # mkstemp makes private files; this sets the usual permissions.
                 mask = os.umask(0)
                 os.umask(mask)
                 os.chmod(temporary, 0o666 & ~mask)
@@ -151,7 +151,7 @@ def write_atomically(
 
 
 def _keep_names(folder: Path) -> None:
-    """Waits until a folder's list of files is on the disk, where systems can."""
+    """Waits until a folder's list of files is on the disk, if the system can."""
     if os.name != "posix":
         return
     with suppress(OSError):  # Some network file systems cannot.
@@ -178,9 +178,9 @@ def reading(path: Path) -> Iterator[None]:
     """Turns any failure to read a file into an error that names it.
 
     Raises:
-        DamagedFileError: anything was raised but by the operating system.
-        UntrustedError: it was raised before; the file is not damaged.
-        OSError: the file cannot be opened.
+        DamagedFileError: If anything but an error of the operating system was raised.
+        UntrustedError: If that was raised; the file is not damaged.
+        OSError: If the file cannot be opened.
     """
     try:
         yield
@@ -189,7 +189,7 @@ def reading(path: Path) -> Iterator[None]:
     except UntrustedError as error:
         raise UntrustedError(f"{path}: {error}") from error
     except OSError as error:
-        # Only the ones that opening raises know a file.
+        # Only errors of opening have the name of a file.
         if error.filename is None:
             raise DamagedFileError(f"{path} is damaged: {error}") from error
         raise
@@ -198,7 +198,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """The reason of an error, on one line."""
+    """Reason of an error, on one line."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if isinstance(error, KeyError):
@@ -211,11 +211,11 @@ def _reason(error: Exception) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Reads a JSON file that holds one object.
+    """Reads a JSON file that contains one object.
 
     Raises:
-        DamagedFileError: it is no JSON, or none of an object.
-        OSError: the file cannot be opened.
+        DamagedFileError: If it is not JSON, or not an object.
+        OSError: If the file cannot be opened.
     """
     with reading(path):
         return parse_json(read_plain(path).decode())
@@ -225,7 +225,7 @@ def parse_json(text: str) -> dict[str, Any]:
     """Reads one object from JSON text.
 
     Raises:
-        ValueError: it is no JSON, or none of an object; or an object in it has a key
+        ValueError: If it is not JSON, or not an object; or if an object in it has a key
             twice, of which readers take one or the other.
     """
     content = json.loads(
@@ -249,8 +249,8 @@ def read_plain(path: Path) -> bytes:
     """Reads a whole file; a pipe or a device would have no end.
 
     Raises:
-        ValueError: it is neither a file nor a folder.
-        OSError: the file cannot be opened.
+        ValueError: If it is neither a file nor a folder.
+        OSError: If the file cannot be opened.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError("it is no plain file")
@@ -260,12 +260,13 @@ def read_plain(path: Path) -> bytes:
 def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
     """Reads the columns and the rows of a CSV file.
 
-    A last line that has no end and lacks values is being written, and left out.
+    A last line without an end that lacks values is still being written, and is left
+    out.
 
     Raises:
-        DamagedFileError: it is no CSV, or not all rows have as many values as there
+        DamagedFileError: If it is not CSV, or not all rows have as many values as there
             are columns.
-        OSError: the file cannot be opened.
+        OSError: If the file cannot be opened.
     """
     with reading(path):
         text = read_plain(path).decode()
@@ -301,7 +302,7 @@ POSITIVE: Kind = (
 
 
 def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
-    """A whole number within bounds, both allowed."""
+    """Kind of an integer within bounds, both allowed."""
     return (
         f"a whole number from {smallest} to {largest}",
         lambda value: type(value) is int and smallest <= value <= largest,
@@ -309,7 +310,7 @@ def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
 
 
 def one_of(*choices: str) -> Kind:
-    """One of several words."""
+    """Kind of one of several words."""
     return (
         f"one of {', '.join(choices)}",
         lambda value: isinstance(value, str) and value in choices,
@@ -317,7 +318,7 @@ def one_of(*choices: str) -> Kind:
 
 
 def optional(kind: Kind) -> Kind:
-    """Something or nothing."""
+    """Kind of an entry that may be null."""
     words, test = kind
     return f"{words} or null", lambda value: value is None or test(value)
 
@@ -330,12 +331,12 @@ def check_entries(
     """Checks the entries of a file's content; there may be others.
 
     Args:
-        content: content of the file.
-        kinds: kind of each entry.
-        may_lack: the same for those that need not be there.
+        content: Content of the file.
+        kinds: Kind of each required entry.
+        may_lack: Kind of each optional entry.
 
     Raises:
-        ValueError: an entry is missing or is something else.
+        ValueError: If an entry is missing or of another kind.
     """
     for name, (words, test) in kinds.items():
         if name not in content:
@@ -354,7 +355,7 @@ def _check_entry(
 
 
 def _shown(value: Any) -> str:
-    """A value as one short piece of a sentence."""
+    """Short text for a value, as part of a sentence."""
     try:
         said = repr(value)
     except (ValueError, RecursionError):  # An integer of thousands of digits.

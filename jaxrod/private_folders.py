@@ -1,7 +1,7 @@
-"""Folders whose content is run, and so has to be this user's alone.
+"""Folders whose content is executed, and so must belong to this user alone.
 
-Compiled programs and machine code on the disk are as good as programs: who can change
-them decides what the process does. The rules are those of `ssh` for its keys.
+Compiled programs and machine code on the disk are as good as programs: whoever can
+change them decides what the process does. The rules are those of `ssh` for its keys.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def shared_with(folder: Path) -> str | None:
-    """The reason why others may change the content of a folder; None if they cannot.
+    """Reason why others may change the content of a folder; None if they cannot.
 
-    The folder must belong to this user, not be a link, and be writable by nobody else.
-    The folders above it must belong to this user or to the system, and may be writable
-    by others only if they are sticky, like /tmp. Windows has no such modes: there the
-    answer is always None, as it is for a folder that does not exist.
+    The folder must belong to this user, must not be a link, and must be writable by
+    nobody else. The folders above it must belong to this user or to the system, and may
+    be writable by others only if they are sticky, like /tmp. Windows has no such modes:
+    there the answer is always None, as it is for a folder that does not exist.
     """
     if not hasattr(os, "getuid"):
         return None
@@ -51,7 +51,7 @@ def make_private_folder(folder: Path) -> None:
     """Makes a folder, and those above it that are missing, for this user alone.
 
     Raises:
-        OSError: it cannot be made; with its name.
+        OSError: If it cannot be made; with its name.
     """
     for missing in reversed([folder, *folder.parents]):
         if not missing.is_dir():
@@ -59,10 +59,10 @@ def make_private_folder(folder: Path) -> None:
 
 
 def read_own(path: Path) -> bytes | None:
-    """Content of a file that nobody but this user can have written.
+    """Content of a file that only this user can have written.
 
     Returns:
-        None where there is no such file, or others could have written it.
+        The content; None if there is no such file, or others could have written it.
     """
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:

@@ -28,14 +28,14 @@ Law = Literal["consistent", "pyelastica"]
 
 @runtime_checkable
 class Evolvable(Protocol):
-    """A stepper that can follow a scene that depends on time or remembers."""
+    """A stepper that can follow a scene that depends on time or has memory."""
 
     def evolving(self, scene: Scene, first: Array) -> Stepper:
-        """The stepper that does.
+        """Stepper that follows the scene in time.
 
         Args:
-            scene: The scene with its schedules; the stepper has it without them.
-            first: Steps since time zero when it begins.
+            scene: The scene with its schedules; this stepper has it without them.
+            first: Number of steps since time zero at the beginning.
         """
 
 
@@ -43,50 +43,50 @@ class Evolvable(Protocol):
 class Method:
     """Method of stepping a scene: an elastic law, its reduction and an integrator.
 
-    One of those in `jaxrod.methods`, or a user's subclass that is a pytree.
+    It is one of those in `jaxrod.methods`, or a user's subclass that is a pytree.
     """
 
     twist: ClassVar[bool] = True
-    """Whether elements turn about their axes."""
+    """Whether elements rotate about their axes."""
     explicit: ClassVar[bool] = True
     """Whether `stable_dt` bounds the step."""
 
     @property
     def law(self) -> Law:
-        """The elastic law, which stability and statics ask for."""
+        """The elastic law, which stability and statics need to know."""
         return "consistent"
 
     @property
     def solves_drag(self) -> bool:
-        """Whether `Effect.drag` is solved with the loads of a step, not one of them."""
+        """Whether `Effect.drag` is solved together with the loads, not as one of them."""
         return False
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> Stepper:
-        """The integrator, its constants worked out for one call."""
+        """Integrator with its constants computed for one call."""
         # Not abstract: checks of single effects make scenes that are never stepped.
         raise NotImplementedError
 
     def check(self, scene: Scene) -> None:
-        """Raises ValueError if the scene is not one for this method in any state.
+        """Raises ValueError if the scene does not fit this method in any state.
 
-        Values that are traced are not looked at.
+        Traced values are not checked.
         """
 
     def check_evolving(self, scene: Scene) -> None:
-        """Raises ValueError if what depends on time or remembers is not for it.
+        """Raises ValueError if an effect that evolves does not fit this method.
 
-        Asked of a scene with its schedules, where there are any or a memory.
+        It is called with the scene that has schedules or memory.
         """
 
     def check_state(self, scene: Scene, state: RodState) -> None:
-        """Raises ValueError if this concrete state is not one for this method."""
+        """Raises ValueError if this concrete state does not fit this method."""
 
 
 @pytree
 class Scene:
     """One rod, its effects and a method. Structure is static, numbers are traced.
 
-    Only what is in `effects` is in the compiled program. Build one with
+    Only the listed `effects` are in the compiled program. Make a scene with
     `make_scene`; change numbers with `dataclasses.replace`.
     """
 
@@ -108,13 +108,13 @@ class Scene:
 
     @property
     def remembers(self) -> bool:
-        """Whether an effect has something that it remembers from step to step."""
+        """Whether an effect has memory from step to step."""
         return remembers(self.effects)
 
     def at(self, time: ArrayLike | Clock) -> Scene:
-        """The scene as it is at a time [s]: schedules replaced by their values.
+        """Scene at a time [s]: schedules are replaced by their values.
 
-        For what asks about one moment: energies, health, equilibrium, frequencies.
+        For functions of one moment: energies, health, equilibrium, frequencies.
         """
         if not self.depends_on_time:
             return self
@@ -125,28 +125,28 @@ class Scene:
 
     @property
     def at_largest(self) -> Scene:
-        """The scene with every schedule at the bound on its size."""
+        """Scene with every schedule replaced by the bound on its size."""
         if not self.depends_on_time:
             return self
         return replace(self, effects=at_largest(self.effects))
 
     @property
     def stirred(self) -> Scene:
-        """The scene as it may become: memories and schedules not what they begin with.
+        """Scene with other memories and schedules at their bounds, not initial ones.
 
-        For checks of what effects do: zero now may be out of a plane later.
+        For checks of effects: a value that is zero now may leave a plane later.
         """
         effects = recalled(self.effects, stirred(memory_of(self.effects)))
         return replace(self, effects=effects).at_largest
 
     @property
     def evolves(self) -> bool:
-        """Whether it depends on time or remembers."""
+        """Whether it depends on time or has memory."""
         return self.depends_on_time or self.remembers
 
     @property
     def evolving_effects(self) -> tuple[Effect, ...]:
-        """Its effects that depend on time or remember."""
+        """Effects that depend on time or have memory."""
         return tuple(
             effect
             for effect in self.effects
@@ -154,21 +154,21 @@ class Scene:
         )
 
     def recalling(self, state: Any) -> Scene:
-        """The scene with what its effects remember as it is in a state."""
+        """Scene with the memory of its effects as in a state."""
         if state.memory is None or not self.remembers:
             return self
         return replace(self, effects=recalled(self.effects, state.memory))
 
 
 Model = Scene | Composite
-"""What is stepped: one rod with what acts on it, or several members together."""
+"""A model that can be stepped: one rod with its effects, or several members."""
 
 
 def check_scene(scene: Any) -> None:
-    """Checks that something is a scene, and one alone.
+    """Checks that something is a scene, and a single one.
 
     Raises:
-        TypeError: If it is something else.
+        TypeError: If it is of another type.
         ValueError: If it is a batch of scenes.
     """
     if isinstance(scene, Composite):
@@ -188,12 +188,12 @@ def check_scene(scene: Any) -> None:
 
 
 def scene_of(scene: Scene, state: RodState) -> Scene:
-    """The scene as its effects are in a state, for what asks about one moment.
+    """Scene with the effects as in a state, for functions of one moment.
 
     Raises:
-        TypeError: If they are not a scene and a state.
-        ValueError: If the state is not one of the scene's rod, or the scene is one that
-            depends on time.
+        TypeError: If the arguments are not a scene and a state.
+        ValueError: If the state is not of the scene's rod, or the scene depends on
+            time.
     """
     check_scene_and_state(scene, state)
     check_moment(scene)
@@ -210,7 +210,7 @@ def check_moment(scene: Scene) -> None:
 
 
 def check_memory(scene: Scene, state: RodState) -> None:
-    """Raises a `ValueError` if a state remembers what effects of the scene do not."""
+    """Raises a `ValueError` if a state's memory is not that of the scene's effects."""
     if state.memory is None:
         return
     given, own = map(_described, (state.memory, memory_of(scene.effects)))
@@ -228,10 +228,10 @@ def _described(memory: Any) -> Any:
 
 
 def check_scene_and_state(scene: Scene, state: RodState) -> None:
-    """Checks that they are a scene and a state of its rod.
+    """Checks that the arguments are a scene and a state of its rod.
 
     Raises:
-        TypeError: If they are something else.
+        TypeError: If they are of other types.
         ValueError: If the state has other numbers of elements and nodes.
     """
     check_scene(scene)
@@ -263,15 +263,15 @@ def constrain_rates(scene: Scene, motion: Motion) -> Motion:
 
 
 def dissipates(scene: Scene) -> bool:
-    """Whether an effect of the scene has damping that is solved by itself."""
+    """Whether an effect of the scene has damping that is solved separately."""
     return any(type(e).dissipate is not Effect.dissipate for e in scene.effects)
 
 
 def dissipate(scene: Scene, motion: Motion, dt: Array) -> Motion:
-    """Applies all damping that is solved by itself, for a step."""
+    """Applies all damping that is solved separately, for a step."""
     for effect in scene.effects:
         if type(effect).dissipate is not Effect.dissipate:
-            # What is held has got a rate from the kick that it does not have.
+            # The kick has given held components a rate, which is removed first.
             motion = effect.dissipate(scene, constrain_rates(scene, motion), dt)
     return motion
 

@@ -20,15 +20,15 @@ Given = jax.typing.ArrayLike | Callable[[Any], Any]
 
 
 class Leaf:
-    """A field for an array, which may be made with a number or a schedule.
+    """A field for an array, which may be given as a number or a schedule.
 
-    An annotation, never made. In hooks of effects the field is an array: `make_scene`
-    converts numbers, and a run puts a schedule's value in its place.
+    It is an annotation, never instantiated. In hooks of effects the field is an array:
+    `make_scene` converts numbers, and a run replaces a schedule by its value.
     """
 
-    # Type checkers read from these what a field gives and what it is made with.
+    # Type checkers read from these the type of a field and of its argument.
     def __get__(self, owner: Any, kind: Any = None) -> jax.Array:
-        """The array."""
+        """Returns the array."""
         raise NotImplementedError
 
     def __set__(self, owner: Any, value: Given) -> None:
@@ -37,23 +37,23 @@ class Leaf:
 
 
 def static(**options: Any) -> Any:
-    """A field of structure: part of the pytree's type, never traced.
+    """Declares a structural field: part of the pytree's type, never traced.
 
     Its values must be hashable. A program is compiled for each of them.
 
     Args:
-        **options: Those of `dataclasses.field`: `default`, say.
+        **options: Options of `dataclasses.field`, such as `default`.
     """
     return dataclasses.field(metadata={"static": True}, **options)
 
 
 def memory(**options: Any) -> Any:
-    """A field of an effect that changes from step to step, by `Effect.after_step`.
+    """Declares a field of an effect that changes every step, by `Effect.after_step`.
 
-    Its value in a scene is where it begins; from then on it is in `RodState.memory`.
+    Its value in a scene is the initial one; from then on it is in `RodState.memory`.
 
     Args:
-        **options: Those of `dataclasses.field`: `default`, say.
+        **options: Options of `dataclasses.field`, such as `default`.
     """
     return dataclasses.field(metadata={"memory": True}, **options)
 
@@ -71,7 +71,7 @@ def pytree(cls: type[T]) -> type[T]:
     validated or converted on construction, because JAX also constructs pytrees
     from placeholders while it traces; factories validate instead.
     """
-    # A class that says how it is printed is asked.
+    # A class with its own `__repr__` keeps it.
     own = "__repr__" in vars(cls)
     frozen: Any = dataclasses.dataclass(frozen=True, eq=False, repr=not own)(cls)
     names: tuple[list[str], list[str]] = [], []
@@ -93,9 +93,9 @@ def pytree(cls: type[T]) -> type[T]:
     def unflatten(structure: Any, children: Any) -> Any:
         return frozen(**dict(zip(traced + fixed, (*children, *structure), strict=True)))
 
-    # Not `jax.tree_util.register_dataclass`: to JAX, at least up to 0.12, structures
-    # of two classes with equally many fields are equal if registered by it, and a
-    # jitted function may run the program it compiled for the other class.
+    # Not `jax.tree_util.register_dataclass`: in JAX, at least up to 0.12, it makes the
+    # structures of two classes with equally many fields equal, and a jitted function
+    # may run the program that it compiled for the other class.
     jax.tree_util.register_pytree_with_keys(
         frozen, flatten_with_keys, unflatten, flatten
     )

@@ -1,9 +1,9 @@
-"""Host-side checks of arguments, in words with units.
+"""Checks of arguments on the host, with errors that name units.
 
-Values are checked in float64 and stored in a type that may be narrower: `check_array`
-does the first, `as_array` both, and what the type cannot hold is refused.
-Values being traced by JAX cannot be looked at: of them shape and kind are checked,
-wherever they stand in a nest of lists and tuples.
+Values are checked in float64 and stored in a dtype that may be narrower. `check_array`
+does the first, `as_array` both; values that the dtype cannot hold are refused. The
+values of JAX tracers cannot be read: only their shape and kind are checked, wherever
+they stand in nested lists and tuples.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ Given = ParamSpec("Given")
 Made = TypeVar("Made")
 
 MOST = 2**31 - 1
-"""The largest count: of steps, of iterations."""
+"""Largest count: of steps, of iterations."""
 
 
 def is_traced(*values: Any) -> bool:
-    """Whether any leaf is a tracer, whose value cannot be looked at."""
+    """Whether any leaf is a tracer, whose value cannot be read."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
 
 
 def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
-    """The same function, in which what follows from known values is known too.
+    """Function in which values computed from known values are known, too.
 
     Inside `jax.jit` JAX traces every operation, even one on arrays that were made
     outside: `float(jnp.min(radii))` fails there although `is_traced(radii)` is false.
-    For functions that look at values: checks, and numbers that become structure.
+    It is for functions that read values: checks, and numbers that become structure.
     """
 
     @functools.wraps(function)
     def knowing(*args: Given.args, **kwargs: Given.kwargs) -> Made:
-        # Elsewhere everything known stays known, and the option below would have
-        # JAX compile each operation once more.
+        # Outside jit known values stay known, and the option below would make JAX
+        # compile each operation once more.
         if not is_traced(lax.neg(np.float32(0))):
             return function(*args, **kwargs)
         with jax.ensure_compile_time_eval():
@@ -59,7 +59,7 @@ def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
     """Raises unless a value is of a class of jaxrod's, or of one of several.
 
     Raises:
-        TypeError: Naming the argument, the class and what was given.
+        TypeError: If it is not; the message names argument, class and given type.
     """
     if isinstance(value, kind):
         return
@@ -88,11 +88,11 @@ def check_count(name: str, value: Any, smallest: int, largest: float = MOST) -> 
 
 
 LARGEST_SEED = 2**32 - 1
-"""`jax.random.key` looks at no more bits unless 64-bit types are enabled."""
+"""Largest seed: `jax.random.key` uses no more bits unless 64-bit types are enabled."""
 
 
 def check_seed(seed: Any, name: str = "seed") -> int:
-    """Returns a seed as an int, or raises if it has no random numbers of its own."""
+    """Returns a seed as an int; raises if another seed has the same random numbers."""
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not whole or not 0 <= seed <= LARGEST_SEED:
         raise ValueError(
@@ -102,10 +102,10 @@ def check_seed(seed: Any, name: str = "seed") -> int:
 
 
 def check_dtype(dtype: Any) -> np.dtype:
-    """The floating-point type of a rod: JAX's default for `None`.
+    """Floating-point dtype of a rod: JAX's default for `None`.
 
     Raises:
-        ValueError: If it is neither float32 nor float64, or float64 where JAX has
+        ValueError: If it is neither float32 nor float64, or float64 while JAX has
             64-bit types turned off.
     """
     if dtype is None:
@@ -137,23 +137,23 @@ def check_array(
 ) -> Any:
     """Checks kind, shape, finiteness, sign and size of a number or array of numbers.
 
-    Of values being traced by JAX kind and shape alone.
+    Of values that JAX is tracing it checks kind and shape only.
 
     Args:
         name: The argument's name, for the message.
         value: A number or array, or numbers and arrays in lists and tuples.
-        shapes: The shapes allowed.
+        shapes: The allowed shapes.
         unit: SI unit, for the message ("" for a pure number).
-        positive: Demand values > 0.
-        non_negative: Demand values >= 0.
-        at_most: Demand no larger values.
-        dtype: Demand values that this floating-point type can hold, if given.
+        positive: Whether values must be > 0.
+        non_negative: Whether values must be >= 0.
+        at_most: Largest allowed value.
+        dtype: Floating-point dtype that must be able to hold the values, if given.
 
     Returns:
-        `value`, as a NumPy float64 array; as a JAX array if it is traced.
+        The value as a NumPy float64 array, or as a JAX array if it is traced.
 
     Raises:
-        ValueError: Naming the argument, its value and its unit.
+        ValueError: If a check fails; the message names argument, value and unit.
     """
     value = numeric(name, value, unit)
     if tuple(value.shape) not in [tuple(s) for s in shapes]:
@@ -186,20 +186,20 @@ def as_array(
     at_most: float = math.inf,
     dtype: Any = None,
 ) -> Array:
-    """An argument as a JAX array, checked by `check_array`.
+    """Converts an argument to a JAX array, after the checks of `check_array`.
 
     Args:
         name: The argument's name, for the message.
         value: A number or array, or numbers and arrays in lists and tuples.
         unit: SI unit, for the message ("" for a pure number).
-        shapes: The shapes allowed; one number by default.
-        positive: Demand values > 0.
-        non_negative: Demand values >= 0.
-        at_most: Demand no larger values.
-        dtype: The floating-point type; by default JAX's default.
+        shapes: The allowed shapes; one number by default.
+        positive: Whether values must be > 0.
+        non_negative: Whether values must be >= 0.
+        at_most: Largest allowed value.
+        dtype: Floating-point dtype; by default JAX's default.
 
     Raises:
-        ValueError: Naming the argument, its value and its unit.
+        ValueError: If a check fails; the message names argument, value and unit.
     """
     dtype = jnp.result_type(float) if dtype is None else dtype
     checked = check_array(
@@ -218,21 +218,21 @@ def as_array(
 def check_held(
     name: str, value: np.ndarray, unit: str, dtype: Any, *, each: bool = False
 ) -> None:
-    """Raises unless a floating-point type can hold float64 values.
+    """Raises unless a floating-point dtype can hold float64 values.
 
-    It can if they and their reciprocals are normal numbers of the type: neither
-    infinite nor rounded to nothing. Of an array (a vector, say) entries may vanish
-    that are too small to matter beside the largest, unless `each` matters.
+    It can if they and their reciprocals are normal numbers of the dtype: neither
+    infinite nor rounded to zero. Entries of an array (a vector, say) may vanish if they
+    are negligible compared with the largest, unless `each` is set.
 
     Args:
         name: Name, for the message.
         value: The values.
         unit: SI unit, for the message ("" for a pure number).
-        dtype: The floating-point type.
+        dtype: The floating-point dtype.
         each: Whether every entry matters by itself.
 
     Raises:
-        ValueError: Naming the value, its unit and the type.
+        ValueError: If it cannot; the message names value, unit and dtype.
     """
     limits = jnp.finfo(dtype)
     smallest, largest = float(limits.tiny), 1 / float(limits.tiny)
@@ -257,7 +257,7 @@ def check_held(
 
 
 def numeric(name: str, value: Any, unit: str = "") -> Any:
-    """Numbers and arrays, in lists and tuples or not, as one array of real numbers.
+    """Converts numbers and arrays, also in lists and tuples, to one array.
 
     Args:
         name: The argument's name, for the message.
@@ -269,7 +269,7 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
 
     Raises:
         ValueError: If anything in it is not a real number (strings, truth values and
-            complex numbers are none), or the nest is not regular.
+            complex numbers are not), or the nesting is not regular.
     """
     leaves = list(_leaves(value))
     wanted = f"{name} must be real numbers{f' in {unit}' if unit else ''}"
@@ -299,9 +299,9 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 
 def _is_real(leaf: Any) -> bool:
-    """Whether a leaf is a real number or an array of such."""
+    """Whether a leaf is a real number or an array of real numbers."""
     if isinstance(leaf, numbers.Real):
-        # Python's and NumPy's numbers; truth values are integers to Python.
+        # Numbers of Python and NumPy; Python counts truth values as integers.
         return not isinstance(leaf, bool)
     if not isinstance(leaf, np.ndarray | np.generic | jax.Array):
         if not hasattr(leaf, "__array__"):
@@ -311,7 +311,7 @@ def _is_real(leaf: Any) -> bool:
 
 
 def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
-    """The first bad entry in words, with its unit and where it is."""
+    """First bad entry in words, with its unit and index."""
     unit = f" {unit}" if unit else ""
     if value.ndim == 0:
         return f"{value[()]:g}{unit}"
@@ -320,7 +320,7 @@ def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as it was given, cut short if it is long."""
+    """Text of a value as it was given, cut short if it is long."""
     try:
         text = repr(value)
     except ValueError:  # Python writes no integers of thousands of digits

@@ -1,1 +1,1 @@
-"""Damping that is solved by itself after the kick: of the material, of short waves."""
+"""Damping solved separately after the kick: of the material, and of short waves."""

@@ -4,12 +4,13 @@ With $D$ the differences of neighbours and $M$ the inertia,
 
 $$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r,$$
 
-$w$ a quarter of the mass between two nodes, or of the smaller inertia of two elements,
-so that no eigenvalue of $B$ is above one. Waves of number $k$ on a uniform rod have
-$\sin^2(k\ell/2)$: the wave from node to node decays at the rate $g$, long ones
-at a share of it that falls with the power $2p$. What the rod does as a rigid body is
-taken out before and put back afterwards, so that momentum, angular momentum and rigid
-motion are left alone, and energy only falls.
+$w$ is a quarter of the mass between two nodes, or of the smaller inertia of two
+elements, so that no eigenvalue of $B$ is above one. A wave of wave number $k$ on a
+uniform rod has the eigenvalue $\sin^2(k\ell/2)$. The wave that alternates from node to
+node decays at the rate $g$; long ones at a fraction of it that falls with the power
+$2p$ of $k$. The rigid-body motion of the rod is removed before and restored afterwards.
+Momentum, angular momentum and rigid motion therefore do not change, and energy only
+falls.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ class ShortWaveDamping(Effect):
     """A conservative filter with a rate; see the module."""
 
     rate: Float[Array, ""]
-    """At which motion that alternates from node to node decays [1/s]."""
+    """Rate at which motion that alternates from node to node decays [1/s]."""
     order: int = static(default=2)
     """Half the power of the wave number with which the rate falls."""
 
     def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
-        """The motion after short waves have decayed for a step."""
+        """Motion after short waves have decayed for a step."""
         body = _Body(scene.rod, motion)
         turning = motion.angular_velocities(scene.rod)
         velocity, spin = body.deforming(motion.velocity, turning)
@@ -62,7 +63,7 @@ class ShortWaveDamping(Effect):
 
 
 class _Body:
-    """Inertia of a rod at a configuration, as a whole and along it."""
+    """Inertia of a rod in a configuration, as a whole and along it."""
 
     def __init__(self, rod: Rod, motion: Motion) -> None:
         self.masses = rod.node_masses
@@ -76,7 +77,7 @@ class _Body:
         self.total = total
 
     def deforming(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
-        """Rates without those of the rigid motion with the same momenta."""
+        """Rates minus those of the rigid motion with the same momenta."""
         m, r = self.masses, self.places
         a, b, c = (speed - jnp.sum(m * speed) / self.total for speed in velocity)
         orbital = vectors.scale(m, vectors.cross(r, (a, b, c)))
@@ -93,7 +94,7 @@ class _Body:
         return to_world(self.frame, vectors.multiply(self.inertia, local))
 
     def _turning_of(self, momentum: Vec3) -> Vec3:
-        """Angular velocity of the rod as a rigid body of an angular momentum."""
+        """Angular velocity of the rod as a rigid body with a given angular momentum."""
         m, r = self.masses, self.places
         squared = vectors.dot(r, r)
         rows = []
@@ -118,7 +119,7 @@ class _Body:
         return vectors.scale(1 / determinant, turned)
 
     def roughness(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
-        """`B` times the rates."""
+        """Product of `B` and the rates."""
         flux = vectors.scale(
             0.25 * self.element_masses, vectors.inner_difference(velocity)
         )
@@ -138,10 +139,10 @@ class LaplacianFilter(Effect):
     """PyElastica's filter of rates; see `laplacian_filter`."""
 
     order: int = static()
-    """Times that the Laplacian is applied."""
+    """Number of times that the Laplacian is applied."""
 
     def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
-        """The motion, filtered."""
+        """Motion with filtered rates."""
         if not motion.spin_is_velocity:
             raise ValueError(
                 "laplacian_filter is PyElastica's, for method=pyelastica(): "
@@ -164,12 +165,13 @@ class LaplacianFilter(Effect):
 
 
 def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
-    """Damps what changes from node to node; keeps momenta, rigid motion, long waves.
+    """Damps variation from node to node; keeps momenta, rigid motion and long waves.
 
-    Stable at any rate and, unlike a filter of fixed strength, the same at any step.
+    It is stable at any rate. Unlike a filter of fixed strength, it has the same effect
+    at any step size.
 
     Args:
-        rate: At which motion that alternates from node to node decays [1/s].
+        rate: Rate at which motion that alternates from node to node decays [1/s].
         order: A wave of number k decays at `rate sin(k l / 2)^(2 order)` on elements of
             length l.
 
@@ -185,13 +187,14 @@ def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
 def laplacian_filter(order: int) -> LaplacianFilter:
     """PyElastica's `LaplaceDissipationFilter`, for `method=pyelastica()`.
 
-    Every step takes from velocities and angular velocities, component by component,
-    their Laplacian over -4, applied `order` times with zeros at both ends: its strength
+    Every step subtracts from velocities and angular velocities, component by component,
+    their Laplacian over -4, applied `order` times with zeros at both ends. Its strength
     is per step, and momentum is lost near the ends. Other methods refuse it when they
-    step; `short_wave_damping` is the one with a rate.
+    step; use `short_wave_damping`, which has a rate, with them.
 
     Args:
-        order: Times that the Laplacian is applied; 3 to 7 are usual there.
+        order: Number of times that the Laplacian is applied; 3 to 7 are usual in
+            PyElastica.
 
     Raises:
         ValueError: If it is not a positive integer.

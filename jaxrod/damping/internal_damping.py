@@ -1,19 +1,20 @@
-r"""Internal damping: the rod's own material is viscous (Kelvin and Voigt).
+r"""Internal damping: viscosity of the rod's own material (Kelvin-Voigt).
 
-To the elastic stress and moment come $\tau S\,\dot\sigma$ and $\tau B\,\dot\kappa$,
-with one relaxation time $\tau$. What moves as a rigid body feels nothing of it, and a
-mode of angular frequency $\omega$ decays at the rate $\tau\omega^2/2$.
+It adds $\tau S\,\dot\sigma$ and $\tau B\,\dot\kappa$ to the elastic stress and moment,
+with one relaxation time $\tau$. Rigid-body motion is not damped, and a mode of angular
+frequency $\omega$ decays at the rate $\tau\omega^2/2$.
 
 With $M$ the inertia, $G$ the derivatives of the strain rates by the rates $r$ and $D$
 their drag, each kick is followed by a backward Euler step of the damping alone, at
-fixed configuration, for the impulses $p$ of the pair forces and couples:
+fixed configuration. It solves for the impulses $p$ of the pair forces and couples:
 
 $$(1 + h D\,G M^{-1} G^T)\,p = -h D\,G\,r, \qquad M\,\Delta r = G^T p.$$
 
-One block-tridiagonal system; impulses in pairs keep momentum and angular momentum to
-round-off, whatever the accuracy of $p$. The step only adds inertia to what `stable_dt`
-bounds, $M + h G^T D G$: there is no bound on $\tau$. Its error is of first order in
-$h\tau\omega^2$, which is small for all motion that is not gone within a few steps.
+This is one block-tridiagonal system. Impulses in pairs keep momentum and angular
+momentum to round-off, whatever the accuracy of $p$. The step only adds inertia to that
+in the bound of `stable_dt`, $M + h G^T D G$: $\tau$ has no bound. The error is of first
+order in $h\tau\omega^2$, which is small for all motion that lasts more than a few
+steps.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class InternalDamping(Effect):
     """Viscous over elastic stiffness [s]."""
 
     def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
-        """The motion after strain rates have decayed for a step."""
+        """Motion after strain rates have decayed for a step."""
         rod = scene.rod
         frame = directors(motion.orientation)
         rates = blocks(motion.velocity, motion.angular_velocities(rod))
@@ -75,15 +76,16 @@ class InternalDamping(Effect):
 class _Pairs:
     """Strain rates as sums over neighbouring blocks of rates, and their drag.
 
-    Six to an interval: three of an element's strain, three of the joint that follows.
+    There are six per interval: three of an element's strain, three of the joint after
+    it.
     """
 
     own: Float[Array, "n 6 6"]
-    """Rate by rate, its derivatives by the rates of the first block."""
+    """Derivatives of the strain rates (rows) by the rates of the first block."""
     next: Float[Array, "n 6 6"]
-    """By those of the second."""
+    """Derivatives of the strain rates by the rates of the second block."""
     drag: Float[Array, "n 6"]
-    """Impulse of a step per rate [N s^2/m or N m s]."""
+    """Impulse of a step per strain rate [N s^2/m or N m s]."""
 
     def impulses(
         self, mobility: Float[Array, "n+1 6 6"], rates: Float[Array, "n+1 6"]
@@ -115,10 +117,10 @@ class _Pairs:
 
 
 def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
-    """At a configuration; `duration` is relaxation time by step [s^2].
+    """Pairs for a configuration; `duration` is relaxation time times step [s^2].
 
-    A wall that stands still is joined to an end element by the joint past the last
-    interval's element, or by that of an interval before the first.
+    A fixed wall is joined to an end element by the joint after the last interval's
+    element, or by the joint of an interval before the first.
     """
     rod = scene.rod
     frame = directors(motion.orientation)
@@ -134,7 +136,7 @@ def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
     walls = [wall for wall in walls if wall.stiffness is not None]
     for k, axis in enumerate(directors(_between(scene, motion.orientation))):
         x, y, z = (vectors.pad(c, 0, 1) for c in axis)
-        # Past the last element the joint is to a wall, about the element's own axes.
+        # After the last element the joint is to a wall, about the element's own axes.
         both = zip((x, y, z), frame[k], strict=True)
         back_x, back_y, back_z = (-c.at[-1].set(d[-1]) for c, d in both)
         rows.append(((*none, back_x, back_y, back_z), (*none, x, y, z)))
@@ -158,7 +160,7 @@ def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
 
 
 def _mobility(scene: Scene, motion: Motion) -> Float[Array, "n+1 6 6"]:
-    """Inverse masses and rotary inertias, world frame; zero for what is held."""
+    """Inverse masses and rotary inertias, world frame; zero for held components."""
     rod = scene.rod
     frame = directors(motion.orientation)
     matrices = turned_diagonal(frame, vectors.split(1 / rod.principal_inertias))
@@ -181,7 +183,7 @@ def _times_transposed(a: Array, b: Array) -> Array:
 
 
 def _times(rows: Array, vector: Array) -> Array:
-    """Matrices times vectors."""
+    """Products of matrices and vectors."""
     return jnp.sum(rows * vector[:, None, :], axis=2)
 
 
@@ -189,14 +191,14 @@ def _between(scene: Scene, q: Quaternion) -> Quaternion:
     """Orientations of the joints."""
     if scene.method.twist:
         return _middle(q)
-    # What is given as d1 and d2 of an element says nothing of those of the next.
+    # The d1 and d2 of an element are unrelated to those of the next.
     x, y, z = (c[:-1] + c[1:] for c in directors(q)[2])
     length = jnp.maximum(vectors.safe_norm((x, y, z)), 1e-6)
     return frame_along((x / length, y / length, z / length))
 
 
 def _middle(q: Quaternion) -> Quaternion:
-    """Orientations half way between neighbours."""
+    """Orientations halfway between neighbours."""
     before, after = [c[:-1] for c in q], [c[1:] for c in q]
     cosine = sum(a * b for a, b in zip(before, after, strict=True))
     way = jnp.where(cosine < 0, -1, 1)
@@ -207,11 +209,11 @@ def _middle(q: Quaternion) -> Quaternion:
 def internal_damping(relaxation_time: Numbers) -> InternalDamping:
     """Viscosity of the rod's material: strain rates decay, rigid motion does not.
 
-    Of a mode of angular frequency w the amplitude decays at the rate
-    `relaxation_time w^2 / 2`. Stable at any relaxation time. The wall joint of `clamp`
-    is damped as the rod is, as if its wall stood still.
+    The amplitude of a mode of angular frequency w decays at the rate
+    `relaxation_time w^2 / 2`. It is stable at any relaxation time. The wall joint of
+    `clamp` is damped as the rod is, as if its wall did not move.
 
-    A step costs about that of an implicit one: see the module.
+    A step costs about as much as an implicit one: see the module.
 
     Args:
         relaxation_time: Viscous over elastic stiffness [s].

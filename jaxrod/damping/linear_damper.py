@@ -1,15 +1,16 @@
 r"""PyElastica's `AnalyticalLinearDamper`, for `method=pyelastica()`.
 
-After a kick velocities and angular velocities are multiplied by, with the stretch $e$,
+After a kick velocities and angular velocities are multiplied by factors. With the
+stretch $e$ they are
 
 $$e^{-\gamma_t h/m}, \quad \left(e^{-\gamma_r h/J_i}\right)^e
   \qquad\text{or}\qquad
   e^{-g h}, \quad \left(e^{-g h M/J_i}\right)^e,$$
 
-the first by its constants of translation and rotation, the second by its single
-`damping_constant`, where $M$ is the mean of an element's node masses (plus half of the
-end node's at either end). What is held stays held: theirs slows down ends that are
-driven, too.
+the first pair with PyElastica's constants of translation and rotation, the second with
+its single `damping_constant`. $M$ is the mean of an element's node masses (plus half of
+the end node's at either end). Held components stay held; PyElastica's damper also slows
+down driven ends.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class LinearDamper(Effect):
-    """PyElastica's linear damper by one constant or two; see the module."""
+    """PyElastica's linear damper with one constant or two; see the module."""
 
     translational: Float[Array, ""]
-    """Of velocities: rate [1/s], or `gamma_t` of every node [kg/s]."""
+    """Damping of velocities: a rate [1/s], or `gamma_t` of every node [kg/s]."""
     rotational: Float[Array, ""] | None = None
-    """`gamma_r` of every element [N m s]; `None`: the one constant is a rate."""
+    """Constant `gamma_r` of every element [N m s]; `None` with a single constant."""
 
     def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
-        """The motion after rates have decayed for a step."""
+        """Motion after rates have decayed for a step."""
         if not motion.spin_is_velocity:
             raise ValueError(
                 "linear_damper is PyElastica's, for method=pyelastica(): "
@@ -59,7 +60,7 @@ class LinearDamper(Effect):
 
 
 def _masses(rod: Rod) -> Array:
-    """Masses of elements from those of their nodes, as theirs has them [kg]."""
+    """Masses of elements computed from their nodes, as in PyElastica [kg]."""
     nodes = rod.node_masses
     mean = 0.5 * (nodes[1:] + nodes[:-1])
     return mean.at[0].add(0.5 * nodes[0]).at[-1].add(0.5 * nodes[-1])
@@ -73,18 +74,18 @@ def linear_damper(
 ) -> LinearDamper:
     """PyElastica's `AnalyticalLinearDamper`, for `method=pyelastica()`.
 
-    By its `damping_constant`, or by its two physical constants; its
-    `uniform_damping_constant` is `exponential_damping`. Other methods refuse it when
-    they step.
+    It takes PyElastica's `damping_constant`, or its two physical constants.
+    PyElastica's `uniform_damping_constant` is `exponential_damping` here. Other methods
+    refuse it when they step.
 
     Args:
-        damping_constant: Rate of velocities; that of spins is by so much larger as an
-            element's mass is larger than its inertia, in SI units [1/s].
-        translational: Drag of every node [kg/s].
-        rotational: Drag of every element's turning [N m s].
+        damping_constant: Decay rate of velocities [1/s]. That of spins is larger by the
+            ratio of an element's mass and inertia, in SI units.
+        translational: Drag coefficient of every node [kg/s].
+        rotational: Rotational drag coefficient of every element [N m s].
 
     Raises:
-        ValueError: If a number is out of range, or neither the one nor both of the
+        ValueError: If a number is out of range, or neither the single constant nor both
             others are given.
     """
     one, two = damping_constant is not None, translational is not None

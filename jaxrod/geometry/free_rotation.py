@@ -1,13 +1,13 @@
-r"""Free rotation of a rigid body by exact turns: symplectic, second order.
+r"""Free rotation of a rigid body by exact rotations: symplectic, second order.
 
 The kinetic energy of an angular momentum $P$ (world) is
-$\frac12 P_b\cdot A P_b$ with $P_b = R^T P$ and $A$ the inverse inertia. Split as
-$A = a\,1 + \sum_k s_k c_k c_k^T$, every part moves the body by a turn in closed form:
-the first about $P$, at the rate $a|P|$, which commutes with all others; part $k$ about
-the material axis $c_k$, which leaves $c_k\cdot P_b$ as it is. The parts one after
-the other and back again are symmetric in time; the world vector $P$ never changes.
-A body with two equal moments of inertia, one of them about the first axis, needs one
-part and turns exactly.
+$\frac12 P_b\cdot A P_b$ with $P_b = R^T P$ and $A$ the inverse inertia. With the
+splitting $A = a\,1 + \sum_k s_k c_k c_k^T$ every part moves the body by a rotation in
+closed form. The first is about $P$, at the rate $a|P|$, and commutes with all others.
+Part $k$ is about the material axis $c_k$, and leaves $c_k\cdot P_b$ constant. The parts
+in order and then in reverse order are symmetric in time, and the world vector $P$ never
+changes. A body with two equal moments of inertia, one of them about the first axis,
+needs one part and rotates exactly.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ def freely_turned(
     parts: Sequence[tuple[Array | float, Vec3]],
     dt: Array,
 ) -> Quaternion:
-    """Orientation after turning freely for a time.
+    """Orientation after a time of free rotation.
 
     Args:
-        orientation: Material to world.
+        orientation: Orientation, material to world.
         momentum: Angular momentum, world frame [kg m^2/s].
-        isotropic: The share $a$ of the inverse inertia [1/(kg m^2)], if any.
-        parts: Factors $s_k$ and material vectors $c_k$ of the others.
-        dt: How long [s].
+        isotropic: Isotropic part $a$ of the inverse inertia [1/(kg m^2)], if any.
+        parts: Factors $s_k$ and material vectors $c_k$ of the other parts.
+        dt: Time [s].
     """
     if isotropic is not None:
         turn = rotation_exp(vectors.scale(dt * isotropic, momentum))
@@ -62,7 +62,7 @@ def _turned(
     part: tuple[Array | float, Vec3],
     dt: Array,
 ) -> Quaternion:
-    """One part's turn, about an axis fixed in the body."""
+    """Orientation after one part's rotation, about an axis fixed in the body."""
     factor, axis = part
     own = to_material(directors(orientation), momentum)
     rate = factor * vectors.dot(axis, own)

@@ -6,15 +6,15 @@ import numpy as np
 
 
 def interpolated(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Linear interpolation of the last axis, continued beyond the ends.
+    """Linear interpolation of the last axis, extrapolated beyond the ends.
 
     Args:
-        values: At the old places `(..., m)`.
-        old: Increasing places `(m,)`.
-        new: Places `(k,)`.
+        values: Values at the old places `(..., m)`.
+        old: Old places, increasing `(m,)`.
+        new: New places `(k,)`.
 
     Returns:
-        At the new places `(..., k)`.
+        Values at the new places `(..., k)`.
     """
     values = values.astype(np.float64)
     if old.size == 1:
@@ -24,6 +24,6 @@ def interpolated(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.nda
 
 
 def neighbours(old: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each new place the old one before it, and how far on towards the next."""
+    """Index of the old place before each new one, and the fraction to the next."""
     before = np.clip(np.searchsorted(old, new) - 1, 0, old.size - 2)
     return before, (new - old[before]) / (old[before + 1] - old[before])

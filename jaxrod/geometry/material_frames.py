@@ -1,7 +1,7 @@
-"""Material frames along a polyline: the orientations factories give to elements.
+"""Material frames along a polyline: the orientations that factories give to elements.
 
-Worked out in float64 on the host where the line is known, and with JAX where it is
-traced: the same formulas, by the module `xp` that is handed on.
+They are computed in float64 on the host if the line is known, and with JAX if it is
+traced: the same formulas, with the module `xp` passed as an argument.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jax import lax
 from jaxrod.validation import Numbers, check_array, is_traced
 
 ALONG = math.radians(10)
-"""Largest angle of a given frame's d3 to the direction of its element [rad]."""
+"""Largest angle between a given frame's d3 and the direction of its element [rad]."""
 
 
 def module_for(*values: Any) -> ModuleType:
@@ -27,14 +27,14 @@ def module_for(*values: Any) -> ModuleType:
 
 
 def unit_vector(name: str, value: Numbers) -> Any:
-    """A given direction, of any length but zero, at length one.
+    """A given direction, of any length but zero, scaled to unit length.
 
     Raises:
         ValueError: If it is not a vector, or the zero vector.
     """
     vector = check_array(name, value, [(3,)], "")
     xp = module_for(vector)
-    # First by the largest component: squares of what can be written may not be.
+    # First divided by the largest component, because its square may overflow.
     largest = xp.max(xp.abs(vector))
     if xp is np and largest == 0:
         raise ValueError(f"{name} must not be the zero vector")
@@ -47,10 +47,10 @@ def transported_frames(tangents: Any, normal: Numbers | None) -> Any:
 
     Args:
         tangents: Unit vectors along the elements `(3, n)`.
-        normal: Direction of d1 of the first; by default a world axis.
+        normal: Direction of d1 of the first element; by default a world axis.
 
     Returns:
-        Directors `(3, 3, n)`, `[i, j]` being world component j of director i.
+        Directors `(3, 3, n)`; `[i, j]` is world component j of director i.
 
     Raises:
         ValueError: If the normal is along the first tangent, or the line turns back
@@ -119,7 +119,7 @@ def _carried_along(tangents: jax.Array, first: jax.Array) -> jax.Array:
 
 
 def check_frames(directors: Numbers, tangents: Any) -> Any:
-    """Given directors `(3, 3, n)`, checked.
+    """Checks given directors `(3, 3, n)`.
 
     Raises:
         ValueError: If they are not orthonormal and right-handed, or d3 is not along
@@ -148,7 +148,7 @@ def quaternions(frames: Any) -> Any:
     """Unit quaternions (w, x, y, z), material to world, of directors `(3, 3, n)`."""
     xp = module_for(frames)
     m = xp.swapaxes(frames, 0, 1)
-    # The largest of these four is at least 1: divide by its root, never by zero.
+    # The largest of these four is at least 1: its root is never zero as a divisor.
     squares = 1 + xp.stack(
         [
             m[0, 0] + m[1, 1] + m[2, 2],

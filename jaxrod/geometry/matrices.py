@@ -9,22 +9,22 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 
 Matrix = tuple[Vec3, Vec3, Vec3]
-"""A field of 3 by 3 matrices: its rows."""
+"""A field of 3 by 3 matrices, as its rows."""
 
 
 def skew(a: Vec3) -> Matrix:
-    """The matrix whose product with a vector is the vector product with `a`."""
+    """Matrix whose product with a vector is the cross product with `a`."""
     zero = jnp.zeros_like(a[0])
     return (zero, -a[2], a[1]), (a[2], zero, -a[0]), (-a[1], a[0], zero)
 
 
 def outer(a: Vec3, b: Vec3) -> Matrix:
-    """The matrix of the products of components."""
+    """Outer product: matrix of the products of components."""
     return vectors.scale(a[0], b), vectors.scale(a[1], b), vectors.scale(a[2], b)
 
 
 def scaled_identity(a: Array) -> Matrix:
-    """The identity times a scalar field."""
+    """Identity times a scalar field."""
     zero = jnp.zeros_like(a)
     return (a, zero, zero), (zero, a, zero), (zero, zero, a)
 
@@ -39,7 +39,7 @@ def turned_diagonal(frame: tuple[Vec3, Vec3, Vec3], entries: Vec3) -> Matrix:
 
 
 def cross_rows(matrix: Matrix, a: Vec3) -> Matrix:
-    """The product with `skew(a)` on the right: each row's vector product with `a`."""
+    """Product with `skew(a)` on the right: each row's cross product with `a`."""
     return (
         vectors.cross(matrix[0], a),
         vectors.cross(matrix[1], a),
@@ -48,7 +48,7 @@ def cross_rows(matrix: Matrix, a: Vec3) -> Matrix:
 
 
 def transpose(a: Matrix) -> Matrix:
-    """Rows become columns."""
+    """Transposed matrix."""
     x, y, z = zip(*a, strict=True)
     return x, y, z
 
@@ -73,6 +73,6 @@ def scale(factor: Array | float, a: Matrix) -> Matrix:
 
 
 def stacked(matrix: Matrix) -> Float[Array, "entries 3 3"]:
-    """The matrices as one array."""
+    """Matrices stacked into one array."""
     entries = jnp.stack([entry for row in matrix for entry in row], axis=-1)
     return entries.reshape(-1, 3, 3)

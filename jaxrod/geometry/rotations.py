@@ -1,12 +1,12 @@
 r"""Rotations as unit quaternions: exponential, logarithm, frames.
 
-A quaternion $q = (w, x, y, z)$ turns material components into world components,
+A quaternion $q = (w, x, y, z)$ maps material components to world components,
 $v_\mathrm{world} = q\, v_\mathrm{material}\, q^*$. In PyElastica's notation its
 rotation matrix is $Q^T$: the directors $d_1, d_2, d_3$ are the matrix's columns.
 
-Exponential and logarithm are evaluated by polynomials in squares, so there is no
-square root of zero, no division by an angle, no branch, and nothing for automatic
-differentiation to trip over at the straight rod at rest.
+Exponential and logarithm are evaluated by polynomials in squares. There is no square
+root of zero, no division by an angle and no branch, so automatic differentiation has no
+singularity at the straight rod at rest.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from jaxrod.geometry.vectors import Vec3, dot, scale
 
 Quaternion = tuple[Array, Array, Array, Array]
-"""A field of quaternions: the arrays of w, x, y and z components."""
+"""A field of quaternions, as the arrays of w, x, y and z components."""
 
 # Chebyshev interpolants, written as polynomials in u = tan(theta/8)^2, which covers
 # every joint angle from 0 to pi as u runs from 0 to 0.172:
@@ -72,7 +72,7 @@ _COUPLING_DOUBLE = (
     -0.03000161688187721,
     0.2626840495356016,
 )
-# Half-angles beyond this (rotations of more than a whole turn per step) saturate.
+# Half-angles beyond this (rotations by more than a whole turn per step) saturate.
 _LARGEST_HALF_ANGLE_SQUARED = math.pi**2
 
 
@@ -88,12 +88,12 @@ def _is_single(a: Array) -> bool:
 
 
 def arctangent_ratio(u: Array) -> Array:
-    r"""$\arctan(\sqrt u)/\sqrt u$ of the squared tangent u of up to an eighth of pi."""
+    r"""Ratio $\arctan(\sqrt u)/\sqrt u$, for u up to $\tan^2(\pi/8)$."""
     return _polynomial(u, _ATAN_SINGLE if _is_single(u) else _ATAN_DOUBLE)
 
 
 def split_quaternion(stacked: Float[Array, "4 n"]) -> Quaternion:
-    """Takes a component-first array of quaternions apart."""
+    """Splits a component-first array of quaternions into its components."""
     return stacked[0], stacked[1], stacked[2], stacked[3]
 
 
@@ -103,7 +103,7 @@ def join_quaternion(q: Quaternion) -> Float[Array, "4 n"]:
 
 
 def multiply_quaternions(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product `a b`: rotate by `b`, then by `a`."""
+    """Hamilton product `a b`: rotation by `b`, then by `a`."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -113,18 +113,18 @@ def multiply_quaternions(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse rotation."""
+    """Inverse rotation."""
     return q[0], -q[1], -q[2], -q[3]
 
 
 def normalise(q: Quaternion) -> Quaternion:
-    """Scales a quaternion back to unit length."""
+    """Quaternion scaled to unit length."""
     inverse = lax.rsqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse
 
 
 def sine_ratio_and_cosine(squared_angle: Array) -> tuple[Array, Array]:
-    r"""$\sin(a)/a$ and $\cos(a)$ as functions of $a^2$, both entire.
+    r"""Functions $\sin(a)/a$ and $\cos(a)$ of $a^2$, both entire.
 
     Two Taylor polynomials at $a/2$ followed by one angle doubling: exact to
     round-off for $|a| \le \pi$, constant beyond.
@@ -132,7 +132,7 @@ def sine_ratio_and_cosine(squared_angle: Array) -> tuple[Array, Array]:
     terms = 6 if _is_single(squared_angle) else 10
     u = 0.25 * jnp.minimum(squared_angle, _LARGEST_HALF_ANGLE_SQUARED)
     sines = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(terms))
-    # 1 - cos and not cos: the doubling then keeps full relative accuracy.
+    # 1 - cos instead of cos: the doubling then keeps full relative accuracy.
     versines = tuple((-1) ** k / math.factorial(2 * k + 2) for k in range(terms))
     sine_ratio = _polynomial(u, sines)
     versine = u * _polynomial(u, versines)
@@ -214,8 +214,8 @@ def directors_from_orientations(
 ) -> Float[Array, "*batch 3 3 n"]:
     """Director matrices: `[..., i, j, :]` is world component j of director i.
 
-    Of one rod this is PyElastica's `director_collection` layout; of a batch, or of a
-    rollout, each state's own.
+    For one rod this is the layout of PyElastica's `director_collection`; for a batch or
+    a rollout there is one matrix per state.
     """
     w, x, y, z = (orientations[..., component, :] for component in range(4))
     frame = directors((w, x, y, z))

@@ -1,9 +1,9 @@
 """Arithmetic on 3-vectors held as tuples of component arrays.
 
 Inside a step every vector field is a tuple `(x, y, z)` of equally shaped arrays,
-one entry per node, element or joint. Written this way each operation is a plain
-multiply or add over contiguous memory: XLA fuses it well, and no dot product is
-ever handed to a matrix unit, which on some accelerators would round it to TF32.
+one entry per node, element or joint. Each operation is then a plain multiply or add
+over contiguous memory. XLA fuses it well, and no dot product goes to a matrix unit,
+which would round it to TF32 on some accelerators.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 Vec3 = tuple[Array, Array, Array]
-"""A field of 3-vectors: the arrays of x, y and z components, equal in shape."""
+"""A field of 3-vectors, as the arrays of x, y and z components, equal in shape."""
 
 
 def split(stacked: Float[Array, "3 n"]) -> Vec3:
-    """Takes a component-first array apart into its three component arrays."""
+    """Splits a component-first array into its three component arrays."""
     return stacked[0], stacked[1], stacked[2]
 
 
@@ -29,12 +29,12 @@ def join(vector: Vec3) -> Float[Array, "3 n"]:
 
 
 def split_optional(stacked: Float[Array, "3 n"] | None) -> Vec3 | None:
-    """`split` of what may not be there."""
+    """Splits an array that may be `None`."""
     return None if stacked is None else split(stacked)
 
 
 def join_optional(vector: Vec3 | None) -> Float[Array, "3 n"] | None:
-    """`join` of what may not be there."""
+    """Joins a vector field that may be `None`."""
     return None if vector is None else join(vector)
 
 
@@ -44,7 +44,7 @@ def dot(a: Vec3, b: Vec3) -> Array:
 
 
 def cross(a: Vec3, b: Vec3) -> Vec3:
-    """Vector product, entry by entry."""
+    """Cross product, entry by entry."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -80,7 +80,7 @@ def apply(function: Callable[[Array, Array], Array], a: Vec3, b: Vec3) -> Vec3:
 def safe_norm(a: Vec3) -> Array:
     """Euclidean length, with gradient zero (not NaN) for the zero vector.
 
-    The zero vector's length comes out as the root of the smallest normal number.
+    The length of the zero vector is the square root of the smallest normal number.
     """
     squared = dot(a, a)
     return jnp.sqrt(jnp.maximum(squared, jnp.finfo(squared.dtype).tiny))
@@ -89,8 +89,8 @@ def safe_norm(a: Vec3) -> Array:
 def pad(a: Array, before: int, after: int) -> Array:
     """Appends zeros to a field along its last axis.
 
-    `lax.pad` rather than `jnp.concatenate`: it fuses with its neighbours and,
-    under `vmap`, leaves the batch axis where it is.
+    It uses `lax.pad` instead of `jnp.concatenate`, which fuses with its neighbours and
+    leaves the batch axis in place under `vmap`.
     """
     ends = [*[(0, 0, 0)] * (a.ndim - 1), (before, after, 0)]
     return lax.pad(a, jnp.zeros((), a.dtype), ends)

@@ -1,4 +1,4 @@
-"""What differs between accelerators and CPUs: memory, and equal bits in every call.
+"""Checks of accelerators, which differ from CPUs: memory, and bitwise repeatability.
 
 Neither makes a result wrong, so no check here fails a machine.
 """
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     import jax
 
 CALLS = 8
-"""So many calls of one program are compared."""
+"""Number of calls of one program that are compared."""
 
 ALL_BUT_NOTHING = 0.05
-"""Less of the memory than this free counts as none [1]."""
+"""Fraction of the memory below which next to nothing is free [1]."""
 
 
 def check_memory(
     platform: str, stats: Mapping[str, int] | None, setting: str
 ) -> Check | None:
-    """Says how much memory JAX may take of a device, and how much of it is free.
+    """Reports how much memory of a device JAX may take, and how much of it is free.
 
     Args:
-        platform: of the device.
-        stats: what `jax.Device.memory_stats` says, in bytes; None where it says
-            nothing, as on CPUs.
-        setting: `XLA_PYTHON_CLIENT_MEM_FRACTION`, "" where it is not set.
+        platform: Platform of the device.
+        stats: Result of `jax.Device.memory_stats`, in bytes; None if there is none, as
+            on CPUs.
+        setting: `XLA_PYTHON_CLIENT_MEM_FRACTION`, "" if it is not set.
 
     Returns:
-        The check; None where there is nothing to say.
+        The check; None if there is nothing to report.
     """
     limit = (stats or {}).get("bytes_limit", 0)
     if not stats or not limit:
@@ -51,9 +51,9 @@ def check_memory(
 def check_repeatability(device: jax.Device) -> Check:
     """Calls one program several times and compares the bits of its results.
 
-    It adds many numbers to few places, multiplies matrices and sums: what gradients of
-    networks consist of. On GPUs additions to one place come in any order by default,
-    and a run that is repeated or resumed then agrees up to rounding, not bit by bit.
+    It adds many numbers to few places, multiplies matrices and sums, as gradients of
+    networks do. On GPUs additions to one place happen in any order by default. A run
+    that is repeated or resumed then agrees up to round-off, but not bit by bit.
     """
     import jax
     import jax.numpy as jnp
@@ -81,11 +81,11 @@ def check_repeatability(device: jax.Device) -> Check:
 
 
 def calls_that_differ(call: Callable[[], list[np.ndarray]], calls: int = CALLS) -> int:
-    """How many of several calls give other bits than the first.
+    """Number of calls whose results differ in any bit from those of the first.
 
     Args:
-        call: gives arrays, of the same shapes each time.
-        calls: how many, without the first.
+        call: Function that returns arrays, of the same shapes each time.
+        calls: Number of calls, without the first.
     """
     first = [array.tobytes() for array in call()]
     return sum([array.tobytes() for array in call()] != first for _ in range(calls))

@@ -1,9 +1,9 @@
 """CPU settings that make rods fast, measured, in one place.
 
-XLA's CPU compiler, left alone, computes shared subexpressions of a step once per
-output and calls many small kernels per step. Two of its options change that; a
-second CPU device lets a batch use a second core, because a small compiled loop runs
-on one thread.
+By default XLA's CPU compiler computes shared subexpressions of a step once per
+output and calls many small kernels per step. Two of its options change that. A second
+CPU device lets a batch use a second core, because a small compiled loop runs on one
+thread.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxrod.installation.program_cache import asked_for, keep_programs
 from jaxrod.validation import check_count
 
 MOST_DEVICES = 1024
-"""More are taken for a mistake: XLA sets up each of them."""
+"""Largest number of devices; more are taken for a mistake, since XLA sets up each."""
 
 _BACKEND_OPTIONS = {
     # One kernel computes all outputs that share work.
@@ -28,10 +28,10 @@ _BACKEND_OPTIONS = {
     "xla_cpu_small_while_loop_byte_threshold": "100000000",
 }
 _LIBRARY_FUSIONS = "--xla_cpu_experimental_ynn_fusion_type"
-"""Option that chooses what XLA leaves to YNNPACK. Since 0.12 that is every reduction
-with all that leads to it: the smallest distances of a nest in a batch of 256 then take
-ten times as long as in XLA's own code. XLA ends the process at an option it does not
-know, so only releases that are known to have it are given it."""
+"""Option that chooses which operations XLA leaves to YNNPACK. Since 0.12 these are all
+reductions with everything that leads to them. The smallest distances of a nest in a
+batch of 256 then take ten times as long as in XLA's own code. XLA ends the process at
+an unknown option, so only releases that are known to have it get it."""
 _LAST_WITH_LIBRARY_FUSIONS = (0, 12)
 
 
@@ -42,20 +42,20 @@ def configure_cpu(
 ) -> None:
     """Applies the CPU settings jaxrod is measured with. Call it before using JAX.
 
-    Sets `XLA_FLAGS` for this process (options you set yourself are left as they
-    are), and the number of CPU devices a batch can be spread over. Settings take
-    effect only if no JAX computation has run yet; otherwise a warning says so.
+    Sets `XLA_FLAGS` for this process (options that you set yourself are kept), and the
+    number of CPU devices a batch can be spread over. Settings take effect only if no
+    JAX computation has run yet; otherwise a warning is given.
 
     Args:
         devices: Number of CPU devices; by default the number of cores this process
             may use.
         cache: Whether compiled programs are kept on disk for the next process, or the
-            folder to keep them in; by default what the environment variable
-            `JAXROD_CACHE` says (1 or a folder), and not if it says nothing.
+            folder to keep them in; by default the value of the environment variable
+            `JAXROD_CACHE` (1 or a folder), and no if it is not set.
 
     Raises:
-        ValueError: If `devices` is not a positive integer, `cache` is no folder that
-            can be made, or `XLA_FLAGS` holds what are no options.
+        ValueError: If `devices` is not a positive integer, `cache` is not a folder that
+            can be made, or `XLA_FLAGS` has words that are not options.
     """
     if devices is None:
         devices = available_cores()
@@ -77,10 +77,10 @@ def configure_cpu(
 
 
 def compile_for_rods() -> None:
-    """Sets XLA's options as `configure_cpu` does, where nobody has set any.
+    """Sets XLA's options as `configure_cpu` does, if none are set.
 
-    For what only a short program calls, such as an adapter: nothing is changed once JAX
-    has computed or where `XLA_FLAGS` says something; the devices stay as they are.
+    For code that only a short program calls, such as an adapter. It changes nothing
+    once JAX has computed or if `XLA_FLAGS` is set; the devices are not changed.
     """
     if not _backend_is_running() and not os.environ.get("XLA_FLAGS", "").strip():
         os.environ["XLA_FLAGS"] = with_backend_options("")
@@ -94,14 +94,14 @@ def available_cores() -> int:
 
 
 def given_options() -> str:
-    """The options that `XLA_FLAGS` gives: its text, or that of the file it names.
+    """Options that `XLA_FLAGS` gives: its text, or that of the file it names.
 
-    XLA ends the process at the first mistake. Which options it knows only XLA can say,
-    so what looks like one is left to it.
+    XLA ends the process at the first mistake. Only XLA knows its options, so words that
+    look like options are not checked further.
 
     Raises:
-        ValueError: the text is neither options, each of which begins with two dashes,
-            nor the name of a file of them.
+        ValueError: If the text is neither options, each of which begins with two
+            dashes, nor the name of a file of them.
     """
     flags = os.environ.get("XLA_FLAGS", "").strip()
     wanted = "must be options such as --xla_NAME=VALUE, or the name of a file of them"
@@ -124,7 +124,7 @@ def given_options() -> str:
 
 
 def with_backend_options(flags: str) -> str:
-    """`XLA_FLAGS` with jaxrod's options added where the user gave none."""
+    """Value of `XLA_FLAGS` with jaxrod's options added where the user gave none."""
     prefix = "--xla_backend_extra_options="
     words = flags.split()
     given = [w.removeprefix(prefix) for w in words if w.startswith(prefix)]

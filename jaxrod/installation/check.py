@@ -1,4 +1,4 @@
-"""What a check of this machine has found."""
+"""Results of checks of this machine."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Check:
     name: str
     """Name of the check."""
     ok: bool
-    """False when results computed here cannot be trusted."""
+    """False if results computed here cannot be trusted."""
     detail: str
     """Findings, with numbers."""
     advice: str = ""
-    """Advice on a mend; empty when nothing is wrong or slow."""
+    """Advice on a remedy; empty if nothing is wrong or slow."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def run_checks() -> list[Check]:
-    """Runs every check and returns what was found; prints nothing.
+    """Runs every check and returns the results; prints nothing.
 
     A check that itself fails to run counts as failed, so the list is always
     complete: a broken installation is described, not raised.
@@ -112,7 +112,7 @@ def check_batched_products(
     name = f"batched products, {np.dtype(dtype).name} on {device.platform}"
     matrix = np.array([[0.9, -0.1, 0.2], [0.3, 1.1, -0.4], [-0.2, 0.5, 0.8]], dtype)
     vectors = np.random.default_rng(0).standard_normal((rows, 3)).astype(dtype)
-    # 64-bit types have to be on both when the arrays are made and when compiling.
+    # 64-bit types must be on both when the arrays are made and when compiling.
     with jax.enable_x64(True) if dtype == np.float64 else nullcontext():
         put = jax.device_put((matrix, vectors), device)
         squares = jax.vmap(lambda m, r: jnp.sum((m @ r) ** 2), in_axes=(None, 0))
@@ -156,7 +156,7 @@ def check_compensated_sum(device: jax.Device) -> Check:
     def add_up(start: jax.Array, turns: int) -> jax.Array:
         return jax.lax.fori_loop(0, turns, turn, (start, 0 * start))[0]
 
-    # Several lanes, so that vector instructions are compiled and checked too.
+    # Several lanes, so that vector instructions are compiled and checked, too.
     start = jax.device_put(np.ones(16, np.float32), device)
     increment = jax.device_put(np.full(16, 1e-8, np.float32), device)
     got = np.asarray(jax.jit(add_up)(start, additions // per_turn), np.float64)
@@ -188,7 +188,7 @@ def check_matrix_products(device: jax.Device) -> Check:
     got = np.asarray(jax.jit(jnp.matmul)(*put), np.float64)
     exact = a.astype(np.float64) @ b.astype(np.float64)
     error = float(np.max(np.abs(got - exact)) / np.max(np.abs(exact)))
-    # By a variable: the type stubs of some releases lack this option.
+    # Through a variable: the type stubs of some releases lack this option.
     option = "jax_default_matmul_precision"
     setting = getattr(jax.config, option) or "default"
     detail = f"float32 relative error {error:.1e} (precision setting: {setting})"
@@ -202,7 +202,7 @@ def check_matrix_products(device: jax.Device) -> Check:
 
 
 def check_lanes() -> Check:
-    """Compares batched steps in lanes with NumPy, or says why there are no lanes."""
+    """Compares batched steps in lanes with NumPy, or reports why there are no lanes."""
     import jax
     import jax.numpy as jnp
 
@@ -257,7 +257,7 @@ def check_lanes() -> Check:
 
 
 def check_default_precision() -> Check:
-    """Says which floating-point type arrays get when none is asked for."""
+    """Reports the floating-point dtype that arrays get by default."""
     import jax.numpy as jnp
 
     default = np.dtype(jnp.zeros(()).dtype).name
@@ -271,7 +271,7 @@ def check_default_precision() -> Check:
 
 
 def check_processors() -> Check:
-    """Says what the processor is, how many cores may be used, and XLA's options."""
+    """Reports the processor, the number of usable cores, and XLA's options."""
     if hasattr(os, "sched_getaffinity"):
         usable = len(os.sched_getaffinity(0))
     else:
@@ -284,7 +284,7 @@ def check_processors() -> Check:
 
 
 def _one_device_per_platform() -> list[jax.Device]:
-    """Returns the default device and, where that is not a CPU, a CPU as well."""
+    """Returns the default device and, if that is not a CPU, also a CPU."""
     import jax
 
     devices = [jax.devices()[0]]
@@ -297,7 +297,7 @@ def _one_device_per_platform() -> list[jax.Device]:
 
 
 def _guard(name: str, check: Callable[[], Check]) -> Check:
-    """Runs a check; an exception is its finding."""
+    """Runs a check; an exception becomes its result."""
     try:
         return check()
     except Exception as error:

@@ -43,11 +43,11 @@ def release(version: str) -> tuple[int, ...]:
 
 
 def fault(package: str, version: str) -> str | None:
-    """Says in one sentence why a version is refused, or None when it is accepted.
+    """Returns the reason why a version is refused, or None if it is accepted.
 
     Args:
         package: "jax" or "jaxlib".
-        version: its version, such as "0.10.2".
+        version: Version of the package, such as "0.10.2".
     """
     number = release(version)
     if number in UNSOUND:
@@ -71,8 +71,8 @@ def require_sound_jax() -> None:
     """Checks the installed jax and jaxlib.
 
     Raises:
-        UnsoundJaxError: if either is a refused release; the message says what is
-            wrong with it and what to install.
+        UnsoundJaxError: If either is a refused release; the message explains the fault
+            and how to install another release.
     """
     for package in ("jax", "jaxlib"):
         sentence = fault(package, metadata.version(package))

@@ -1,8 +1,8 @@
-"""A sentence for a process that the runtime ends without asking Python.
+"""A message for a process that the runtime aborts without asking Python.
 
-Where another process of a program is lost, JAX's runtime writes many lines and aborts:
-no handler of Python's runs any more. `faulthandler`, which needs no interpreter, then
-tells a small process that was started before, and that says the sentence.
+If another process of a program is lost, JAX's runtime writes many lines and aborts, and
+no handler of Python's runs any more. `faulthandler` needs no interpreter. It notifies a
+small process that was started before, which then prints the message.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import subprocess
 import sys
 from typing import IO
 
-# The last line before the fault is the sentence. What is no abort is passed on as it
-# is, with the lines of Python that it met.
+# The last line before the fault is the message. Output of faults other than aborts is
+# passed on unchanged, with its lines of Python.
 _LISTENER = """
 import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
@@ -33,10 +33,10 @@ if fault:
 
 
 class LastWords:
-    """Says a sentence if this process aborts; nothing where it ends in another way."""
+    """Prints a message if this process aborts; nothing if it ends in another way."""
 
     def __init__(self) -> None:
-        """Starts the process that listens, unless `faulthandler` is in use already."""
+        """Starts the listening process, unless `faulthandler` is in use already."""
         self._to: IO[str] | None = None
         if faulthandler.is_enabled():
             return
@@ -46,14 +46,14 @@ class LastWords:
             stdout=subprocess.DEVNULL,
             text=True,
         )
-        # It outlives this process, and nobody waits for it.
+        # The listener outlives this process, and nobody waits for it.
         listener.returncode = 0
         self._to = listener.stdin
         assert self._to
         faulthandler.enable(self._to, all_threads=False)
 
     def __call__(self, sentence: str) -> None:
-        """What is to be said from now on, one line."""
+        """Sets the message to print from now on, one line."""
         if self._to:
             try:
                 self._to.write(sentence.replace("\n", " ") + "\n")

@@ -1,4 +1,4 @@
-"""The machine and the releases that measurements depend on."""
+"""Facts about the machine and the releases that measurements depend on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def processor() -> str:
-    """The processor's name, as well as it can be found out."""
+    """Name of the processor, as far as it can be found out."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -20,10 +20,10 @@ def processor() -> str:
 
 
 def machine_facts(load: float | None) -> dict[str, Any]:
-    """Processor, cores, devices, XLA's flags and releases, as JSON holds them.
+    """Processor, cores, devices, XLA's flags and releases, in a form for JSON.
 
     Args:
-        load: the load average before anything was measured; None where there is none.
+        load: Load average before anything was measured; None if there is none.
     """
     import jax
 
@@ -46,7 +46,7 @@ def machine_facts(load: float | None) -> dict[str, Any]:
 
 
 def processor_and_versions() -> str:
-    """The processor and the releases in use, in one line."""
+    """Processor and releases in use, in one line."""
     facts = machine_facts(None)
     versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
     return f"{facts['processor']}; {versions}"

@@ -1,4 +1,4 @@
-"""Joins this process to the others of one program, on this machine or on many."""
+"""Joining of this process with the others of one program, on one machine or many."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ import socket
 from collections.abc import Callable
 
 JOINED_WITHIN = 30
-"""Processes wait for each other for so long when they begin [s]."""
+"""Time for which processes wait for each other at the beginning [s]."""
 
 LARGEST_PORT = 65_535
-"""Ports of computers are numbered so far."""
+"""Largest number of a port."""
 
 LONGEST_WAIT = 604_800
-"""They wait no longer than a week [s]."""
+"""Longest time for which processes wait, a week [s]."""
 
 LOST_AFTER = 20
-"""A process that was not heard of for so long is taken for lost [s]."""
+"""Time without contact after which a process is taken for lost [s]."""
 
 PATIENCE = 60
-"""Processes wait for each other for so long when they end [s]."""
+"""Time for which processes wait for each other at the end [s]."""
 
 GO_ON = (
     "a run goes on from its last checkpoint with resume, in as many processes as there "
     "are then"
 )
-"""What to do after a process was lost."""
+"""Advice after a process was lost."""
 
 _last_words: list[Callable[[str], None]] = []
 
@@ -39,22 +39,22 @@ def join_processes(
 ) -> None:
     """Joins the processes of one program; call it before JAX computes anything.
 
-    `jax.distributed.initialize`, which knows SLURM, Open MPI and Kubernetes, with times
-    after which a lost process shows. Without arguments it asks these. JAX ends a
-    process whose others are lost by aborting it, after lines of its own; a sentence
-    after them, on the standard error, then says what that means.
+    It calls `jax.distributed.initialize`, which knows SLURM, Open MPI and Kubernetes,
+    with timeouts after which a lost process is noticed. Without arguments the values
+    come from these. If other processes are lost, JAX writes its own lines and aborts
+    this one. A message after them, on the standard error, then explains that.
 
     Args:
-        coordinator: address and port of the first process, such as "10.0.0.1:1234".
-        count: number of processes.
-        index: number of this one, from 0.
-        within: time in which all have to come, a whole number [s]; after it this
+        coordinator: Address and port of the first process, such as "10.0.0.1:1234".
+        count: Number of processes.
+        index: Index of this process, from 0.
+        within: Time in which all processes must come, a whole number [s]; after it this
             process is aborted.
 
     Raises:
-        ValueError: an argument makes no sense, nothing says what the others are, or
+        ValueError: If an argument makes no sense, the other processes are not known, or
             another program has the coordinator's port.
-        RuntimeError: they cannot be reached.
+        RuntimeError: If the processes cannot be reached.
     """
     import jax
 
@@ -85,7 +85,7 @@ def join_processes(
                 f"index must be 0 to {count - 1} of {count} processes, got {index}"
             )
         if "KUBERNETES_SERVICE_HOST" in os.environ:
-            # It has nothing to add, and would want a package and permissions.
+            # Detection would add nothing, and would need a package and permissions.
             detection = "deactivate"
     whole = isinstance(within, int) and not isinstance(within, bool)
     if not whole or not 1 <= within <= LONGEST_WAIT:
@@ -100,7 +100,7 @@ def join_processes(
         f"jaxrod: not all processes of the program came within {within} s, or the "
         f"first was lost meanwhile; start all of them anew: {GO_ON}"
     )
-    # Its handler takes SIGTERM away from whoever wants to save first.
+    # Its handler would take SIGTERM from programs that want to save first.
     jax.config.update("jax_enable_preemption_service", False)
     try:
         jax.distributed.initialize(
@@ -132,11 +132,11 @@ def join_processes(
 
 
 def _check_port(port: int) -> None:
-    """Raises ValueError where this process cannot listen on a port; JAX would wait."""
+    """Raises ValueError if this process cannot listen on a port; JAX would wait."""
     both = socket.has_dualstack_ipv6()
     family = socket.AF_INET6 if both else socket.AF_INET
     try:
-        # As a server does it: a connection that has just ended is no hindrance.
+        # As a server does it: a connection that has just ended does not prevent it.
         socket.create_server(("", port), family=family, dualstack_ipv6=both).close()
     except OSError as error:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):

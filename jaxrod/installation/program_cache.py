@@ -1,16 +1,16 @@
 """Compiled programs kept on disk, so that a second process need not compile them.
 
-JAX keeps them (its persistent compilation cache); here is said where, and for which
-processor. JAX names a file after the program, XLA's options and the releases; what a
-processor can do is not known to be among them, and a home directory may be shared by
-several machines. So there is a folder for every processor.
+JAX keeps them (its persistent compilation cache); this module chooses the folder. JAX
+names a file after the program, XLA's options and the releases. The capabilities of the
+processor are not known to be among them, and a home directory may be shared by several
+machines. So there is a folder for every processor.
 
-JAX does not write whole files at once. Compressed by zlib each has a checksum: one that
-is damaged or half written is reported and compiled again. By zstandard it has none, and
-a process that takes a damaged one can die or worse. Then nothing is kept.
-
-What is taken from the disk is run. A folder that others can write to is refused, with a
-warning, and the program is compiled as if nobody had asked for the cache.
+JAX does not write whole files at once. Files compressed by zlib have a checksum: one
+that is damaged or half written is reported and compiled again. Files compressed by
+zstandard have none, and a process that loads a damaged one can crash or worse. In that
+case nothing is kept. Files from the disk are executed. A folder that others can write
+to is therefore refused, with a warning, and programs are compiled as if there were no
+cache.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ VARIABLE = "JAXROD_CACHE"
 """Environment variable that asks for the cache: 1, or a folder."""
 
 SHORTEST_COMPILATION = 0.3
-"""Programs that take less time to compile are not kept [s]; where nobody said so."""
+"""Shortest compile time of programs that are kept [s], unless the user set it."""
 
 _JAX_SHORTEST = 1.0
 
@@ -44,16 +44,16 @@ class UncheckedCacheWarning(UserWarning):
 
 
 class SharedCacheWarning(UserWarning):
-    """Others can write to the folder of compiled programs; none are kept or taken."""
+    """Others can write to the folder of compiled programs; it is not used."""
 
 
 def without_checksum() -> bool:
-    """Whether JAX would compress what it keeps by zstandard."""
+    """Whether JAX would compress the files by zstandard."""
     return sys.version_info >= (3, 14) or bool(importlib.util.find_spec("zstandard"))
 
 
 def asked_for() -> bool | str:
-    """What the environment variable says: no, yes, or a folder."""
+    """Value of the environment variable: no, yes, or a folder."""
     value = os.environ.get(VARIABLE, "").strip()
     if value in ("", "0"):
         return False
@@ -61,25 +61,25 @@ def asked_for() -> bool | str:
 
 
 def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Has JAX keep what it compiles from now on, and take what is there.
+    """Makes JAX keep the programs that it compiles from now on, and use those kept.
 
     Args:
-        folder: where; by default `default_folder()`, or where JAX does so already. It
-            is made for this user alone if it is not there.
+        folder: Folder of the programs; by default `default_folder()`, or the one that
+            JAX uses already. If it does not exist it is made, for this user alone.
 
     Returns:
-        The folder; None where nothing is kept.
+        The folder; None if nothing is kept.
 
     Raises:
-        ValueError: the folder is none, and cannot be made.
+        ValueError: If it is not a folder, and cannot be made.
 
     Warns:
-        UncheckedCacheWarning: JAX would keep programs without a checksum.
-        SharedCacheWarning: others can write to the folder.
+        UncheckedCacheWarning: If JAX would keep programs without a checksum.
+        SharedCacheWarning: If others can write to the folder.
     """
     import jax
 
-    # JAX defines its settings when it runs: their types are not known before.
+    # JAX defines its settings at run time, so their types are not known before.
     already = getattr(jax.config, "jax_compilation_cache_dir", None)
     if folder is None and already:
         return Path(already)
@@ -97,7 +97,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
     try:
         make_private_folder(chosen)
     except (OSError, ValueError) as error:
-        # From the environment or an argument: either way a folder was meant.
+        # From the environment or an argument: in both cases a folder was meant.
         raise ValueError(
             f"the cache of compiled programs must be a folder that can be made, got "
             f"{str(chosen)!r}: {getattr(error, 'strerror', None) or error}"
@@ -120,7 +120,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
 
 
 def default_folder() -> Path:
-    """`$XDG_CACHE_HOME/jaxrod/PROCESSOR`, under `~/.cache` where that is not set."""
+    """Folder `$XDG_CACHE_HOME/jaxrod/PROCESSOR`, or under `~/.cache` if not set."""
     home = os.environ.get("XDG_CACHE_HOME", "").strip()
     caches = Path(home) if home else Path.home() / ".cache"
     digest = hashlib.sha256(processor_features().encode()).hexdigest()
@@ -128,12 +128,12 @@ def default_folder() -> Path:
 
 
 def processor_features() -> str:
-    """The processor's name and instruction sets, as the system tells them."""
+    """Name and instruction sets of the processor, as the system reports them."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    # Those of the first core: x86 says "flags", ARM says "Features".
+    # Those of the first core: x86 uses "flags", ARM "Features".
     wanted = ("model name", "flags", "Features", "CPU part")
     facts = [line for line in lines if line.partition(":")[0].strip() in wanted]
     first = dict(reversed([line.partition(":")[::2] for line in facts]))
@@ -144,12 +144,12 @@ def processor_features() -> str:
 
 
 def silence_false_alarms() -> None:
-    """Hides XLA's lines about every program taken from the cache. Call before JAX.
+    """Hides XLA's lines about every program loaded from the cache. Call before JAX.
 
-    JAX 0.10.1 writes two error lines for each on an AMD EPYC: it compares what LLVM was
-    told to prefer (no gathers, no scatters) with what the processor can do. Nothing is
-    hidden with other releases, or where `TF_CPP_MIN_LOG_LEVEL` says something; what
-    ends the process is shown in any case.
+    JAX 0.10.1 writes two error lines for each on an AMD EPYC: it compares the features
+    that LLVM was told to prefer (no gathers, no scatters) with those of the processor.
+    Nothing is hidden with other releases, or if `TF_CPP_MIN_LOG_LEVEL` is set; errors
+    that end the process are always shown.
     """
     if "jaxlib" in sys.modules or os.environ.get(_LEVEL):
         return
