@@ -287,7 +287,7 @@ def _refuse_constant(name: str) -> None:
 
 
 Kind = tuple[str, Callable[[Any], bool]]
-"""Kind of an entry, in words and as a test."""
+"""Kind of an entry: its description and a test for it."""
 
 TEXT: Kind = ("text", lambda value: isinstance(value, str))
 OBJECT: Kind = ("an object", lambda value: isinstance(value, dict))

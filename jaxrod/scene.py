@@ -58,7 +58,7 @@ class Method:
 
     @property
     def solves_drag(self) -> bool:
-        """Whether `Effect.drag` is solved together with the loads, not as one of them."""
+        """Whether `Effect.drag` is solved with the loads instead of being one."""
         return False
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> Stepper:

@@ -145,7 +145,7 @@ class Muscle(SectionLoad):
         )
 
     def _pull(self, rod: Rod) -> Array:
-        """Force at zero speed times its speed factor, at the nodes `(k, n + 1)` [N]."""
+        """Active force at rest length, times the speed factor `(k, n + 1)` [N]."""
         assert not isinstance(self.activation, Schedule)
         active = self.activation
         if active.ndim < 2:

@@ -2,11 +2,11 @@ r"""The largest safe time step of a scene, and the mode of motion that limits it
 
 Position Verlet is stable while $h\,\omega_{\max} < 2$. Without a state, the highest
 frequency about the unstressed shape is bounded element by element. Every element shares
-its mass between its nodes. If its stiffness and that of its joints are within $\lambda$
-times its own inertia for every element, they are for the whole rod. For an element of
-mass $m$, length $\ell$, rotary inertia $J$, shear stiffness $S$ and joints that
-contribute $\beta$ (half of each joint's squared frequency), $\lambda$ is the larger
-root of
+its mass between its nodes. If the stiffness of every element and its joints is at most
+$\lambda$ times its own inertia, that holds for the whole rod. For an element of mass
+$m$, length $\ell$, rotary inertia $J$, shear stiffness $S$ and joints that contribute
+$\beta$ (half of each joint's squared frequency), $\lambda$ is the larger root of
+
 $$(\lambda - a)(\lambda - c - \beta) = a c,\qquad
   a = \frac{4 S}{m\,\ell},\quad c = \frac{S\,\ell}{J},$$
 

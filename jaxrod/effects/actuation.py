@@ -69,7 +69,7 @@ class SplineCouples(Schedule):
     averages: ElementAverages
     """The spline's averages over the elements."""
     controls: Any
-    """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of such [1]."""
+    """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of them [1]."""
     couple_density: Any
     """Couple per rest length for a control value of one, or a schedule of it; one
     number or three [N m/m]."""
@@ -114,7 +114,7 @@ def spline_couples(
         spline: Spline from `control_spline`; or its averages over the elements of this
             rod, `spline.averaged(rod)`, if controls change often.
         controls: Control values [1] about d1, d2 (bending) and d3 (twist)
-            `(3, n_controls)`, or a schedule of such.
+            `(3, n_controls)`, or a schedule of them.
         couple_density: Couple per rest length for a control value of one [N m/m];
             one number, or one per direction `(3,)`, or a schedule of either.
 

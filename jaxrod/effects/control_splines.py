@@ -68,8 +68,8 @@ class ControlSpline:
     def averaged(self, rod: Rod) -> ElementAverages:
         """Averages of the spline over the elements of a rod, computed once.
 
-        With them the sum over the elements is the integral of the spline, however few
-        elements there are. They use the two-point Gauss rule, exact for a cubic.
+        Their sum, weighted by element lengths, is the integral of the spline, however
+        few elements there are. They use the two-point Gauss rule, exact for a cubic.
         """
         middles = rod.arc_length_midpoints
         offset = rod.rest_lengths / (2 * math.sqrt(3))

@@ -165,7 +165,8 @@ class Driven(Effect):
         """Distance of the end node from the path along the axes, over the radius.
 
         With a wall joint it is the larger of this and the joint's violation, as in
-        `Clamp`. For a held element the angle between it and the wall is added.
+        `Clamp`. For a held element twice sin(angle / 2) between it and the wall is
+        added.
         """
         node = end_node(rod, self.end)
         apart = distance_from(self._placed.position, node, self.axes, rod, state)
@@ -249,7 +250,7 @@ def driven(
         state: The state of the rod, from which displacement and angle are counted.
         end: The end that is driven.
         displacement: Displacement of the end node, world frame: `(3,)`, or a schedule
-            of such [m].
+            of it [m].
         axes: World axes along which it is driven; along the others it is free.
         axis: Axis about which the wall turns, world frame, of any length `(3,)`.
         angle: Angle by which the wall turns, or a schedule of it [rad].

@@ -127,7 +127,7 @@ class _Constant(Schedule):
 
 
 def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
-    """Schedule, made of a constant if one is given; checked as in `as_timed`."""
+    """Schedule, or a constant as a schedule; checked as in `as_timed`."""
     checked = as_timed(name, value, unit, shape)
     return checked if isinstance(checked, Schedule) else _Constant(checked)
 

@@ -169,7 +169,7 @@ def norm(values: Array, *, each: bool = False) -> Array:
 
 
 Timed = Numbers | Schedule
-"""A number, a vector or an array of numbers, or a schedule of such."""
+"""A number, a vector or an array of numbers, or a schedule of them."""
 
 
 def is_schedule(value: Any) -> bool:

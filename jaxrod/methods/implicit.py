@@ -126,7 +126,7 @@ class Base:
 
     motion: Motion
     rates: tuple[Vec3, Vec3]
-    """Velocities and angular velocities extrapolated to the stage, world frame."""
+    """Velocities and angular velocities for the stage's initial guess, world frame."""
 
 
 @pytree
@@ -211,7 +211,7 @@ class ImplicitStepper:
         return motion.velocity, spin
 
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
-        """Base of the second stage, with the rates extrapolated to it."""
+        """Base of the second stage, with the rates at the end of the first."""
         base = _add(motion, jax.tree.map(lambda a: factor * a, added))
         moved = _add(motion, added)
         rates = self.rates(moved)

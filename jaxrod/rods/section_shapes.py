@@ -20,7 +20,7 @@ CIRCLE = np.float64(27 / 28)
 
 
 _LARGEST = 1e40
-"""Largest dimension [m]: sixth powers of larger ones overflow in double precision."""
+"""Largest dimension [m]: sixth powers of much larger ones overflow in float64."""
 
 
 @pytree
