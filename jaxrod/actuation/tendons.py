@@ -190,7 +190,7 @@ class Tendon(Effect):
         return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))
 
     def _held_back(self, rod: Rod, motion: Motion, levers: Vec3, along: Vec3) -> Array:
-        """Fraction of the base tension that friction leaves in each piece [1]."""
+        """Fraction of the base tension left by friction in each piece `(k, m)` [1]."""
         assert self.friction is not None and self.slip_speed is not None
         held = slice(self.first, self.first + self.eyelets.shape[2])
         x, y, z = (part[None, held] for part in motion.angular_velocities(rod))

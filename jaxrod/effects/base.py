@@ -70,6 +70,7 @@ class Effect:
     Hooks are pure. `loads` is called at the configuration in the middle of a step;
     `constrain_rates` and `dissipate` after all loads have changed the rates;
     `constrain` after every change of configuration. A support has both constraints.
+
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
     need to know more than its values. Without them every method is right or refuses
     the effect. With them implicit steps and equilibria cost less, and a scene without

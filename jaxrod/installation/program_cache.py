@@ -8,9 +8,10 @@ machines. So there is a folder for every processor.
 JAX does not write whole files at once. Files compressed by zlib have a checksum: one
 that is damaged or half written is reported and compiled again. Files compressed by
 zstandard have none, and a process that loads a damaged one can crash or worse. In that
-case nothing is kept. Files from the disk are executed. A folder that others can write
-to is therefore refused, with a warning, and programs are compiled as if there were no
-cache.
+case nothing is kept.
+
+Files from the disk are executed. A folder that others can write to is therefore
+refused, with a warning, and programs are compiled as if there were no cache.
 """
 
 from __future__ import annotations
