@@ -65,7 +65,7 @@ def own_couple(effect: Effect, rod: Rod, motion: Motion, end: End) -> Vec3:
 
 
 def axes_named(axes: str) -> Axes:
-    """Axes by their names."""
+    """Flags of the axes named in a string such as "xz"."""
     if not isinstance(axes, str) or not axes or not set(axes) <= set("xyz"):
         raise ValueError(f'axes must be some of "xyz", got {axes!r}')
     return "x" in axes, "y" in axes, "z" in axes

@@ -42,7 +42,7 @@ class Ramp(Schedule):
 
 @pytree
 class Sine(Schedule):
-    r"""$a + b \sin 2\pi (t/T + \varphi)$."""
+    r"""Sine $a + b \sin 2\pi (t/T + \varphi)$."""
 
     mean: Float[Array, "..."]
     """Mean $a$."""

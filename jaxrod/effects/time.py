@@ -33,7 +33,7 @@ class Clock:
     """Time as a count of steps, so that it loses no digits in long runs."""
 
     step: Int[Array, ""]
-    """Whole steps since time zero."""
+    """Number of whole steps since time zero."""
     fraction: Float[Array, ""]
     """Fraction of a step passed since then [1]."""
     dt: Float[Array, ""]

@@ -21,7 +21,7 @@ class Now:
     """Progress of a scene in time."""
 
     step: Int[Array, ""]
-    """Whole steps since time zero."""
+    """Number of whole steps since time zero."""
     memory: Memory
     """Memory of the effects."""
 
