@@ -71,7 +71,7 @@ class Muscle(SectionLoad):
     """Force fraction as a function of stretch."""
     fastest: Float[Array, ""] | None = None
     """Largest speed of shortening, in rest lengths per time [1/s]; `None`: no limit."""
-    slowed: Float[Array, "k n"] | None = None
+    slowed: Float[Array, "k n+1"] | None = None
     """Factor of the force at the current speed, at nodes; see `at_speed` [1]."""
     walls: Walls = ()
     """Walls into which the fibres continue."""

@@ -38,9 +38,16 @@ ROUNDING = 1e-11
 """Share of a result below which differences are rounding."""
 STEPS = 24
 """Steps of the coarsest run."""
+SPEEDS = "its loads take the speeds before the kick: first order in them"
+ALONE = "damping that is solved by itself, after the kick: first order"
 KNOWN = {
     "laplacian filter": "a filter is applied once a step, however long the step is",
     "pyelastica": "PyElastica damps after each step: first order by definition",
+    "internal damping": ALONE,
+    "short waves": ALONE,
+    "contact": SPEEDS,
+    "friction": SPEEDS,
+    "fast muscle": SPEEDS,
 }
 
 
