@@ -8,7 +8,7 @@ import pytest
 
 from jaxrod import control
 
-module = importlib.import_module("jaxrod.control.adam")
+module = importlib.import_module("jaxrod.control.trajectories.adam")
 
 TARGET = jnp.array([0.3, -0.2])
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxrod import control
-from jaxrod.control.box_step import box_step
-from jaxrod.control.riccati import Linear, backward
+from jaxrod.control.trajectories.box_step import box_step
+from jaxrod.control.trajectories.riccati import Linear, backward
 
 STEP, COUNT = 0.1, 30
 
@@ -46,7 +46,7 @@ def as_least_squares(problem):
     """The whole problem, linear in its controls: matrix and right side."""
 
     def flat(controls):
-        made = control.problem.residuals(problem, controls)
+        made = control.trajectories.problem.residuals(problem, controls)
         return jax.flatten_util.ravel_pytree(made)[0]
 
     zero = jnp.zeros((COUNT, 1))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxrod.control.local_least_squares import local_least_squares
+from jaxrod.control.identification.local_least_squares import local_least_squares
 
 TIMES = np.linspace(0, 2, 7)
 PARTS = 3

@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from jaxrod.control import mpc
-from jaxrod.control.plan_weights import piece_weights, shift_weights, weights_at
-from jaxrod.control.planning import PlanCost, quadratic_step
+from jaxrod.control.planning.plans import (
+    PlanCost,
+    piece_weights,
+    quadratic_step,
+    shift_weights,
+    weights_at,
+)
 from jaxrod.envs import VectorEnvironment, make, rollout
 from jaxrod.envs.action_repeat import repeating
 from jaxrod.envs.memory_policy import MemoryPolicy, OneEpisode

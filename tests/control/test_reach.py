@@ -9,8 +9,8 @@ import pytest
 
 import jaxrod
 from jaxrod import control
-from jaxrod.control.problem import cost, over_time, residuals
-from jaxrod.control.reach import time_steps
+from jaxrod.control.trajectories.problem import cost, over_time, residuals
+from jaxrod.control.trajectories.reach import time_steps
 from jaxrod.envs import actuated_arm
 
 TARGET = (0.4, 0.6, 0.2)
@@ -36,7 +36,7 @@ def test_a_reach_costs_what_its_formula_says():
     problem = short(speed_weight=0.3, running_weight=0.7, effort_weight=0.2)
     controls = over_time(some_knots(problem), problem.n_intervals)
     assert controls.shape == (4, 8)
-    states = control.problem.trajectory(problem, controls)
+    states = control.trajectories.problem.trajectory(problem, controls)
     squares = np.sum(
         (np.asarray(states.tip) - np.asarray(problem.data.target)) ** 2, axis=1
     )

@@ -94,7 +94,7 @@ NAMED = (
     Named(
         "m10",
         "cross-entropy method: one elite too many",
-        "jaxrod/control/sampling.py",
+        "jaxrod/control/trajectories/sampling.py",
         "jnp.sort(costs)[elites - 1]",
         "jnp.sort(costs)[elites]",
         ("tests/control/test_sampling.py",),
@@ -126,7 +126,7 @@ NAMED = (
     Named(
         "m14",
         "iLQR: held controls not moved on",
-        "jaxrod/control/riccati.py",
+        "jaxrod/control/trajectories/riccati.py",
         "moved = rest + by_control @ jnp.where(held, change, 0)",
         "moved = rest + 0 * by_control @ jnp.where(held, change, 0)",
         ("tests/control/test_ilqr.py",),

@@ -115,7 +115,9 @@ def test_files_that_speak_of_a_module_come_first():
     likely = Likely(ROOT)
     assert likely.first("jaxrod/systems/glue.py")[0] == "tests/systems/test_glue.py"
     # What no test names is reached by what stands on it.
-    assert "tests/control/test_ilqr.py" in likely.first("jaxrod/control/box_step.py")
+    assert "tests/control/test_ilqr.py" in likely.first(
+        "jaxrod/control/trajectories/box_step.py"
+    )
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path):

@@ -6,10 +6,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.control.plan_weights import piece_weights
 from jaxrod.structure import pytree, static
 
 SHARES = (1.0, 0.5, 0.2)
@@ -41,7 +41,7 @@ class PlanCost:
     hold: int = static()
     """Control steps for which an action is held."""
     shape: str = static(default="lines")
-    """Shape of the plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
+    """Shape of the plan between knots, one of `SHAPES`."""
 
     def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
         """Returns the actions of all pieces of every knot's interval."""
@@ -249,3 +249,46 @@ def by_sampling(
 
 def _or_infinite(cost: Array) -> Array:
     return jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+
+
+SHAPES = ("lines", "steps")
+"""Shapes of a plan between its value now and its knots, which lie at equal distances
+ahead: lines from value to value, or steps, where every knot's value is held from the
+time of the previous one. After the last knot a plan is constant."""
+
+
+def weights_at(
+    times: Float[np.ndarray, " times"], knots: int, spacing: int, shape: str = "lines"
+) -> Float[np.ndarray, "times knots_and_now"]:
+    """Returns weights of the value now and of the knots, a row for each time.
+
+    Args:
+        times: Times in the unit of `spacing`, not negative. At the time where a step
+            changes its value, the plan still has the earlier value.
+        knots: Number of knots; they lie at `spacing`, `2 spacing` and so on.
+        spacing: Time between two knots.
+        shape: One of `SHAPES`.
+    """
+    place = np.minimum(np.asarray(times, float) / spacing, knots)
+    if shape == "steps":
+        place = np.ceil(place)
+    corners = np.arange(knots + 1)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - corners[None, :]))
+
+
+def piece_weights(
+    knots: int, spacing: int, hold: int, shape: str = "lines"
+) -> Float[np.ndarray, "pieces knots_and_now"]:
+    """Returns weights of a plan's pieces, at their midpoints, each `hold` long."""
+    pieces = knots * spacing // hold
+    return weights_at((np.arange(pieces) + 0.5) * hold, knots, spacing, shape)
+
+
+def shift_weights(
+    knots: int, spacing: int, by: int, shape: str = "lines"
+) -> Float[np.ndarray, "knots_and_now knots_and_now"]:
+    """Returns weights of the plan's value and knots after a shift in time by `by`.
+
+    For steps whose times no longer coincide, the later step is taken.
+    """
+    return weights_at(by + spacing * np.arange(knots + 1), knots, spacing, shape)

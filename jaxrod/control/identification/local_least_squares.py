@@ -20,7 +20,11 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrod.control.arrow import arrow_step, in_order_of_leaves, projected
+from jaxrod.control.identification.arrow import (
+    arrow_step,
+    in_order_of_leaves,
+    projected,
+)
 from jaxrod.control.least_squares import FASTER, MOST_DAMPING, SLOWER
 from jaxrod.structure import pytree
 

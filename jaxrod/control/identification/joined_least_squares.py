@@ -32,14 +32,18 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrod.control.arrow import arrow_step, in_order_of_leaves, projected
-from jaxrod.control.follow_windows import (
+from jaxrod.control.identification.arrow import (
+    arrow_step,
+    in_order_of_leaves,
+    projected,
+)
+from jaxrod.control.identification.follow_windows import (
     JoinedPoint,
     JoinedSlopes,
     follow_windows,
 )
+from jaxrod.control.identification.local_least_squares import next_damping
 from jaxrod.control.least_squares import MOST_DAMPING
-from jaxrod.control.local_least_squares import next_damping
 from jaxrod.structure import pytree
 
 

@@ -24,16 +24,18 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from jaxrod.control.knots import (
+from jaxrod.control.trajectories.problem import (
+    Problem,
     check_problem,
     first_knots,
     half_widths,
+    numbers,
+    over_time,
     within_bounds,
 )
-from jaxrod.control.problem import Problem, numbers, over_time
-from jaxrod.control.programs import timed
-from jaxrod.control.riccati import Linear, backward
-from jaxrod.control.solution import Solution
+from jaxrod.control.trajectories.programs import timed
+from jaxrod.control.trajectories.riccati import Linear, backward
+from jaxrod.control.trajectories.solution import Solution
 from jaxrod.structure import pytree
 from jaxrod.validation import check_array, check_count
 

@@ -11,11 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.knots import check_problem, first_knots
 from jaxrod.control.least_squares import LeastSquares, least_squares
-from jaxrod.control.problem import Problem, over_time, residuals, trajectory
-from jaxrod.control.programs import timed
-from jaxrod.control.solution import Solution
+from jaxrod.control.trajectories.problem import (
+    Problem,
+    check_problem,
+    first_knots,
+    over_time,
+    residuals,
+    trajectory,
+)
+from jaxrod.control.trajectories.programs import timed
+from jaxrod.control.trajectories.solution import Solution
 from jaxrod.validation import check_array, check_count
 
 Body = Callable[[Any, Any], Any]

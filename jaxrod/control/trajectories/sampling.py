@@ -21,10 +21,17 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from jaxrod.control.knots import check_problem, first_knots, half_widths
-from jaxrod.control.problem import Problem, cost, over_time, trajectory
-from jaxrod.control.programs import timed
-from jaxrod.control.solution import Solution
+from jaxrod.control.trajectories.problem import (
+    Problem,
+    check_problem,
+    cost,
+    first_knots,
+    half_widths,
+    over_time,
+    trajectory,
+)
+from jaxrod.control.trajectories.programs import timed
+from jaxrod.control.trajectories.solution import Solution
 from jaxrod.validation import check_array, check_count, check_seed
 
 

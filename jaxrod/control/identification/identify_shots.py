@@ -30,10 +30,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.fit import Fit
-from jaxrod.control.identify import fit_of, make_sought
-from jaxrod.control.local_least_squares import local_least_squares
-from jaxrod.control.shots import check_finite_floats, count_windows
+from jaxrod.control.identification.fit import Fit
+from jaxrod.control.identification.identify import fit_of, make_sought
+from jaxrod.control.identification.local_least_squares import local_least_squares
+from jaxrod.control.identification.shots import check_finite_floats, count_windows
 
 
 def identify_shots(

@@ -9,12 +9,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.control.plan_weights import piece_weights, shift_weights
-from jaxrod.control.planning import (
+from jaxrod.control.planning.plans import (
     PlanCost,
     by_gauss_newton,
     by_gradient,
     by_sampling,
+    piece_weights,
+    shift_weights,
 )
 from jaxrod.structure import pytree, static
 
@@ -108,7 +109,7 @@ class PlanningPolicy:
     method: str = static()
     """One of `METHODS`."""
     shape: str = static(default="lines")
-    """Shape of a plan between knots, one of `jaxrod.control.plan_weights.SHAPES`."""
+    """Shape of a plan between knots, one of `jaxrod.control.planning.plans.SHAPES`."""
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
         """Returns the memory at the start of a batch of episodes."""

@@ -19,7 +19,7 @@ from jax import lax
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
-from jaxrod.control.box_step import box_step
+from jaxrod.control.trajectories.box_step import box_step
 from jaxrod.structure import pytree
 
 

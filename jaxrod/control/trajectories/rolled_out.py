@@ -10,8 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxrod.control.knots import check_problem
-from jaxrod.control.problem import Problem, numbers, squares
+from jaxrod.control.trajectories.problem import Problem, check_problem, numbers, squares
 from jaxrod.structure import pytree
 
 Policy = Callable[[Any, Array], Array]

@@ -32,8 +32,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.control.plan_weights import SHAPES
-from jaxrod.control.planning_policy import (
+from jaxrod.control.planning.plans import SHAPES
+from jaxrod.control.planning.policy import (
     METHODS,
     Model,
     PlanningPolicy,

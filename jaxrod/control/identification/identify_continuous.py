@@ -28,10 +28,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.fit import Fit
-from jaxrod.control.identify import fit_of, make_sought
-from jaxrod.control.joined_least_squares import joined_least_squares
-from jaxrod.control.shots import check_finite_floats, count_windows
+from jaxrod.control.identification.fit import Fit
+from jaxrod.control.identification.identify import fit_of, make_sought
+from jaxrod.control.identification.joined_least_squares import joined_least_squares
+from jaxrod.control.identification.shots import check_finite_floats, count_windows
 
 CLOSED = 1.0
 """Bound on the change of all residuals by closing the gaps (norm), below which the gaps

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.analysis.stability import stable_dt
-from jaxrod.control.problem import Problem, make_problem
+from jaxrod.control.trajectories.problem import Problem, make_problem
 from jaxrod.geometry import vectors
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.fit import NEAR, Fit, smallest_ratio, vague_ways
+from jaxrod.control.identification.fit import NEAR, Fit, smallest_ratio, vague_ways
+from jaxrod.control.identification.parameters import Parameters, make_parameters
 from jaxrod.control.least_squares import least_squares
-from jaxrod.control.parameters import Parameters, make_parameters
 from jaxrod.validation import is_traced
 
 Simulate = Callable[[dict[str, Any]], Any]

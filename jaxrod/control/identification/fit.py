@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrod.control.parameters import Parameters
+from jaxrod.control.identification.parameters import Parameters
 from jaxrod.structure import pytree
 from jaxrod.validation import is_traced
 

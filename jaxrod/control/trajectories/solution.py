@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from jaxrod.control.problem import Problem
+from jaxrod.control.trajectories.problem import Problem
 from jaxrod.rods.rod import RodState
 
 

@@ -1,0 +1,1 @@
+"""Planning while acting: plans, planning policies, model predictive control."""

@@ -1,0 +1,1 @@
+"""Trajectory optimisation: problems of control and solvers."""
