@@ -35,29 +35,32 @@ def braid(
     effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
-    """Strands wound to the left and as many to the right around the axis z.
+    """Strands wound around the z axis, as many to the left as to the right.
 
-    Its members are "left" and "right", equal rods each, and "bottom" and "top", discs
-    of which their ends are part. Where strands cross at nodes of both they are pinned
-    to one another (`joined="pinned"`): then the braid is a trellis, whose strands turn
-    against each other and cannot slide. "free" leaves them apart radially by their
-    thickness, for contact to be added (`jaxrod.rod_contact("left", "right", ...)`).
+    The members are "left" and "right", equal rods each, and "bottom" and "top", the
+    discs to which the ends of the strands are attached. With `joined="pinned"` strands
+    are pinned to each other where they cross. The braid is then a trellis: its strands
+    turn against each other but cannot slide. With `joined="free"` crossing strands pass
+    over and under each other, a little more than a diameter apart, so that contact can
+    be added (`jaxrod.rod_contact("left", "right", ...)`).
 
     Args:
-        strands: To each side, at least 2.
-        n_elements: Elements of each. To be pinned they cross at nodes: a multiple of
-            `2 * strands * turns`, which has to be whole.
-        radius: Of the tube to the middles of the strands [m].
-        length: Of the tube [m].
-        turns: By which each strand winds around it [1].
+        strands: Number of strands wound each way, at least 2.
+        n_elements: Elements of each strand. Pinned strands have to cross at nodes, so
+            there it is a multiple of `2 * strands * turns`, which has to be a whole
+            number.
+        radius: Radius of the tube, from its axis to the centrelines of the strands
+            [m].
+        length: Length of the tube [m].
+        turns: Turns of each strand around the tube [1].
         thickness: Radius of the strands [m].
         joined: "pinned" or "free".
-        plate_density: Of the plates [kg/m^3].
-        effects: On every strand.
-        **rod: Material, as of `jaxrod.straight_rod`.
+        plate_density: Density of the plates [kg/m^3].
+        effects: Effects on every strand.
+        **rod: Material, passed to `jaxrod.straight_rod`.
 
     Returns:
-        The system and its state at rest, the strands curved as they are.
+        The system and its state at rest; the strands are naturally curved.
 
     Raises:
         ValueError: If an argument is out of range, or strands do not cross at nodes.
@@ -72,7 +75,8 @@ def braid(
     )
     if joined not in ("pinned", "free"):
         raise ValueError(f'joined must be "pinned" or "free", got {joined!r}')
-    # A strand meets all of the others 2 N times: in so many parts they cut it.
+    # A strand crosses each strand of the other direction 2 N times, N being its turns:
+    # the crossings cut it into this many parts.
     parts = 2 * strands * wound
     pinned = joined == "pinned"
     if pinned and (abs(parts - round(parts)) > 1e-9 or n_elements % round(parts)):
@@ -89,7 +93,7 @@ def braid(
             angle = 2 * np.pi * (sign * wound * share + k / strands)
             size = wide + 0 * angle
             if not pinned:
-                # Over and under in turn, so that crossings are a diameter apart.
+                # Alternately over and under, so that strands cross a diameter apart.
                 waves = np.cos(np.pi * (parts * share + (sign > 0)))
                 size = wide + 1.1 * thick * waves
             curves.append(

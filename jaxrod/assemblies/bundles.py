@@ -19,14 +19,14 @@ TOUCHING = 1.05
 
 
 def hexagonal_places(rings: int, spacing: float) -> np.ndarray:
-    """Places of rods in a hexagonal bundle: one, 7, 19, 37 of them.
+    """Places of rods in a hexagonal bundle: 1, 7, 19, 37, ... of them.
 
     Args:
-        rings: Rings about the one in the middle.
-        spacing: Distance of neighbours [m].
+        rings: Number of rings around the rod in the middle.
+        spacing: Distance between neighbours [m].
 
     Returns:
-        Across the bundle `(2, k)` [m].
+        Coordinates across the bundle `(2, k)` [m].
     """
     check_count("rings", rings, 0, 100)
     around = range(-rings, rings + 1)
@@ -53,21 +53,24 @@ def bundle(
     effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
-    """Parallel rods along x, each glued to those that it touches: one member, "rods".
+    """Parallel rods along x, each glued to those that it touches.
+
+    The system has one member, "rods".
 
     Args:
-        places: Of the rods, across the bundle: y and z `(2, k)` [m], as from
-            `hexagonal_places`.
+        places: Coordinates y and z of the rods across the bundle `(2, k)` [m], such as
+            those from `hexagonal_places`.
         n_elements: Elements of each rod.
-        length: Of the rods [m].
-        radius: Of the rods [m].
+        length: Length of the rods [m].
+        radius: Radius of the rods [m].
         stiffness: Force of the glue per its length and distance [N/m^2].
         turning_stiffness: Couple of the glue per length and angle [N].
         damping: Force of the glue per length and relative speed [kg/(m s)].
-        turning_damping: Couple per length and relative angular velocity [N s].
+        turning_damping: Couple of the glue per length and relative angular velocity
+            [N s].
         clamped: Whether all rods are clamped at their start.
-        effects: On every rod.
-        **rod: Material, as of `jaxrod.straight_rod`.
+        effects: Effects on every rod.
+        **rod: Material, passed to `jaxrod.straight_rod`.
 
     Returns:
         The system and its state at rest.

@@ -27,21 +27,21 @@ def cilia(
     effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
-    """Rods clamped on a square grid in the plane z = 0: one member, "cilia".
+    """Rods clamped on a square grid in the plane z = 0.
 
-    That in row `i` and column `j` is number `i * columns + j`. Whiskers are the same,
-    with a pair of radii from base to tip.
+    The system has one member, "cilia". The rod in row `i` and column `j` is number
+    `i * columns + j`. A pair of radii, at base and tip, makes whiskers.
 
     Args:
-        rows: Along x.
-        columns: Along y.
-        n_elements: Elements of each.
-        spacing: Distance of neighbours [m].
-        length: Of the rods [m].
-        radius: Of the rods, or at base and tip [m].
-        direction: In which they stand, of any length `(3,)`.
-        effects: On every rod.
-        **rod: Material, as of `jaxrod.straight_rod`.
+        rows: Number of rods along x.
+        columns: Number of rods along y.
+        n_elements: Elements of each rod.
+        spacing: Distance between neighbours [m].
+        length: Length of the rods [m].
+        radius: Radius of the rods, or a pair of radii at base and tip [m].
+        direction: Direction of the rods from the wall, of any length `(3,)`.
+        effects: Effects on every rod.
+        **rod: Material, passed to `jaxrod.straight_rod`.
 
     Returns:
         The system and its state at rest.

@@ -17,7 +17,7 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
 
 MOST_RODS = 100_000
-"""More are taken for a mistake."""
+"""Largest number of rods; more are taken for a mistake."""
 
 Made = tuple[Rod, RodState]
 
@@ -26,7 +26,7 @@ def equal_rods(make: Callable[[Any], Made], each: Any) -> Made:
     """Equal rods with a leading axis.
 
     Args:
-        make: From one entry of `each` to a rod and its state.
+        make: Function from one entry of `each` to a rod and its state.
         each: Arrays with a leading axis, one entry for each rod.
     """
     made: Made = jax.vmap(make)(jax.tree.map(jnp.asarray, each))
@@ -34,7 +34,7 @@ def equal_rods(make: Callable[[Any], Made], each: Any) -> Made:
 
 
 def rods_along(curves: Sequence[np.ndarray], **rod: Any) -> Made:
-    """Rods of as many elements along curves `(3, n + 1)` [m], with a leading axis."""
+    """Rods of `n` elements along curves `(3, n + 1)` [m], with a leading axis."""
     made = [rod_along(curve, **rod) for curve in curves]
     stacked: Made = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
     return stacked
@@ -43,7 +43,10 @@ def rods_along(curves: Sequence[np.ndarray], **rod: Any) -> Made:
 def scenes(
     rods: Rod, states: RodState, effects: Sequence[Effect], *, clamped: bool = False
 ) -> Scene:
-    """The same effects on each of equal rods, which may be clamped at their start."""
+    """Scenes of equal rods with the same effects; the rods may be clamped at the start.
+
+    All arrays of the scene have a leading axis, one entry for each rod.
+    """
 
     def one(rod: Rod, state: RodState) -> Scene:
         held = (clamp(state),) if clamped else ()

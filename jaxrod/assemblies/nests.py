@@ -1,4 +1,4 @@
-"""Nests: rods poured into a pot, that hold each other by contact and friction."""
+"""Nests: rods poured into a pot, held together by contact and friction."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def inside_of_pot(point: Array, radius: Array) -> Array:
     """Distance from the wall of an upright round pot, positive inside [m].
 
     Args:
-        point: `(3,)` [m].
-        radius: Of the pot [m].
+        point: Position `(3,)` [m].
+        radius: Radius of the pot [m].
     """
     x, y = point[0], point[1]
-    # Rounded at the axis, where there is no direction to the wall.
+    # Smoothed at the axis, where the direction to the wall is not defined.
     return radius - jnp.sqrt(x * x + y * y + (1e-6 * radius) ** 2)
 
 
@@ -49,24 +49,24 @@ def nest(
 ) -> tuple[System, dict[str, Any]]:
     """Straight rods above one another in an upright pot, at random angles.
 
-    They lie level without touching, and fall on one another with `jaxrod.gravity()`
-    among the effects. One member, "rods".
+    The rods are horizontal and do not touch. With `jaxrod.gravity()` among the effects
+    they fall on one another. The system has one member, "rods".
 
     Args:
-        n_rods: How many.
-        n_elements: Elements of each.
-        length: Of the rods; at most the width of the pot [m].
-        radius: Of the rods [m].
-        pot_radius: Of the pot, whose floor is the plane z = 0 and whose axis is that of
-            z [m].
-        stiffness: Of all contacts, force per length and penetration [N/m^2].
-        damping: Of all contacts [kg/(m s)].
+        n_rods: Number of rods.
+        n_elements: Elements of each rod.
+        length: Length of the rods, less than the width of the pot [m].
+        radius: Radius of the rods [m].
+        pot_radius: Radius of the pot [m]. Its floor is the plane z = 0 and its axis is
+            the z axis.
+        stiffness: Force of all contacts per length and penetration [N/m^2].
+        damping: Damping of all contacts [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].
-        seed: Of the random angles and places.
-        points_per_element: Contact points, as of `jaxrod.rod_contact`.
+        seed: Seed of the random angles and places.
+        points_per_element: Contact points per element, as in `jaxrod.rod_contact`.
         partners: Rods that may touch one place at a time, for `stable_dt`.
-        effects: On every rod besides contact with the pot.
-        **rod: Material, as of `jaxrod.straight_rod`.
+        effects: Effects on every rod, in addition to contact with the pot.
+        **rod: Material, passed to `jaxrod.straight_rod`.
 
     Returns:
         The system and its state.
@@ -87,7 +87,7 @@ def nest(
     random = np.random.default_rng(check_seed(seed))
     angles = random.uniform(0, np.pi, n_rods)
     ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    # The middle lies off the axis across the rod, as far as both ends allow.
+    # Offset of the middle from the axis, across the rod: as far as both ends fit in.
     off = random.uniform(-1, 1, n_rods) * (room**0.5)
     off = np.clip(off, -0.5 * wide, 0.5 * wide)
     half = np.sqrt((wide - 1.1 * thick) ** 2 - off**2) - 0.5 * extent

@@ -28,18 +28,19 @@ def net(
 ) -> tuple[System, dict[str, Any]]:
     """A net of square cells in the plane z = 0.
 
-    Its members are "rows", equal rods along x, and "columns", along y; row `i` and
-    column `j` share the node `j * elements_per_cell` of the one and
-    `i * elements_per_cell` of the other.
+    The members are "rows", equal rods along x, and "columns", equal rods along y. Row
+    `i` and column `j` meet at node `j * elements_per_cell` of the row and node
+    `i * elements_per_cell` of the column.
 
     Args:
         rows: Rods along x, at least 2.
         columns: Rods along y, at least 2.
         spacing: Side of a cell [m].
         elements_per_cell: Elements of a rod along a cell.
-        joined: "weld", as grown together; "tie", as pinned: rods turn freely.
-        effects: On every rod.
-        **rod: Section and material, as of `jaxrod.straight_rod`.
+        joined: "weld" makes the rods one at a crossing; "tie" pins them, so that they
+            turn freely.
+        effects: Effects on every rod.
+        **rod: Section and material, passed to `jaxrod.straight_rod`.
 
     Returns:
         The system and its state at rest.

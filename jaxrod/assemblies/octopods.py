@@ -32,20 +32,20 @@ def octopus(
 ) -> tuple[System, dict[str, Any]]:
     """Arms that leave a round head sideways, at equal angles in the plane z = 0.
 
-    Its members are "arms", equal rods of which d1 points upwards, and "head", of which
-    their first nodes are part.
+    The members are "arms", equal rods whose director d1 points upwards, and "head". The
+    first nodes of the arms are attached to the head.
 
     Args:
-        arms: How many.
-        n_elements: Elements of each.
-        length: Of the arms [m].
-        radius: Of the arms at base and tip, or one number [m].
-        head_radius: Of the head [m].
-        density: Of both [kg/m^3].
-        youngs_modulus: Of the arms [Pa].
-        effects: On every arm.
-        head_effects: On the head: `gravity()`, `exponential_damping`.
-        **rod: More about the arms, as of `jaxrod.straight_rod`.
+        arms: Number of arms.
+        n_elements: Elements of each arm.
+        length: Length of the arms [m].
+        radius: Radii of the arms at base and tip, or one number for both [m].
+        head_radius: Radius of the head [m].
+        density: Density of the arms and the head [kg/m^3].
+        youngs_modulus: Young's modulus of the arms [Pa].
+        effects: Effects on every arm.
+        head_effects: Effects on the head, such as `gravity()` or `exponential_damping`.
+        **rod: Further arguments for the arms, passed to `jaxrod.straight_rod`.
 
     Returns:
         The system and its state at rest.

@@ -1,4 +1,4 @@
-"""Trees: a trunk, and branches welded to the ends of branches."""
+"""Trees: a trunk, with branches welded to its end and to the ends of branches."""
 
 from __future__ import annotations
 
@@ -32,21 +32,24 @@ def tree(
 ) -> tuple[System, dict[str, Any]]:
     """A trunk that is clamped at the ground, and levels of branches.
 
-    Its members are "trunk" and "level 1", "level 2", ...: equal rods, of which number
-    `k` grows from number `k // branches` of the level before. All are welded.
+    The members are "trunk", "level 1", "level 2" and so on. A level consists of equal
+    rods; rod `k` grows from rod `k // branches` of the level below. All joints are
+    welds.
 
     Args:
         levels: Levels of branches.
-        branches: At the end of the trunk and of every branch but the last.
+        branches: Number of branches at the end of the trunk and of every branch below
+            the last level.
         n_elements: Elements of each rod.
-        length: Of the trunk [m].
-        radius: Of the trunk [m].
-        angle: Between a branch and that from which it grows [rad].
-        length_ratio: Length of a branch over that of the one before [1].
-        radius_ratio: Radius over that of the one before [1]; by default such that the
-            sections of all branches are that of the one before (Leonardo's rule).
-        effects: On every rod.
-        **rod: Material, as of `jaxrod.straight_rod`.
+        length: Length of the trunk [m].
+        radius: Radius of the trunk [m].
+        angle: Angle between a branch and its parent [rad].
+        length_ratio: Length of a branch over the length of its parent [1].
+        radius_ratio: Radius of a branch over the radius of its parent [1]. By default
+            the cross-sections of all branches at a fork add up to that of their parent
+            (Leonardo's rule).
+        effects: Effects on every rod.
+        **rod: Material, passed to `jaxrod.straight_rod`.
 
     Returns:
         The system and its state at rest.
@@ -80,7 +83,7 @@ def tree(
                 turn = 2 * np.pi * k / branches
                 side = np.cos(turn) * frame[0] + np.sin(turn) * frame[1]
                 axes.append(np.cos(lean) * frame[2] + np.sin(lean) * side)
-                # Branches of the next level are in a plane across this one.
+                # The plane of the next fork is perpendicular to the plane of this one.
                 normals.append(np.cross(frame[2], side))
                 starts.append(tip)
                 roots.append(parent)
