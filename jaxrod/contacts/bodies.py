@@ -2,14 +2,14 @@ r"""Fixed bodies that a rod can touch, each given by its signed distance.
 
 A body gives, at any point, the distance to its surface (negative inside) and the
 outward unit normal there, which is the distance's gradient. Its numbers are traced:
-`vmap` over a body is a random obstacle, `grad` with respect to it moves an obstacle.
+`vmap` over a body makes random obstacles, `grad` with respect to it moves an obstacle.
 
 Values and gradients are finite everywhere. Where the nearest point of a surface is not
-unique (the centre of a sphere, the axis of a cylinder) distances are rounded off within
+unique (the centre of a sphere, the axis of a cylinder) distances are smoothed within
 a millionth of the radius, $\sqrt{x^2 + \delta^2}$ in place of $|x|$, and the normal
 passes through zero; between the faces of a box it jumps.
 
-Factories make one body. `jax.vmap` of a factory makes many of a kind at once, as
+Factories make one body. `jax.vmap` of a factory makes many of one kind at once, as
 `jaxrod.contact` takes them.
 """
 
@@ -38,7 +38,7 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_array, is_traced
 
 _ROUNDED = 1e-6
-"""Within this share of a body's size distances are rounded off [1]."""
+"""Width within which distances are smoothed, as a fraction of a body's size [1]."""
 
 
 class Body(ABC):
@@ -49,7 +49,7 @@ class Body(ABC):
         """Signed distance [m], negative inside, and outward normal at each point."""
 
     def of_ends(self) -> Body:
-        """The body as the first and the last of the points see it."""
+        """The body as seen by the first and the last of the points."""
         return self
 
     @property
@@ -59,7 +59,7 @@ class Body(ABC):
 
     @property
     def inradius(self) -> Array | None:
-        """Radius of the largest ball inside [m]; `None` where that is not known."""
+        """Radius of the largest ball inside [m]; `None` if it is not known."""
         return None
 
 
@@ -73,7 +73,7 @@ class Sphere(Body):
     """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance from the centre, less the radius."""
+        """Distance from the centre minus the radius, and the normal."""
         return _round(_from_point(self.centre, points), self.radius)
 
     @property
@@ -99,7 +99,7 @@ class Capsule(Body):
     """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance from the line between the centres, less the radius."""
+        """Distance from the line between the centres minus the radius, and normal."""
         axis = vectors.split(self.end - self.start)
         relative = _from_point(self.start, points)
         share = vectors.dot(relative, axis) / vectors.dot(axis, axis)
@@ -129,7 +129,7 @@ class Cylinder(Body):
     """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """From the distances to the mantle and to the nearer end."""
+        """Distance and normal from the distances to the mantle and the nearer end."""
         axis, length = _unit(self.end - self.start)
         relative = _from_point(0.5 * (self.start + self.end), points)
         along = vectors.dot(relative, axis)
@@ -162,10 +162,10 @@ class Plane(Body):
     point: Float[Array, "3"]
     """Any point of the plane [m]."""
     normal: Float[Array, "3"]
-    """Out of the body; of any length."""
+    """Normal that points out of the body, of any length."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Height above the plane."""
+        """Height above the plane, and the normal."""
         normal, _ = _unit(self.normal)
         distance = vectors.dot(_from_point(self.point, points), normal)
         x, y, z = (jnp.broadcast_to(c, distance.shape) for c in normal)
@@ -194,7 +194,7 @@ class Box(Body):
     """Orientation of the box's axes (w, x, y, z)."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """From the distances to the nearest of each pair of faces."""
+        """Distance and normal from the distances to the pairs of faces."""
         frame = directors(normalise(split_quaternion(self.orientation)))
         x, y, z = to_material(frame, _from_point(self.centre, points))
         a, b, c = self.half_lengths[0], self.half_lengths[1], self.half_lengths[2]
@@ -210,20 +210,20 @@ class Box(Body):
 
     @property
     def inradius(self) -> Array:
-        """Half its least thickness."""
+        """Half the smallest edge length [m]."""
         return jnp.min(self.half_lengths, axis=-1)
 
 
 @pytree
 class SignedDistance(Body):
-    """Any body, by a function that gives its signed distance."""
+    """Any body, described by a function that gives its signed distance."""
 
     parameters: Any
     """Traced numbers of the body: any pytree of arrays."""
     function: Callable[[Any, Any], Any] = static()
     """Signed distance [m] at one point `(3,)` [m], given the parameters."""
     ranks: tuple[int, ...] = static()
-    """Number of axes of every leaf of the parameters, of one body."""
+    """Number of axes of every leaf of the parameters, for a single body."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """The function and its gradient at each point."""
@@ -248,7 +248,7 @@ class SignedDistance(Body):
 
 
 def _count(leading: tuple[int, ...]) -> int | None:
-    """The number of bodies from the leading axes of their numbers."""
+    """Number of bodies, from the leading axes of their numbers."""
     if len(leading) > 1:
         raise ValueError(f"bodies must have at most one leading axis, got {leading}")
     return leading[0] if leading else None
@@ -259,14 +259,14 @@ def _from_point(origin: Float[Array, "3"], points: Vec3) -> Vec3:
 
 
 def _unit(vector: Float[Array, "3"]) -> tuple[Vec3, Array]:
-    """A vector's direction and length."""
+    """Direction and length of a vector."""
     components = vectors.split(vector)
     length = jnp.sqrt(vectors.dot(components, components))
     return vectors.scale(1 / length, components), length
 
 
 def _round(relative: Vec3, radius: Array) -> tuple[Array, Vec3]:
-    """Distance and normal of what is round about the origin of `relative`."""
+    """Distance and normal of a ball around the origin of `relative`."""
     rounded = (_ROUNDED * radius) * (_ROUNDED * radius)
     length = jnp.sqrt(vectors.dot(relative, relative) + rounded)
     return length - radius, vectors.scale(1 / length, relative)
@@ -278,14 +278,14 @@ def _sign(a: Array) -> Array:
 
 
 def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, ...]]:
-    """Distance to faces that meet at right angles, and each one's share in the normal.
+    """Distance to faces that meet at right angles, and their shares in the normal.
 
-    Beyond several faces the nearest point is on the edge between them; inside, the
-    nearest face is all there is.
+    Beyond several faces the nearest point is on the edge between them. Inside, only the
+    nearest face counts.
 
     Args:
-        faces: Distance to each, negative on its inner side [m].
-        size: Of the body [m].
+        faces: Distance to each face, negative on its inner side [m].
+        size: Size of the body [m].
     """
     beyond = [jnp.maximum(face, 0) for face in faces]
     squared = sum(b * b for b in beyond)
@@ -302,15 +302,15 @@ def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, 
     return jnp.where(is_beyond, length, nearest), tuple(shares)
 
 
-# Factories: what users call. They check their arguments and say what is wrong.
+# Factories, called by users. They check their arguments and report what is wrong.
 
 
 def sphere(centre: Numbers, radius: Numbers) -> Sphere:
     """A fixed sphere.
 
     Args:
-        centre: `(3,)` [m].
-        radius: [m].
+        centre: Centre `(3,)` [m].
+        radius: Radius [m].
     """
     return Sphere(
         as_array("centre", centre, "m", [(3,)]),
@@ -324,11 +324,11 @@ def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
     Args:
         start: Centre of the half sphere at one end `(3,)` [m].
         end: Centre of the half sphere at the other end `(3,)` [m].
-        radius: [m].
+        radius: Radius [m].
 
     Raises:
-        ValueError: If the ends are the same, or too near or far for the precision to
-            hold the square of their distance.
+        ValueError: If the ends are the same, or so near or so far apart that the square
+            of their distance leaves the range of the precision.
     """
     ends = _ends(start, end)
     return Capsule(*ends, as_array("radius", radius, "m", positive=True))
@@ -340,11 +340,11 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
     Args:
         start: Centre of one end `(3,)` [m].
         end: Centre of the other end `(3,)` [m].
-        radius: [m].
+        radius: Radius [m].
 
     Raises:
-        ValueError: If the ends are the same, or too near or far for the precision to
-            hold the square of their distance.
+        ValueError: If the ends are the same, or so near or so far apart that the square
+            of their distance leaves the range of the precision.
     """
     ends = _ends(start, end)
     return Cylinder(*ends, as_array("radius", radius, "m", positive=True))
@@ -355,10 +355,11 @@ def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -
 
     Args:
         point: Any point of its surface `(3,)` [m].
-        normal: Out of it `(3,)`; its length does not matter.
+        normal: Normal that points out of the half space `(3,)`; its length does not
+            matter.
 
     Raises:
-        ValueError: If the normal has no length, or one whose square is too small or
+        ValueError: If the length of the normal is zero, or its square is too small or
             too large for the precision.
     """
     return Plane(
@@ -374,12 +375,13 @@ def box(
     """A fixed block.
 
     Args:
-        centre: `(3,)` [m].
-        half_lengths: From the centre to the faces, along the box's axes `(3,)` [m].
-        orientation: Of the box's axes, a quaternion (w, x, y, z).
+        centre: Centre `(3,)` [m].
+        half_lengths: Distances from the centre to the faces, along the box's axes
+            `(3,)` [m].
+        orientation: Orientation of the box's axes, a quaternion (w, x, y, z).
 
     Raises:
-        ValueError: If the quaternion has no length, or one whose square is too small
+        ValueError: If the length of the quaternion is zero, or its square is too small
             or too large for the precision.
     """
     return Box(
@@ -395,16 +397,16 @@ def signed_distance(
     """A fixed body of any shape.
 
     Args:
-        function: Pure; from one point `(3,)` [m] and `parameters` to the signed
-            distance [m], negative inside. It is differentiated for the normal: its
-            gradient has to be finite everywhere and of length one near the surface.
-            A program is compiled for each function, so use the same one again.
+        function: Pure function from one point `(3,)` [m] and `parameters` to the signed
+            distance [m], negative inside. The normal is its gradient, which has to be
+            finite everywhere and of length one near the surface. A program is compiled
+            for each function object, so reuse the same one.
         parameters: Traced numbers of the body: any pytree of numbers.
 
     Raises:
         ValueError: If the function does not give one number at a point, or a parameter
             is not a number that can be stored.
-        TypeError: If the function is none.
+        TypeError: If `function` is not callable.
     """
     if not callable(function):
         raise TypeError(f"function must be callable, got {type(function).__name__}")
@@ -435,7 +437,7 @@ def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
 
 
 def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
-    """A vector that can be divided by its length."""
+    """Vector of a valid length: one by which it can be divided."""
     checked = check_array(name, value, shapes, "")
     dtype = jnp.result_type(float)
     if not is_traced(checked):

@@ -1,28 +1,28 @@
 r"""Contact of a rod with fixed bodies: penalty, damping and Coulomb friction.
 
-At points along the rod (`jaxrod.contacts.points`), each the centre of a ball of
-radius $r$, a body's signed distance $\phi$ and normal $n$ give the penetration
-$p = r - \phi$. Per length of rod, with the point's velocity $v$ and
-$v_n = v\cdot n$ (positive when leaving), the force along the normal is that of
-`jaxrod.contacts.contact_law`: a spring and a dashpot that meet with equal slope at
-$v_n = 0$ and never pull, with a smooth onset of a width $w$. Beyond $p = w/2$ the
-spring is exactly linear; before $p = -w/2$ there is nothing at all.
+Points along the rod (`jaxrod.contacts.points`) are the centres of balls of radius $r$.
+At each point a body's signed distance $\phi$ and normal $n$ give the penetration
+$p = r - \phi$. With the point's velocity $v$ and $v_n = v\cdot n$ (positive when
+leaving), the force per length of rod along the normal is that of
+`jaxrod.contacts.contact_law`: a spring and a dashpot that never pull. The slope of the
+force is continuous at $v_n = 0$, and its onset is smooth over a width $w$. Beyond
+$p = w/2$ the spring is exactly linear; before $p = -w/2$ there is no force.
 
-Friction acts where the section touches, at $-r n$ from its centre, which moves at
-$u = v - \omega\times r n$. With the part $u_t$ of it along the surface,
+Friction acts where the section touches, at $-r n$ from its centre. This point moves at
+$u = v - \omega\times r n$. With the component $u_t$ of $u$ along the surface,
 
 $$F_t = -\frac{c_t u_t}{\sqrt{1 + (c_t |u_t| / \mu F_n)^2}},$$
 
-sliding friction $\mu F_n$ at speed and a drag of rate $c_t$ at rest. A sticking contact
-under a load $f < \mu F_n$ along the surface creeps, at the speed where friction
-balances it,
+which is sliding friction $\mu F_n$ at high speed and a drag of rate $c_t$ near rest. A
+sticking contact under a load $f < \mu F_n$ along the surface creeps at the speed where
+friction balances the load,
 
 $$u_t = \frac{f}{c_t}\,\frac{1}{\sqrt{1 - (f/\mu F_n)^2}},$$
 
-which is 2.3 times $f/c_t$ at 0.9 of the limit and 7.1 times at 0.99. The slope has a
-bound, $c_t$, whatever the load, so a stable step exists. Its couple $-r n\times F_t$ on
-the section makes rods roll. Friction may also differ between forward, backward and
-sideways (`contact_law`).
+which is 2.3 times $f/c_t$ at 0.9 of the limit and 7.1 times at 0.99. The slope is at
+most $c_t$ whatever the load, so a stable step exists. The couple $-r n\times F_t$ of
+friction on the section makes rods roll. Friction may also differ between forward,
+backward and sideways (`contact_law`).
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class Contact(Effect):
-    """A rod against one fixed body, or against several of a kind.
+    """A rod against one fixed body, or against several of one kind.
 
-    See `contact`, and `near_contact` for one that looks at the nearest of them only.
+    See `contact`, and `near_contact` for contact with the nearest bodies only.
     """
 
     body: Body
-    """The body; of several, their numbers have a leading axis."""
+    """The body; for several bodies its numbers have a leading axis."""
     stiffness: Float[Array, ""]
     """Force per length of rod and penetration [N/m^2]."""
     onset: Float[Array, ""]
@@ -73,22 +73,22 @@ class Contact(Effect):
     damping: Float[Array, ""] | None = None
     """Force per length of rod and normal speed [kg/(m s)]."""
     friction: Float[Array, ""] | Float[Array, "3"] | None = None
-    """Coefficient of Coulomb friction, or of each direction: forward along d3,
+    """Coefficient of Coulomb friction, or one for each direction: forward along d3,
     backward and sideways [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """Largest friction per length of rod and speed of slip [kg/(m s)]."""
+    """Largest friction per length of rod and slip speed [kg/(m s)]."""
     n_bodies: int | None = static(default=None)
     """Number of bodies, if their numbers have a leading axis."""
     near: tuple[Body, ...] | None = None
-    """Bodies near each of `contact_points`, in place of all."""
+    """Bodies near each of `contact_points`, used instead of all bodies."""
     n_near: int | None = static(default=None)
-    """Number of bodies that each point looks at, where that is not all."""
+    """Number of bodies that each point sees, if not all."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
     stick_ratio: Float[Array, ""] | None = None
-    """Friction at the onset of slip over that of sliding, if it has directions [1]."""
+    """Friction at the onset of slip over that of sliding, if it is directional [1]."""
     free_ends: Float[Array, "2"] | None = None
-    """One for each end of the rod that is free, zero where it goes on in another rod;
+    """One for each end of the rod that is free, zero where it continues in another rod;
     both are free by default."""
 
     reach: ClassVar[Reach] = "neighbours"
@@ -100,7 +100,7 @@ class Contact(Effect):
 
     @property
     def twists(self) -> str | None:
-        """Friction, which makes rods roll."""
+        """Cause of twist: friction, which makes rods roll."""
         return None if self.friction is None else "friction"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
@@ -114,7 +114,7 @@ class Contact(Effect):
         return Loads(loads.forces, to_material(frame, loads.couples))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Stiffness and drag as if every point touched all bodies it looks at."""
+        """Stiffness and drag as if every point touched all bodies it sees."""
         count = self.n_near or self.n_bodies or 1
         stiff, at_nodes, at_elements = _lengths_in_bounds(self._points(rod))
         stiff, at_nodes, at_elements = (
@@ -125,8 +125,9 @@ class Contact(Effect):
         if self.friction_drag is None:
             node_drag = None if drag is None else drag * at_nodes
             return StabilityBound(nodes=stiffness, node_drag=node_drag)
-        # Slip is of the point's speed and of the section's turning; by Young's
-        # inequality its square is at most this much of the squares of the two.
+        # Slip has a part from the velocity and a part from the spin. By Young's
+        # inequality its square is at most (1 + ratio) times the square of the former
+        # plus (1 + 1 / ratio) times the square of the latter.
         squares = rod.radii**2
         inertia = jnp.min(rod.rotary_inertia, axis=0)
         ratio = jnp.max(squares * rod.linear_density / inertia)
@@ -153,8 +154,8 @@ class Contact(Effect):
     def violation(self, rod: Rod, state: RodState) -> Array:
         """Deepest penetration of a node over the radius.
 
-        One where the centreline reaches a surface: no force that fits the rest of the
-        rod lets it come so far.
+        It is one where the centreline reaches a surface. With contact forces on the
+        scale of the rod's other forces it never gets that far.
         """
         position = motion_of(state).position
         nodes, bodies = self._in_view(rod)[0]
@@ -167,10 +168,10 @@ class Contact(Effect):
         check_spacing(self.body.inradius, rod, self.points_per_element)
 
     def force_directions(self, rod: Rod, motion: Motion) -> Vec3:
-        """The bodies' normals, whether the rod touches or not.
+        """Normals of the bodies, whether the rod touches or not.
 
-        None from deep inside: no node gets there, and a short post has its nearest
-        face there above or below.
+        They are zero deep inside: no node gets there, and there the nearest face of a
+        short post is its top or its bottom.
         """
         deepest = jnp.max(rod.radii)
 
@@ -183,18 +184,18 @@ class Contact(Effect):
         return jax.vmap(normals)(self.body)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Contact:
-        """Looks at all bodies again: there are other points."""
+        """The contact with all bodies in view again, since the points have changed."""
         return dataclasses.replace(self, near=None, n_near=None)
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Contact:
-        """An end that goes on in another rod has no face."""
+        """The contact with these ends free: a continued end has no face."""
         return dataclasses.replace(self, free_ends=free)
 
     def _points(self, rod: Rod) -> list[Points]:
         return contact_points(rod, self.points_per_element, self.free_ends)
 
     def _in_view(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
-        """The contact points, and the bodies they look at one by one."""
+        """The contact points, each group with a list of the bodies it sees."""
         points = self._points(rod)
         if self.near is None:
             everything = _one_by_one(self.body, self.n_bodies)
@@ -308,7 +309,7 @@ class Contact(Effect):
         return Loads(forces, accumulate((x, y, z), loads.couples))
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
-        """Penetration by the distance, positive; see `Ends.counted`."""
+        """Function from distance to penetration, positive; see `Ends.counted`."""
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
@@ -318,7 +319,7 @@ class Contact(Effect):
     def _friction(
         self, push: Array, slip: Vec3, normal: Vec3, axis: Vec3 | None
     ) -> Vec3:
-        """Force per length [N/m] at a velocity of slip [m/s] under a normal force."""
+        """Force per length [N/m] at a slip velocity [m/s] under a normal force."""
         assert self.friction is not None and self.friction_drag is not None
         if axis is None:
             return friction_force(push, slip, self.friction, self.friction_drag)
@@ -383,7 +384,7 @@ def _one_by_one(body: Body, count: int | None) -> list[Body]:
 def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
     """Sum of a function's values over all bodies.
 
-    Body by body in the program, not along an axis of the arrays: that takes two
+    The program computes body by body, not along an axis of the arrays: that takes two
     thirds of the time on CPUs.
     """
     first, *others = [of_body(body) for body in bodies]

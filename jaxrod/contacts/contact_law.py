@@ -1,29 +1,30 @@
 r"""The law of contact at a point: normal force, friction, energy, all per length.
 
-Pure functions of the penetration $p$, the speed of leaving $v_n$, the velocity of slip
-and the numbers of the contact; `jaxrod.contacts.contact` says where these come from.
-Along the normal a spring and a dashpot that meet with equal slope and never pull,
+These are pure functions of the penetration $p$, the separation speed $v_n$, the slip
+velocity and the parameters of the contact; `jaxrod.contacts.contact` computes these.
+Along the normal a spring and a dashpot act. Their force never pulls, and its slope is
+continuous at $v_n = 0$:
 
 $$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
   F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
 
-with a smooth onset of a width $w$: $\langle p\rangle$ rises from zero at $p = -w/2$ as
-$(p + w/2)^2/2w$ to meet $p$ at $p = w/2$, and $s = d\langle p\rangle/dp$ from 0 to 1.
-Along the surface, in all directions alike,
+The onset is smooth over a width $w$: $\langle p\rangle$ rises from zero at $p = -w/2$
+as $(p + w/2)^2/2w$ and meets $p$ at $p = w/2$; $s = d\langle p\rangle/dp$ goes from 0
+to 1. Friction along the surface is, if it is isotropic,
 
 $$F_t = -\frac{\mu F_n u_t}{\sqrt{|u_t|^2 + u_s^2}}, \qquad u_s = \frac{\mu F_n}{c_t},$$
 
-or with coefficients of their own along an axis, forwards and backwards, and across it,
+or, with separate coefficients along an axis, forwards and backwards, and across it,
 
 $$F_a = -\frac{\mu_a F_n u_a}{\sqrt{|u_t|^2 + u_s^2}}, \quad
   F_b = -\frac{\mu_b F_n u_b}{\sqrt{|u_t|^2 + u_s^2}}, \quad
   \mu_a = \frac{\mu_+ + \mu_-}2
     + \frac{\mu_+ - \mu_-}2 \frac{u_a}{\sqrt{u_a^2 + u_s^2}},$$
 
-where $u_s$ is that of the largest of the three. With a stick ratio $\sigma$ all
-coefficients are those of sliding, and grow as slip vanishes by the factor
-$1 + (\sigma - 1)\,e^{-|u_t|^2/(3 u_s)^2}$ (Stribeck), $u_s$ being that of the largest
-sticking friction.
+where $u_s$ is taken with the largest of the three coefficients. With a stick ratio
+$\sigma$ all coefficients are those of sliding. They grow as slip vanishes by the factor
+$1 + (\sigma - 1)\,e^{-|u_t|^2/(3 u_s)^2}$ (Stribeck), and $u_s$ is taken with the
+largest sticking friction.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 
 STRIBECK = 3.0
-"""Speed of slip at which sticking friction goes, over that where friction sets in."""
+"""Slip speed at which sticking friction fades, over the onset speed u_s [1]."""
 _ALONG_THE_NORMAL = 1e-6
-"""Below about this sine of its angle to the normal an axis has no direction [1]."""
+"""Sine of the angle between axis and normal below which an axis has no direction along
+the surface, approximately [1]."""
 
 
 def normal_force(
@@ -52,7 +54,7 @@ def normal_force(
 
     Args:
         depth: Penetration [m].
-        leaving: Speed of leaving [m/s].
+        leaving: Separation speed, positive when the point leaves the surface [m/s].
         width: Width of the onset [m].
         stiffness: Force per length and penetration [N/m^2].
         damping: Force per length and speed [kg/(m s)].
@@ -63,8 +65,8 @@ def normal_force(
     force = stiffness * spring
     if damping is not None:
         share = jnp.where(full, 1, depth / width)
-        # The spring's depth over the dashpot's share: their forces' ratio is
-        # this length over the way made in the time damping / stiffness.
+        # Depth of the spring over the share of the dashpot. The ratio of their forces
+        # is this length over the distance moved in the time damping / stiffness.
         ratio = jnp.where(full, depth - 0.5 * width, 0.5 * depth)
         way = damping / stiffness * jnp.maximum(leaving, 0)
         resisting = damping * share * jnp.minimum(leaving, 0)
@@ -83,11 +85,11 @@ def energy_density(depth: Array, width: Array, stiffness: Array) -> Array:
 
 
 def friction_force(push: Array, slip: Vec3, friction: Array, drag: Array) -> Vec3:
-    """Force per length along the surface, alike in all directions [N/m].
+    """Force per length along the surface, isotropic [N/m].
 
     Args:
         push: Normal force per length [N/m].
-        slip: Velocity of slip, along the surface [m/s].
+        slip: Slip velocity, along the surface [m/s].
         friction: Coefficient of friction [1].
         drag: Largest friction per length and speed [kg/(m s)].
     """
@@ -110,9 +112,9 @@ def directional_friction_force(
 
     Args:
         push: Normal force per length [N/m].
-        slip: Velocity of slip, along the surface [m/s].
-        axis: Unit vector along the surface; of length zero where there is none, and
-            all of the slip is sideways.
+        slip: Slip velocity, along the surface [m/s].
+        axis: Unit vector along the surface. It has length zero where it has no
+            direction; there all of the slip counts as sideways.
         friction: Coefficients of sliding: along the axis, against it, across it [1].
         drag: Largest friction per length and speed [kg/(m s)].
         stick_ratio: Coefficients of sticking over those of sliding, at least 1 [1].
@@ -122,7 +124,7 @@ def directional_friction_force(
     sticking = most if stick_ratio is None else most * stick_ratio
     limit = sticking * push
     rubs = limit > 0
-    # Everything in units of the speed at which friction sets in.
+    # All speeds are in units of the onset speed u_s.
     slip = vectors.scale(drag / jnp.where(rubs, limit, 1), slip)
     along = vectors.dot(axis, slip)
     square = vectors.dot(slip, slip)
@@ -136,9 +138,9 @@ def directional_friction_force(
 
 
 def along_surface(axis: Vec3, normal: Vec3) -> Vec3:
-    """Unit vectors along a surface in the direction of given ones.
+    """Unit vectors along a surface: normalised projections of given unit vectors.
 
-    Zero where those are along the normal, smoothly.
+    They go smoothly to zero where the given vectors are along the normal.
     """
     upright = vectors.dot(axis, normal)
     flat = vectors.subtract(axis, vectors.scale(upright, normal))
@@ -147,15 +149,15 @@ def along_surface(axis: Vec3, normal: Vec3) -> Vec3:
 
 
 def depth_from_onset(depth: Array, width: Array) -> Array:
-    """Depth from the onset on [m], positive; where there is no contact, `width`."""
+    """Depth beyond the onset of contact [m], positive; `width` without contact."""
     return _started(depth, width)[1]
 
 
 def _started(depth: Array, width: Array) -> tuple[Array, Array]:
-    """Flag of contact, and depth from its onset on [m], finite where there is none.
+    """Whether there is contact, and the depth beyond its onset [m], always finite.
 
-    Depths within rounding of the onset count as before it: ratios of vanishing numbers
-    would have no gradient.
+    Depths within round-off of the onset count as no contact, because ratios of
+    vanishing numbers would have no gradient.
     """
     inside = depth + 0.5 * width
     touches = inside > float(jnp.finfo(width.dtype).eps) ** 0.5 * width

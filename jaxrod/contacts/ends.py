@@ -1,23 +1,25 @@
 r"""The ends of a rod in contact: the same law on every grid.
 
-An end has a face, and a force there has nothing beside it to share it. With the half
-spacing that the trapezoidal rule gives it, an end that is pushed along the rod would be
-the softer the finer the grid. So the length that a free end stands for depends on how
-the rod meets the surface. With the penetration $p$ of the end, the spacing $h$ of the
-points, the radius $a$, and the rise $m = d\phi/ds \ge 0$ of the distance $\phi$ from
-the end along the rod, the sine of its angle to a plane, it is
+An end has a face, and no neighbouring points share a force on it. If an end stood for
+the half spacing of the trapezoidal rule, it would be the softer under a push along the
+rod the finer the grid is. So the length that a free end stands for depends on how the
+rod meets the surface. Let $p$ be the penetration of the end, $h$ the spacing of the
+points, $a$ the radius, and $m = d\phi/ds \ge 0$ the rise of the distance $\phi$ from
+the end along the rod, which is the sine of the rod's angle to a plane. The length is
 
 $$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
 
 - A rod that lies on a plane, $m = 0$, is counted by the trapezoidal rule and rests at
-  a penetration of $W/kL$. The power keeps it stable there: with squares the energy
-  would fall where a limp rod tilts.
-- One that stands or leans, $m > 0$, is pushed with $k(2 a m^2 p + p^2/2m)$ on every
-  grid. Its face counts as much length as the rod is thick; the rest is of its side.
+  a penetration of $W/kL$. The fourth power keeps it stable there: with squares the
+  energy would fall where a limp rod tilts.
+- A rod that stands or leans, $m > 0$, is pushed with $k(2 a m^2 p + p^2/2m)$ on every
+  grid. Its face counts as much length as the rod is thick; the rest comes from its
+  side.
 
-The energy has this length in it. Its derivative by $m$ is a pair of forces along the
-normals at the end and at a place beside it, between which the rise is taken: an element
-or a radius away, whichever is more, but no more than half the rod.
+The energy is proportional to this length. Its derivative with respect to $m$ is a pair
+of forces along the normals at the end and at a place beside it, between which the rise
+is measured. This place is an element or a radius away, whichever is more, but no more
+than half the rod.
 """
 
 from __future__ import annotations
@@ -33,32 +35,32 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 MOST_RATIO = 1e6
-"""Rise over an end's own length, over its penetration; its fourth power is finite in
-single precision, and no side is left to count long before [1]."""
+"""Bound of the ratio 3hm/2p [1]. Its fourth power is finite in single precision, and
+the side of the rod counts next to nothing long before the ratio gets there."""
 
 
 @pytree
 class Ends:
-    """Both ends of each of some rods, whose contact points stand in one row."""
+    """Both ends of each of some rods, whose contact points are in one row."""
 
     half_spacings: Float[Array, " ends"]
-    """Lengths that the trapezoidal rule gives them [m]."""
+    """Lengths of the ends by the trapezoidal rule [m]."""
     radii: Float[Array, " ends"]
     """Radii of the faces [m]."""
     free: Float[Array, " ends"]
-    """One where the end is free, zero where the rod goes on in another [1]."""
+    """One where the end is free, zero where the rod continues in another [1]."""
     reaches: Float[Array, " ends"]
-    """Rest lengths to the places beside them [m]."""
+    """Rest lengths from the ends to the places beside them [m]."""
     shares: Float[Array, "rods 2 points"]
-    """Shares of the points of a rod in the places beside its ends [1]."""
+    """Interpolation weights of a rod's points at the places beside its ends [1]."""
 
     def of_points(self, field: Array) -> Float[Array, " ends"]:
-        """A field on the points, at the ends."""
+        """Values at the ends of a field on the points."""
         rods = field.reshape(len(self.shares), -1)
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """A field of vectors on the points, at the places beside the ends."""
+        """Vectors at the places beside the ends, interpolated from the points."""
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)
@@ -67,13 +69,13 @@ class Ends:
         return one(field[0]), one(field[1]), one(field[2])
 
     def to_points(self, values: Float[Array, " ends"]) -> Array:
-        """Numbers at the ends, in a row that is zero elsewhere."""
+        """Values at the ends scattered to the points, zero elsewhere."""
         rods, others = values.reshape(-1, 2), self.shares.shape[2] - 1
         first = vectors.pad(rods[:, :1], 0, others)
         return (first + vectors.pad(rods[:, 1:], others, 0)).reshape(-1)
 
     def from_beside(self, values: Float[Array, " ends"]) -> Array:
-        """A component of forces at the places beside the ends, on the points."""
+        """Component of forces beside the ends, shared among the points."""
         return jnp.sum(self.shares * values.reshape(-1, 2, 1), axis=1).reshape(-1)
 
     def counted(
@@ -86,9 +88,9 @@ class Ends:
 
         Args:
             own: Distances of the ends from the surface [m].
-            beside: Distances of the places beside them [m].
-            depth: Penetrations by distances; positive, whatever it is where there is
-                none [m].
+            beside: Distances of the places beside the ends from the surface [m].
+            depth: Function from distances to penetrations [m]. Its values must be
+                positive; without contact any positive value will do.
         """
         depths = depth(own)
         rise = jnp.maximum((beside - own) / self.reaches, 0)
@@ -105,7 +107,7 @@ class Ends:
         depth: Callable[[Array], Array],
         density: Float[Array, " ends"],
     ) -> tuple[Array, Array, Array]:
-        """Lengths of the ends [m], and the forces by which they change.
+        """Lengths of the ends [m], and the forces that follow from their changes.
 
         Args:
             own: As for `counted`.
@@ -123,16 +125,18 @@ class Ends:
         return counted, -by_own, -by_beside
 
     def longest(self) -> Array:
-        """Largest lengths that the ends stand for, in a row of the points [m]."""
+        """Largest lengths that the ends can stand for, scattered to the points [m]."""
         return self.to_points(self.half_spacings + 2 * self.free * self.radii)
 
     def bound(self) -> Array:
-        """Lengths in an upper bound of the stiffness, in a row of the points [m].
+        """Lengths for an upper bound of the stiffness, on the points [m].
 
-        For penetrations up to a quarter of the radius, which is a share c of the way to
-        the place beside. The Hessian of the energy over the stiffness is at most 1.3
-        and .43 half spacings, of the end and of the place beside it, and 1 + 6c + 2c^2
-        and 2c + 2c^2 times the thickness.
+        The bound holds for penetrations up to a quarter of the radius. This quarter is
+        a fraction c of the distance to the place beside the end. The Hessian of the
+        energy over the stiffness has two parts. Its part from the half spacing is at
+        most 1.3 half spacings for the end and 0.43 half spacings for the place beside
+        it. Its part from the thickness is at most 1 + 6c + 2c^2 thicknesses for the end
+        and 2c + 2c^2 thicknesses for the place beside it.
         """
         c = 0.25 * self.radii / self.reaches
         thickness = 2 * self.radii
@@ -152,15 +156,15 @@ def ends_of(
     """The ends of a rod among its nodes.
 
     Args:
-        rest_lengths: Of the elements [m].
-        radii: Of the elements [m].
+        rest_lengths: Rest lengths of the elements [m].
+        radii: Radii of the elements [m].
         per_element: Contact points per element.
-        free: One for the first and the last end if it is free, zero where the rod goes
-            on in another; both are free by default.
+        free: Two numbers, for the first and the last end: one if the end is free, zero
+            where the rod continues in another. Both are free by default.
     """
 
     def at_start(lengths: Array, radius: Array) -> tuple[Array, Array]:
-        """Rest length to the place beside the first end, and shares of the nodes."""
+        """Rest length to the place beside the first end, and weights of the nodes."""
         reach = jnp.maximum(lengths[0], jnp.minimum(radius, 0.5 * jnp.sum(lengths)))
         before = jnp.cumsum(lengths) - lengths
         passed = jnp.clip((reach - before) / lengths, 0, 1)

@@ -1,4 +1,4 @@
-"""Making contact: a host-side factory that validates and speaks SI."""
+"""Factory of contact with fixed bodies: runs on the host, validates, takes SI units."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from jaxrod.contacts.contact import Contact
 from jaxrod.validation import Numbers, as_array, check_array, check_count, is_traced
 
 MOST_POINTS = 1000
-"""Contact points per element: each is in the program; more are taken for a mistake."""
+"""Largest number of contact points per element. Each of them is in the compiled
+program; more are taken for a mistake."""
 
 
 def contact(
@@ -29,7 +30,7 @@ def contact(
     onset: Numbers = 0.01,
     points_per_element: int = 1,
 ) -> Contact:
-    """Contact of the rod with a fixed body, or with several of a kind.
+    """Contact of the rod with a fixed body, or with several of one kind.
 
     All loads are per length of rod: a rod of weight `W` and length `L` rests on a
     plane at a penetration of `W / (stiffness L)`, however many elements it has. The
@@ -43,39 +44,40 @@ def contact(
 
     Args:
         bodies: A body from `jaxrod.sphere`, `capsule`, `cylinder`, `plane`, `box` or
-            `signed_distance`; several of the same kind as a sequence, or as one whose
-            numbers have a leading axis (from `jax.vmap` of a factory). Each adds to
-            the program, a nest of a dozen more than the rod itself; then see
-            `jaxrod.near_contact`.
+            `signed_distance`. Several of the same kind are given as a sequence, or as
+            one body whose numbers have a leading axis (from `jax.vmap` of a factory).
+            Each adds to the compiled program; a dozen bodies cost more than the rod
+            itself, and then `jaxrod.near_contact` helps.
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length of rod and normal speed [kg/(m s)].
-        friction: Coefficient of Coulomb friction, or three: of slip forward (along d3,
-            from the first node to the last), backward and sideways, as scales and
-            bristles make them [1].
-        friction_drag: Largest friction per length of rod and speed of slip
-            [kg/(m s)]; by default as much as `damping`. A sticking contact creeps at
-            (tangential load per length) / friction_drag, divided by the root of
-            1 - (load / limit)^2 with limit = friction * normal force: the faster the
-            nearer it is to slipping.
-        stick_ratio: Factor of friction that grows as slip vanishes, at least 1:
-            `friction` is that of sliding. As it sets in smoothly a rod holds on a
-            little less: up to 1.18, 1.49 or 2 times sliding friction with a ratio of
-            1.5, 2 or 2.8. Other than 1, friction of a rod that slips faster than it
-            creeps falls with speed, by which rods stick and slip [1].
-        onset: Width of the smooth onset of contact over the rod's radius [1]: the
-            force starts half a width before rod and body touch and is linear from
-            half a width of penetration on.
-        points_per_element: Contact points: 1 for the nodes alone, 2 for nodes and
-            middles, and so on. Neighbouring points should be nearer to each
-            other than the radii of rod and body together: from one and a half times
-            that on bodies slip through between. `make_scene` warns where they are not.
+        friction: Coefficient of Coulomb friction, or three coefficients, such as those
+            of scales and bristles: for slip forward (along d3, from the first node to
+            the last), backward and sideways [1].
+        friction_drag: Largest friction per length of rod and slip speed [kg/(m s)]; by
+            default equal to `damping`. A sticking contact creeps at (tangential load
+            per length) / friction_drag, divided by the root of 1 - (load / limit)^2
+            with limit = friction * normal force: the closer to slipping, the faster.
+        stick_ratio: Factor by which friction grows as slip vanishes, at least 1;
+            `friction` is that of sliding. Because friction sets in smoothly, a rod
+            holds on a little less than by this factor: up to 1.18, 1.49 or 2 times
+            sliding friction with a ratio of 1.5, 2 or 2.8. With a ratio above 1,
+            friction falls with speed once a rod slips faster than it creeps; this makes
+            rods stick and slip [1].
+        onset: Width of the smooth onset of contact over the rod's radius [1]. The
+            force starts half a width before rod and body touch and is linear beyond
+            half a width of penetration.
+        points_per_element: Contact points per element: 1 for the nodes alone, 2 for
+            nodes and middles, and so on. Neighbouring points should be nearer to each
+            other than the sum of the radii of rod and body; from one and a half times
+            this sum on, bodies slip through between the points. `make_scene` warns
+            where the points are too far apart.
 
     Returns:
         An effect to list in a scene.
 
     Raises:
         ValueError: If a number is out of range, or if friction has no drag.
-        TypeError: If the bodies are not bodies, or not all of a kind.
+        TypeError: If the bodies are not bodies, or not all of one kind.
     """
     body, n_bodies = _gathered(bodies)
     damps = _or_none("damping", damping, "kg/(m s)")
@@ -112,7 +114,7 @@ def contact(
 def _or_none(
     name: str, value: Numbers, unit: str, shapes: Sequence[tuple[int, ...]] = ((),)
 ) -> Array | None:
-    """A number or several, or nothing at all where they are known to be zero."""
+    """One or several numbers as an array, or `None` where they are known to be zero."""
     dtype = jnp.result_type(float)
     checked = check_array(name, value, shapes, unit, non_negative=True, dtype=dtype)
     known_zero = not is_traced(checked) and not np.any(checked)
@@ -120,7 +122,7 @@ def _or_none(
 
 
 def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
-    """One body, or several as one with a leading axis and their number."""
+    """Bodies as one, with a leading axis if there are several, and their number."""
     if isinstance(bodies, Body):
         return bodies, bodies.count
     if not isinstance(bodies, Sequence):

@@ -1,9 +1,9 @@
-"""Contact that looks only at what is near: for a rod among many bodies.
+"""Contact with the nearest bodies only, for a rod among many bodies.
 
-Contact with a dozen bodies costs several times what the rod itself does, though a
-section touches one or two at a time. Which bodies are nearest changes slowly: choose
-them every so often, say once in a control step, and the steps in between compute with
-those alone.
+Contact with a dozen bodies costs several times as much as the rod itself, though a
+section touches one or two at a time. The nearest bodies change slowly. Choose them
+every so often, say once in a control step; the steps in between compute with these
+alone.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from jaxrod.validation import check_count, check_kind
 
 @pytree
 class OneForEach(Body):
-    """A body of its own for each point: numbers have a trailing axis over points."""
+    """A separate body for each point: numbers have a trailing axis over points."""
 
     body: Body
-    """All of them, of a kind."""
+    """All bodies, of one kind, as one body with leading and trailing axes."""
 
     def of_ends(self) -> OneForEach:
         """The bodies of the first and of the last point."""
@@ -40,7 +40,7 @@ class OneForEach(Body):
         return OneForEach(jax.tree.map(ends, self.body))
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Each point's distance from its own body, and the normal there.
+        """Distance of each point from its own body, and the normal there.
 
         Raises:
             ValueError: If the bodies were chosen for another number of points.
@@ -62,18 +62,18 @@ class OneForEach(Body):
 
 
 def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Contact:
-    """The same contact, but each point looks only at the bodies nearest to it now.
+    """The same contact, but each point sees only the bodies nearest to it now.
 
-    Exact as long as every body that a point touches is among its `count` nearest ones;
-    choose them anew before a point can reach another. `stable_dt`
+    This is exact as long as every body that a point touches is among its `count`
+    nearest ones. Choose them again before a point can reach another body. `stable_dt`
     counts `count` bodies at each point instead of all. Forces do not jump when bodies
-    are chosen anew, since those that are left out do not touch.
+    are chosen again, since the bodies left out do not touch.
 
     Args:
         contact: Contact with several bodies.
         rod: The rod.
-        state: Where it is.
-        count: Bodies each point looks at, at most as many as there are.
+        state: State of the rod, at which the nearest bodies are chosen.
+        count: Number of bodies that each point sees, at most all.
 
     Returns:
         An effect to list in a scene in place of `contact`, for this rod.
@@ -108,7 +108,8 @@ def _smallest(
 ) -> Int[Array, "count points"]:
     """Indices of the smallest values at each point, the smallest first.
 
-    One after the other: for a few of a dozen that is faster than sorting them.
+    They are searched one after the other: for a few out of a dozen that is faster than
+    sorting.
     """
     numbers = jnp.arange(len(values))[:, None]
     chosen = []

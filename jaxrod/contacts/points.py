@@ -1,12 +1,12 @@
 """Contact points along a rod, and the transfer of their loads to the rod.
 
-Contact acts per length of rod. Its integral is a sum over points with the lengths they
-stand for (the trapezoidal rule), so loads do not depend on the number of elements; the
-ends have a law of their own (`jaxrod.contacts.ends`). The points are the nodes: the tip
-is one of them, and a force there is a force on a node.
-Where elements are long, more points follow between the nodes of each element, whose
-forces both nodes share by the lever rule. Taking loads to the rod is the transpose of
-taking the rod's motion to the points, so no momentum and no power is lost on the way.
+Contact acts per length of rod. Its integral is a sum over points, each weighted by the
+length it stands for (the trapezoidal rule), so loads do not depend on the number of
+elements. The ends have a law of their own (`jaxrod.contacts.ends`). The points are the
+nodes: the tip is one of them, and a force there is a force on a node.
+Long elements have more points between their nodes; both nodes share the forces there by
+the lever rule. The transfer of loads to the rod is the transpose of the interpolation
+of its motion at the points, so no momentum and no power is lost.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ class Points(Protocol):
 
     @property
     def lengths(self) -> Array:
-        """Rest length of rod each point stands for, zero at the ends [m]."""
+        """Rest length of rod that each point stands for, zero at the ends [m]."""
 
     @property
     def ends(self) -> Ends | None:
         """The ends of the rod, if they are among the points."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """A field on the nodes, at the points."""
+        """Values at the points of a field on the nodes."""
 
     def of_elements(self, field: Array) -> Array:
-        """A field on the elements, at the points."""
+        """Values at the points of a field on the elements."""
 
     def to_nodes(self, field: Vec3) -> Vec3:
-        """Forces at the points, on the nodes."""
+        """Forces at the points, transferred to the nodes."""
 
     def to_elements(self, field: Array) -> Array:
-        """A component of couples at the points, on the elements."""
+        """Component of couples at the points, transferred to the elements."""
 
 
 @pytree
 class AtNodes:
-    """The nodes. Fields on elements are averaged there by length."""
+    """The nodes as contact points; fields on elements are averaged by length."""
 
     lengths: Array
-    """Rest length of rod each point stands for, zero at the ends [m]."""
+    """Rest length of rod that each point stands for, zero at the ends [m]."""
     ends: Ends
     """Both ends."""
     share_of_first: Array
@@ -68,7 +68,7 @@ class AtNodes:
         return field
 
     def of_elements(self, field: Array) -> Array:
-        """Averages of the neighbours."""
+        """Averages of neighbouring elements."""
         first, last = self.share_of_first * field, self.share_of_last * field
         return vectors.pad(first, 0, 1) + vectors.pad(last, 1, 0)
 
@@ -77,22 +77,22 @@ class AtNodes:
         return field
 
     def to_elements(self, field: Array) -> Array:
-        """Each element's shares of its two nodes' couples."""
+        """Each element's shares of the couples at its two nodes."""
         return self.share_of_first * field[:-1] + self.share_of_last * field[1:]
 
 
 @pytree
 class BetweenNodes:
-    """One point in each element, at the same fraction of all of them."""
+    """One point in each element, at the same fraction of every element."""
 
     lengths: Array
-    """Rest length of rod each point stands for [m]."""
+    """Rest length of rod that each point stands for [m]."""
     fraction: Array
     """Fraction of the way from an element's first node to its last [1]."""
     ends: None = None
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """Interpolated between the element's nodes."""
+        """Values interpolated between the element's nodes."""
         way = vectors.scale(self.fraction, vectors.inner_difference(field))
         x, y, z = (component[:-1] for component in field)
         return vectors.add((x, y, z), way)
@@ -102,7 +102,7 @@ class BetweenNodes:
         return field
 
     def to_nodes(self, field: Vec3) -> Vec3:
-        """Shared by the element's nodes, the nearer one takes more."""
+        """Forces shared by the element's nodes; the nearer node takes more."""
         last = vectors.scale(self.fraction, field)
         first = vectors.subtract(field, last)
         x, y, z = (
@@ -143,14 +143,14 @@ def contact_points(
 
 
 class ThinBodyWarning(UserWarning):
-    """A body fits between the points where a rod looks for contact."""
+    """A body fits between neighbouring contact points of a rod."""
 
 
 def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
-    """Warns where neighbouring points are farther apart than the radii together.
+    """Warns where neighbouring points are farther apart than the sum of the radii.
 
     Args:
-        inradius: Of the body or bodies, if it is known [m].
+        inradius: Inradius of the body or bodies, if it is known [m].
         rod: The rod.
         per_element: Contact points per element.
     """
