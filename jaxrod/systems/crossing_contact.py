@@ -4,19 +4,20 @@ Over the segments $i$, $j$ of two rods and the nodes between segments
 
 $$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big],$$
 
-$p$ the penetration at the nearest places of two segments, of the next node $v$ or $w$
-of one and the other segment, and of both nodes. Segments are pieces of curves that are
-smooth at nodes (`jaxrod.systems.smooth_axes`): on polylines rods at rest on each other
-would slide to nodes, where their energy is less. Segments less the nodes between them
-count a crossing once, wherever it is and however long segments are for their radius,
-and so smoothly: what a node takes away is what both its segments have there. Rods that
-lie side by side count once too, however long they do: the law is for nests, nets and
-knots of long elements. Forces are those of the energy, exactly, and act at one common
-point of both rods.
+The penetration $p$ is taken at the closest points of two segments, of the next node $v$
+or $w$ of one segment and the other segment, and of both nodes. Segments are pieces of
+curves that are smooth at nodes (`jaxrod.systems.smooth_axes`): on polylines, rods at
+rest on each other would slide to nodes, where their energy is lower. By
+inclusion-exclusion over segments and the nodes between them a crossing counts once,
+wherever it is and however long segments are for their radius. It does so smoothly,
+since a node subtracts exactly what both its segments have there. Rods that lie side by
+side also count once, however long the contact is: the law is for nests, nets and knots
+of long elements. Forces are exactly those of the energy, and act at one common point of
+both rods.
 
-What is taken away is taken from the spring alone. Dashpots and friction are at the
-nearest places of two segments, as far as these push more than what is taken away there:
-one taken away at another place, which moves otherwise, would feed energy.
+Subtracted terms have springs only. Dashpots and friction act at the closest points of
+two segments, reduced by the share of the push that is subtracted. A subtracted dashpot
+would be at another place, which moves differently, and would feed in energy.
 """
 
 from __future__ import annotations
@@ -81,12 +82,12 @@ class CrossingContact(TouchingRods):
     smooth: ClassVar[bool] = True
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
-        """With what is tied and so does not touch."""
+        """The coupling with the tied nodes, near which nothing touches."""
         fitted: Any = self.with_ties(parts, tied)
         return fitted
 
     def prepared(self, parts: AllParts) -> CrossingContact:
-        """With radii and lengths of segments."""
+        """The coupling with radii and lengths of segments."""
         made = tuple(
             strands(
                 parts[name],
@@ -99,7 +100,7 @@ class CrossingContact(TouchingRods):
         return replace(self, strands=made)
 
     def views(self) -> list[tuple[int, int]]:
-        """Every two members once."""
+        """Pairs of members, each once."""
         count = len(self.members)
         return [
             (a, b)
@@ -113,12 +114,12 @@ class CrossingContact(TouchingRods):
         return self.strands[a].radii
 
     def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
-        """What is not of one rod, or not near along it."""
+        """Whether pairs may touch: those of two rods, or far apart along one rod."""
         share = self._share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 
     def _share(self, a: int, b: int, own: Elements, other: Elements) -> Array | None:
-        """Share that counts of pairs of elements; `None`: all of it."""
+        """Share with which pairs of elements count [1]; `None` for one."""
         share: Array | None = None
         if a == b:
             same = same_rod(own, other)
@@ -156,11 +157,11 @@ class CrossingContact(TouchingRods):
         )
 
     def _weights(self, a: int, b: int, pairs: Pairs) -> Array:
-        """What pairs count [1]."""
+        """Weights of pairs [1]."""
         own, other = pairs.own, pairs.other
         share = self._share(a, b, own, other)
         if pairs.listed is not None:
-            # Lists hold every two elements once.
+            # Lists hold every pair of elements once.
             there = pairs.listed.there.astype(own.radii.dtype)
             return there if share is None else jnp.where(pairs.listed.there, share, 0)
         ones = jnp.ones_like(own.radii + other.radii)
@@ -172,10 +173,10 @@ class CrossingContact(TouchingRods):
         return jnp.where(before, share, 0)
 
     def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
-        """Of both segments, of a node and a segment twice, and of both nodes.
+        """Touches of two segments, of a node and a segment (both ways), of two nodes.
 
-        Of segments at their nearest places, and at their middles as far as they are
-        parallel.
+        Two segments touch at their closest points and, as far as they are parallel, at
+        their middles.
         """
         own, other = pairs.own, pairs.other
         way = vectors.subtract(own.first, other.first)
@@ -227,10 +228,11 @@ class CrossingContact(TouchingRods):
     def _shifting(
         self, nearest: Touch, middle: Touch, pairs: Pairs
     ) -> tuple[Vec3, Vec3, Vec3]:
-        """What the energy of segments that are nearly parallel changes by besides.
+        """Additional forces of the energy of segments that are nearly parallel.
 
-        At the nearest places the distance is stationary: their motion counts for
-        nothing. That of the middles does, and that of the share of each.
+        At the closest points the distance is stationary, so the shift of these points
+        along the segments does not contribute. The shift of the middles does, and so
+        does the change of the shares of both touches.
         """
         own, other = pairs.own, pairs.other
         lines = vectors.subtract(own.first, other.first), own.edge, other.edge
@@ -242,7 +244,8 @@ class CrossingContact(TouchingRods):
         push = middle.weight * normal_force(
             middle.depth, jnp.zeros_like(middle.depth), middle.width, self.stiffness
         )
-        # All of one shape: slopes are those of each pair, not of an edge in all pairs.
+        # Broadcast to one shape: derivatives are then those of each pair, not sums over
+        # all pairs of an edge.
         shape = jnp.shape(weight)
         have: Products = jax.tree.map(
             lambda leaf: jnp.broadcast_to(leaf, shape), products(*lines)
@@ -264,16 +267,17 @@ class CrossingContact(TouchingRods):
         return from_products(slopes, *lines)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if its partners crossed every element at its worst.
+        """Stiffness and drag as if all partners crossed every element at its worst.
 
-        The square of what a spring sees of both rods is at most twice the sum of the
-        squares of either; of the four parts of a slip, four times.
+        A spring's change of length is the sum of the contributions of two rods. Its
+        square is at most twice the sum of their squares. Slip has four contributions,
+        so there the factor is four.
         """
         return {name: self._bound(parts[name]) for name in self.members}
 
     def _bound(self, own: Parts) -> StabilityBound:
         assert own.radii is not None
-        # Springs are on six nodes each.
+        # Each spring acts on six nodes.
         per_rod = jnp.asarray(stiffest(own.n_elements), self.stiffness.dtype)
         crossings = self.partners * jnp.tile(per_rod, own.count)
         drag, sides, turning = self.damping, 2, None
@@ -301,30 +305,30 @@ def crossing_contact(
 ) -> CrossingContact:
     """Contact between all rods of the named members, counted once for each crossing.
 
-    For rods that cross, of elements longer than some radii: nests, nets, knots. Rods
-    that lie side by side repel each other as one crossing does, however long they are:
-    for bundles there is `rod_contact`.
+    It is for rods that cross and whose elements are longer than some radii: nests,
+    nets, knots. Rods that lie side by side repel each other like one crossing, however
+    long they are: use `rod_contact` for bundles.
 
     Args:
-        *members: Names of members, one rod each or equal rods together.
+        *members: Names of members; a member is one rod or several equal rods.
         stiffness: Force per penetration of a crossing [N/m].
         damping: Force per normal speed [kg/s].
         friction: Coefficient of Coulomb friction [1].
-        friction_drag: Largest friction per speed of slip [kg/s]; by default as much as
+        friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.
-        itself: Whether each rod touches itself too. Of elements nearer to each other
-            along the rod than pi times its radius nothing is seen.
+        itself: Whether each rod also touches itself. Elements that are nearer to each
+            other along the rod than pi times its radius do not touch.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
         partners: Rods that may cross one element at the same time, for `stable_dt`.
-        lists: Lists of neighbours, from `neighbour_lists`; by default all pairs of
-            elements are looked at in every step.
+        lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
+            all pairs of elements.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
-        TypeError: If a name is none.
+        TypeError: If a name is not a string.
     """
     given = contact_numbers(
         members,

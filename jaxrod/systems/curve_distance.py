@@ -1,10 +1,10 @@
-r"""Nearest places of two pieces of smooth axes.
+r"""Closest points of two pieces of smooth axes.
 
-Newton's method in the unit square, from the nearest places of the chords: the squared
-distance is replaced by the quadratic form that it is to second order, which has its
-least value in the square where `segment_distance` says. Where that form is not clearly
-convex, of pieces that bend towards each other and are nearly parallel, what bends it is
-left out.
+Newton's method in the unit square, started from the closest points of the chords. In
+each step the squared distance is replaced by its second-order expansion, a quadratic
+form whose minimum in the square `segment_distance` finds. This form is not clearly
+convex for pieces that bend towards each other and are nearly parallel. There the terms
+of the curvature are left out.
 """
 
 from __future__ import annotations
@@ -19,19 +19,21 @@ from jaxrod.systems.element_pairs import Elements
 from jaxrod.systems.segment_distance import Products, first_guess
 
 STEPS = 3
-"""Newton steps: forces are then those of the energy to rounding; with two, to 3e-8."""
+"""Number of Newton steps. With three, forces match the energy to round-off; with two,
+to 3e-8."""
 _CONVEX = 0.5
-"""Least share of what straight pieces have that counts as convex [1]."""
+"""Smallest fraction of the second derivatives of straight pieces that counts as convex
+[1]."""
 
 
 def apart(way: Vec3, own: Elements, other: Elements, at: tuple[Array, Array]) -> Vec3:
-    """From a place on the other axis to one on the one [m].
+    """Vector from a place on the second axis to a place on the first [m].
 
     Args:
-        way: From the first node of the other element to that of the one [m].
-        own: The one elements.
-        other: The other elements.
-        at: Both places, over the lengths of their elements [1].
+        way: Vector from the start of the second element to the start of the first [m].
+        own: First elements.
+        other: Second elements.
+        at: Places on the first and second axis, over the lengths of their elements [1].
     """
     return vectors.add(way, vectors.subtract(own.on_axis(at[0]), other.on_axis(at[1])))
 
@@ -39,15 +41,16 @@ def apart(way: Vec3, own: Elements, other: Elements, at: tuple[Array, Array]) ->
 def nearest_on_curves(
     way: Vec3, own: Elements, other: Elements, start: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Nearest places of both pieces [1].
+    """Closest points of both pieces [1].
 
-    Slopes are those of the last step, which are those of the nearest places.
+    Only the last Newton step is differentiated, which gives the derivatives of the
+    closest points.
 
     Args:
-        way: From the first node of the other element to that of the one [m].
-        own: The one elements.
-        other: The other elements.
-        start: Places to begin with, as the nearest ones of the chords [1].
+        way: Vector from the start of the second element to the start of the first [m].
+        own: First elements.
+        other: Second elements.
+        start: Starting points, such as the closest points of the chords [1].
     """
     s, t = start
     for _ in range(STEPS):
@@ -85,13 +88,13 @@ def nearest_on_curves(
 
 
 def nearest_to_node(way: Vec3, own: Elements, other: Elements, start: Array) -> Array:
-    """Place of the other piece that is nearest to the next node of the one [1].
+    """Point of the second piece closest to the next node of the first [1].
 
     Args:
-        way: From the first node of the other element to that of the one [m].
-        own: The one elements.
-        other: The other elements.
-        start: Place to begin with [1].
+        way: Vector from the start of the second element to the start of the first [m].
+        own: First elements.
+        other: Second elements.
+        start: Starting point [1].
     """
     t = start
     node = vectors.add(way, own.edge)

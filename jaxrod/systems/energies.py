@@ -37,7 +37,7 @@ def system_kinetic_energy(system: Assembly, state: SystemState) -> Float[Array, 
 
 @jax.jit
 def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
-    """Elastic energy and potentials of effects and couplings [J]."""
+    """Elastic energy, and potential energy of effects and couplings [J]."""
     total = _total(_potential(m, state[k]) for k, m in system.members.items())
     seen, prepared = seen_at_rest(system, state)
     for coupling in prepared:
@@ -60,9 +60,10 @@ def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array
 def seen_at_rest(
     system: Assembly, state: SystemState
 ) -> tuple[dict[str, Seen], tuple[Any, ...]]:
-    """Members as couplings see them in a state, with their rates; couplings prepared.
+    """Members as couplings see them in a state, and the prepared couplings.
 
-    Spins are angular momenta, whatever the method. Neighbours are looked for.
+    Rates are those of the state. Spins are angular momenta, whatever the method. Lists
+    of neighbours are searched.
     """
     parts = held_parts(system, state)
     prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)

@@ -1,4 +1,4 @@
-"""How many neighbours there are in a state, and how many lists have room for."""
+"""Count of the neighbours in a state, and of the room in lists of neighbours."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from jaxrod.validation import check_kind, is_traced
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Neighbours in a state, of one coupling: list by list."""
+    """Neighbours of one coupling in a state, list by list."""
 
     members: tuple[tuple[str, str], ...]
-    """Members whose elements each list pairs."""
+    """Pairs of members, one for each list."""
     pairs: tuple[int, ...]
-    """Pairs of elements on each."""
+    """Number of pairs of elements in each list."""
     candidates: tuple[int, ...]
-    """Pairs whose distance was worked out for that."""
+    """Number of candidate pairs of each list, whose exact distance was computed."""
     in_cells: int
-    """Most elements in three neighbouring cells; 0 without a grid."""
+    """Largest number of elements in three neighbouring cells; 0 without a grid."""
     occupancy: float
-    """Largest share of the room there is that this takes; infinite without any [1]."""
+    """Largest fraction of the available room in use; infinite without any room [1]."""
     suggested: NeighbourLists
-    """Lists with half as much room again as this state needs."""
+    """Lists with at least half as much room again as this state needs."""
 
 
 def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
@@ -36,10 +36,11 @@ def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
 
     Args:
         system: The system.
-        state: A state of it: the densest it will see is the one to size lists for.
+        state: A state of the system. To size lists, give the densest state that it
+            will reach.
 
     Returns:
-        For every coupling with lists, in their order in the system.
+        One entry for every coupling with lists, in their order in the system.
 
     Raises:
         ValueError: If a value is traced.
@@ -58,7 +59,7 @@ def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
 
 def _counted(coupling: Any, seen: Any) -> Neighbours:
     given: NeighbourLists = coupling.lists
-    # All pairs stay all pairs; a grid stays a grid.
+    # A search over all pairs stays one, and so does a grid.
     cells = 0 if given.cell_slots == 0 else None
     bare = replace(given, pairs=None, candidates=None, cell_slots=cells)
     empty = replace(coupling, lists=bare)

@@ -1,8 +1,8 @@
 """Parts: the nodes and elements of a member, as couplings see them.
 
-All nodes of a member lie in one row, and so do its elements: of `k` equal rods of `n`
-elements first those of the first rod, then those of the second. A rigid body is one
-node and one element.
+All nodes of a member are in one row, and so are its elements. Equal rods follow one
+another: first all entries of the first rod, then those of the second, and so on. A
+rigid body is one node and one element.
 """
 
 from __future__ import annotations
@@ -33,29 +33,30 @@ class Parts:
     node_masses: Float[Array, " nodes"]
     """Mass of each node, or of each body [kg]."""
     inertias: Float[Array, "rows elements"]
-    """Of round rods transverse and polar (2 rows), else about all axes (3) [kg m^2]."""
+    """Moments of inertia [kg m^2]: transverse and polar for round rods (2 rows), else
+    about all three axes (3 rows)."""
     rest_lengths: Float[Array, " elements"] | None = None
-    """Of the elements of rods [m]."""
+    """Rest lengths of elements of rods [m]."""
     radii: Float[Array, " elements"] | None = None
-    """Of the elements of rods [m]."""
+    """Radii of elements of rods [m]."""
     bend_twist_stiffness: Float[Array, "3 elements"] | None = None
-    """Of the elements of rods [N m^2]."""
+    """Bending and twisting stiffness of elements of rods [N m^2]."""
     linear_density: Float[Array, " elements"] | None = None
-    """Of the elements of rods [kg/m]."""
+    """Mass per length of elements of rods [kg/m]."""
     shape: Body | None = None
     """Surface of bodies, in their own frame."""
     held: Vec3 | None = None
-    """Of each node along each axis, one where a support holds it, else zero."""
+    """One for each node and axis along which a support holds the node, else zero."""
     count: int = static(default=1)
     """Number of rods or bodies."""
     n_elements: int = static(default=1)
     """Elements of each rod; 1 for bodies."""
     is_rod: bool = static(default=True)
-    """Whether they are rods."""
+    """Whether the member consists of rods."""
     joint_mean: str = static(default="arithmetic")
-    """How joints of rods get their stiffness from two elements."""
+    """Kind of mean by which a joint of a rod gets its stiffness from two elements."""
 
-    # As a rod has them, for `Motion.angular_velocities`.
+    # `Motion.angular_velocities` asks a rod for these.
     @property
     def is_round(self) -> bool:
         """Whether elements have one inertia for d1 and d2."""
@@ -63,17 +64,17 @@ class Parts:
 
     @property
     def principal_inertias(self) -> Array:
-        """About all three axes; of what is not round [kg m^2]."""
+        """Moments of inertia about all three axes, for elements not round [kg m^2]."""
         return self.inertias
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes of all together."""
+        """Number of nodes of all rods or bodies together."""
         return self.count * (self.n_elements + 1 if self.is_rod else 1)
 
 
 def parts_of(member: Rod | RigidBodies) -> Parts:
-    """The constants of a rod, of equal rods with a leading axis, or of bodies."""
+    """Constants of a rod, of equal rods with a leading axis, or of bodies."""
     if isinstance(member, RigidBodies):
         return Parts(
             node_masses=member.masses,
@@ -103,7 +104,7 @@ def _of_rod(rod: Rod) -> Parts:
 
 
 def in_one_row(tree: Any) -> Any:
-    """Leaves `(k, ..., n)` as `(..., k n)`."""
+    """Leaves `(k, ..., n)` reshaped to `(..., k n)`."""
 
     def one(leaf: Array) -> Array:
         moved = jnp.moveaxis(leaf, 0, -2)
@@ -113,7 +114,7 @@ def in_one_row(tree: Any) -> Any:
 
 
 def in_rows(tree: Any, count: int) -> Any:
-    """Leaves `(..., k n)` as `(k, ..., n)`."""
+    """Leaves `(..., k n)` reshaped to `(k, ..., n)`."""
 
     def one(leaf: Array) -> Array:
         return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], count, -1), -2, 0)
@@ -123,21 +124,22 @@ def in_rows(tree: Any, count: int) -> Any:
 
 @pytree
 class Seen:
-    """A member at a moment: its constants, and where its nodes and elements are."""
+    """A member at one moment: its constants and its motion."""
 
     parts: Parts
-    """Its constants."""
+    """Constants of the member."""
     motion: Motion
-    """Positions and rates, all nodes and all elements in one row; of bodies those of
-    their own origin."""
+    """Positions and rates, with all nodes and all elements in one row; for bodies those
+    of their own origins."""
     inverse_inertia: Matrix | None = None
-    """Of bodies that carry others' masses, in their own frame [1/(kg m^2)]."""
+    """Inverse inertia, in their own frames, of bodies that carry attached masses
+    [1/(kg m^2)]."""
 
     @property
     def angular_velocities(self) -> Vec3:
         """Angular velocities of the elements, world frame [rad/s]."""
         if self.parts.is_rod:
-            # Motion asks the rod for its inertias alone.
+            # `Motion` asks the rod only for its inertias.
             rod: Any = self.parts
             return self.motion.angular_velocities(rod)
         frame = directors(self.motion.orientation)
@@ -150,5 +152,5 @@ class Seen:
 
 
 def mapped(function: Callable[[Array], Array], vector: Vec3) -> Vec3:
-    """A function of each component."""
+    """Result of a function applied to each component."""
     return function(vector[0]), function(vector[1]), function(vector[2])

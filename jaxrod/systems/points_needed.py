@@ -1,4 +1,4 @@
-"""How many contact points an element needs, from its length and radius."""
+"""Number of contact points that elements need, from their lengths and radii."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from jaxrod.validation import is_traced
 
 
 def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
-    """Points per element such that neighbours are some radii apart at most.
+    """Points per element for which neighbours are at most some radii apart.
 
     Args:
         coupling: Name of the factory, for messages.
         name: Name of the member.
-        own: Its constants.
-        spacing: Largest distance of neighbours over the radius [1].
+        own: Constants of the member.
+        spacing: Largest distance between neighbours over the radius [1].
 
     Raises:
         ValueError: If lengths or radii are traced.

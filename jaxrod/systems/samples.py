@@ -1,10 +1,10 @@
-r"""Samples: balls on a rigid body, which look for contact with the surface of another.
+r"""Samples: balls on a rigid body, tested for contact with the surface of another.
 
-Each is a place in the body's own frame and a radius. Of a sphere there is one, its
-centre, and nothing else is needed; of a capsule there are several along its axis, of a
-box its corners. A cylinder has balls along its axis, as a capsule, and points on its
-two rims, of which the first is always the lowest: so it rolls, and stands, without
-knocking.
+A ball is a place in the body's own frame and a radius. A sphere is a single ball at its
+centre, and needs no more. A capsule has several balls along its axis. A box has balls
+of zero radius at its corners. A cylinder has balls along its axis, like a capsule, and
+points on its two rims. The first point of a rim is always its lowest, so that a
+cylinder rolls and stands without knocking.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import is_traced
 
 RIM_POINTS = 4
-"""Points on a rim: three would hold a cylinder up, four do so alike to all sides."""
+"""Number of points on a rim. Three would hold a cylinder up; four hold it equally to
+all sides."""
 MOST_BALLS = 100
-"""Balls along an axis."""
+"""Largest number of balls along an axis."""
 
 
 @pytree
@@ -39,19 +40,19 @@ class Samples:
     """Balls on one body, in its own frame."""
 
     offsets: Float[Array, "3 balls"]
-    """Centres of the balls, or of the rims on which points are [m]."""
+    """Centres of the balls; for points on a rim, the centre of the rim [m]."""
     radii: Float[Array, " balls"]
     """Radii of the balls, zero for points [m]."""
     rim_radii: Float[Array, " balls"] | None = None
-    """Radii of the rims, zero for what is on none [m]; `None` without rims."""
+    """Radii of the rims, zero for balls that are on no rim [m]; `None` without rims."""
     axis: Float[Array, "3"] | None = None
-    """Unit vector about which the rims are, own frame."""
+    """Axis of the rims, a unit vector in the body's own frame."""
     angles: tuple[float, ...] = static(default=())
-    """Angle of each point along its rim from the lowest [rad]."""
+    """Angle of each point along its rim, measured from the lowest point [rad]."""
     is_round: bool = static(default=False)
     """Whether the balls together are the whole body: no corner, no edge."""
     at_once: int | None = static(default=None)
-    """Balls that touch a convex body at a time at most; `None`: all."""
+    """Largest number of balls that touch a convex body at a time; `None` for all."""
 
     @property
     def count(self) -> int:
@@ -67,11 +68,11 @@ class Samples:
         return jnp.max(arms)
 
     def places(self, downwards: Vec3) -> Vec3:
-        """Centres of the balls, own frame [m].
+        """Centres of the balls, in the body's own frame [m].
 
         Args:
-            downwards: Towards the other surface, own frame, of any length: of every
-                ball.
+            downwards: Vector from every ball towards the other surface, own frame, of
+                any length.
         """
         offsets = vectors.split(self.offsets)
         if self.rim_radii is None:
@@ -81,7 +82,7 @@ class Samples:
         along = vectors.dot(downwards, axis)
         x, y, z = vectors.subtract(downwards, vectors.scale(along, axis))
         square = x * x + y * y + z * z
-        # Upright every point of a rim is the lowest: take one and stay there.
+        # In an upright cylinder every point of a rim is the lowest: use a fixed one.
         upright = square < float(jnp.finfo(square.dtype).eps)
         shrink = 1 / jnp.sqrt(jnp.where(upright, 1, square))
         a, b, c = _beside(axis)
@@ -100,7 +101,7 @@ class Samples:
 
 
 def _beside(axis: Vec3) -> Vec3:
-    """A unit vector at right angles to another."""
+    """Unit vector perpendicular to another."""
     x, y, z = axis
     flat = jnp.abs(z) < 0.9
     p, q, r = jnp.where(flat, y, 0), jnp.where(flat, -x, z), jnp.where(flat, 0, -y)
@@ -110,11 +111,12 @@ def _beside(axis: Vec3) -> Vec3:
 
 @singledispatch
 def samples_of(shape: Body, balls: int, points_per_edge: int) -> Samples | None:
-    """The balls of a shape in its own frame; `None` if only its surface is known.
+    """Balls of a shape in its own frame; `None` if only its surface is known.
 
     Args:
         shape: The shape.
-        balls: How many along the axis of a capsule or cylinder, from `balls_needed`.
+        balls: Number of balls along the axis of a capsule or cylinder, from
+            `balls_needed`.
         points_per_edge: Points on every edge of a box, corners included.
     """
     return None
@@ -146,7 +148,7 @@ def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
         rim_radii=jnp.concatenate([shape.radius * (1 + none), 0 * some]),
         axis=_direction(shape.end - shape.start),
         angles=(*angles, *angles, *([0.0] * balls)),
-        # Standing, or lying.
+        # One rim of a standing cylinder; all balls and two rim points of a lying one.
         at_once=max(RIM_POINTS, 2 + balls),
     )
 
@@ -169,25 +171,25 @@ def _(shape: Box, balls: int, points_per_edge: int) -> Samples:
     return Samples(
         shape.centre[:, None] + vectors.join(to_world(frame, own)),
         jnp.zeros(len(places), shape.half_lengths.dtype),
-        # Those of a face.
+        # The points on the edges of one face.
         at_once=4 * (points_per_edge - 1),
     )
 
 
 def given_samples(points: Array) -> Samples:
-    """Points on the surface of a body, own frame [m]."""
+    """Samples at given points on the surface of a body, own frame [m]."""
     return Samples(points, jnp.zeros_like(points[0]))
 
 
 def balls_needed(name: str, shape: Body) -> int:
-    """Balls along the axis of a shape such that neighbours are a radius apart at most.
+    """Number of balls along the axis of a shape, at most a radius apart.
 
     Args:
-        name: Of the body, for messages.
+        name: Name of the body, for messages.
         shape: The shape.
 
     Raises:
-        ValueError: If they are very many, or the size is traced.
+        ValueError: If there are more than `MOST_BALLS`, or the size is traced.
     """
     if isinstance(shape, Capsule):
         start, end = shape.start, shape.end
@@ -213,7 +215,7 @@ def balls_needed(name: str, shape: Body) -> int:
 
 
 def _inner_axis(shape: Cylinder) -> tuple[Array, Array]:
-    """Where balls in a cylinder have their centres: a radius from its ends."""
+    """First and last centre of balls in a cylinder: a radius from its ends."""
     middle = 0.5 * (shape.start + shape.end)
     axis = shape.end - shape.start
     length = jnp.sqrt(jnp.sum(axis * axis))
@@ -226,6 +228,6 @@ def _direction(vector: Array) -> Array:
 
 
 def _line(start: Array, end: Array, count: int) -> Array:
-    """Places from one end to another."""
+    """Equidistant places from one end to the other."""
     share = jnp.asarray(np.linspace(0, 1, count), start.dtype)
     return start[:, None] + (end - start)[:, None] * share[None, :]

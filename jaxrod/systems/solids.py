@@ -1,4 +1,4 @@
-"""Solids: volume, inertia and place of the shapes that have them in closed form."""
+"""Solids: volume, inertia and pose of shapes that have them in closed form."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from jaxrod.structure import pytree
 
 @pytree
 class Solid:
-    """A shape in the frame of its principal axes, and where that frame was."""
+    """A shape in the frame of its principal axes, and the pose of this frame."""
 
     shape: Body
-    """The shape about its centre of mass, along its principal axes."""
+    """The shape with its centre of mass at the origin and along its principal axes."""
     centre: Float[Array, "3"]
     """Centre of mass [m]."""
     orientation: Float[Array, "4"]
     """Quaternion from the principal axes to the world."""
     volume: Float[Array, ""] | None = None
-    """Volume [m^3]; `None` where it is not known."""
+    """Volume [m^3]; `None` if it is not known."""
     gyration: Float[Array, "3"] | None = None
-    """Moments of inertia over the mass, of the shape filled evenly [m^2]."""
+    """Moments of inertia over the mass, at uniform density [m^2]."""
 
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -33,9 +33,9 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 @singledispatch
 def solid_of(shape: Body) -> Solid:
-    """A shape's centre, axes, volume and inertia.
+    """Centre, axes, volume and inertia of a shape.
 
-    A shape that is not known here is taken to be about the origin already.
+    A shape that is not known here is assumed to have its centre of mass at the origin.
     """
     zero = jnp.zeros(3)
     return Solid(shape, zero, jnp.asarray(_IDENTITY))
@@ -93,8 +93,8 @@ def _(shape: Capsule) -> Solid:
     radius, square = shape.radius, shape.radius * shape.radius
     middle = 2 * jnp.pi * square * half
     balls = 4 / 3 * jnp.pi * square * radius
-    # Half balls: 2/5 r^2 about the centre of the ball, whose own centre of mass is at
-    # 3/8 r from there.
+    # Half balls: 2/5 r^2 about the centre of the ball; the centre of mass of a half
+    # ball is 3/8 r away from there.
     beyond = 0.4 * square + half * half + 0.75 * half * radius
     across = middle * (square / 4 + half * half / 3) + balls * beyond
     along = middle * square / 2 + balls * 0.4 * square
@@ -120,7 +120,7 @@ def _axis(start: Array, end: Array) -> tuple[Array, Array, Array]:
     way = end - start
     length = jnp.sqrt(jnp.sum(way * way))
     x, y, z = vectors.split(way / length)
-    # The shortest turn from z; a half turn about x where the axis points to -z.
+    # The shortest rotation from z; a half turn about x where the axis points to -z.
     w = 1 + z
     back = w < 1e-6
     square = jnp.where(back, 1, 2 * w)

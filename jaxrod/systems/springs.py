@@ -1,8 +1,8 @@
-r"""Springs between members, and ball joints, which are springs without length.
+r"""Springs between members, and ball joints, which are springs of zero rest length.
 
-A spring between anchors at $x_a$ and $x_b$ stores $\frac12 k (|x_b - x_a| - d)^2$; its
-force and that of its dashpot act at the point halfway, on both members alike, so that
-they have no moment together, whatever the gap.
+A spring between anchors at $x_a$ and $x_b$ stores $\frac12 k (|x_b - x_a| - d)^2$. Its
+force and the force of its dashpot act on both members at the point halfway between the
+anchors. So force and reaction have no moment together, whatever the gap.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ class Springs(Coupling):
     """Springs and dashpots between anchors of two members, or of one."""
 
     a: Anchors
-    """Anchors on the one member."""
+    """Anchors on the first member."""
     b: Anchors
-    """As many on the other."""
+    """Anchors on the second member, as many."""
     stiffness: Float[Array, ""]
     """Force per distance [N/m]."""
     damping: Float[Array, ""] | None = None
     """Force per relative speed [kg/s]."""
     rest_lengths: Float[Array, " springs"] | None = None
-    """Distances without force [m]; `None`: zero, in all directions alike."""
+    """Distances at which springs exert no force [m]; `None` for zero, so that the
+    springs are isotropic."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or smaller."""
+        """Raises ValueError if a member is missing or too small."""
         self.a.check(parts)
         self.b.check(parts)
 
@@ -84,7 +85,7 @@ class Springs(Coupling):
         return 0.5 * self.stiffness * jnp.sum(longer * longer)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on both ends: shared by inertia."""
+        """Stiffness and damping on both ends, shared in proportion to inertia."""
         one, two = parts[self.a.points.member], parts[self.b.points.member]
         ease = self.a.mobility(one) + self.b.mobility(two)
         total: dict[str, StabilityBound] = {}
@@ -130,23 +131,23 @@ def spring(
     damping: Numbers | None = None,
     at: tuple[Numbers, Numbers] | None = None,
 ) -> Springs:
-    """Springs between points of two members, without force where `state` has them.
+    """Springs between points of two members, free of force in `state`.
 
     Args:
-        a: A place on the one member, or several.
-        b: As many on the other.
+        a: A place on the first member, or several.
+        b: A place on the second member, or as many.
         state: State of the system at rest.
         stiffness: Force per change of distance [N/m].
         damping: Force per relative speed of the two points [kg/s].
         at: Ends of the spring in `state`: a pair of points `(3,)` [m]; by default the
-            nodes, or the bodies' origins.
+            nodes, or the origins of the bodies.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If there is no such place, a number is out of range, or the ends are
-            at one place: then use `ball_joint`.
+        ValueError: If there is no such place, a number is out of range, or the ends
+            coincide: then use `ball_joint`.
     """
     ends: tuple[Any, Any] = (None, None)
     if at is not None:
@@ -178,23 +179,23 @@ def ball_joint(
 ) -> Springs:
     """Points of two members held together by springs; both turn freely.
 
-    `tie` does the same for nodes of rods without compliance and without limiting the
-    time step; this one has a stiffness, and points on rigid bodies.
+    `tie` does the same for nodes of rods, without compliance and without a limit on the
+    time step. This joint has a stiffness, and also works for points on rigid bodies.
 
     Args:
-        a: A place on the one member, or several.
-        b: As many on the other.
+        a: A place on the first member, or several.
+        b: A place on the second member, or as many.
         state: State of the system at rest.
         stiffness: Force per distance between the two points [N/m].
         damping: Force per relative speed [kg/s].
-        at: Where the joint is in `state` `(3,)` [m]; by default at the places of `a`.
+        at: Position of the joint in `state` `(3,)` [m]; by default the places of `a`.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If there is no such place, a number is out of range, or two rods
-            are further apart there than their elements are long and `at` is not given.
+        ValueError: If there is no such place, a number is out of range, or `at` is not
+            given and two rods are further apart there than their elements are long.
     """
     point = None if at is None else _point("at", at)
     if point is None:
@@ -251,7 +252,7 @@ def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:
 
 
 def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
-    """A number that is not negative, if there is one."""
+    """A checked non-negative number; `None` if none is given."""
     if value is None:
         return None
     return as_array(name, value, unit, non_negative=True)

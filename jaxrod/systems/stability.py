@@ -1,4 +1,4 @@
-"""The largest stable step of a system: of its members, with what couplings add."""
+"""The largest stable step of a system: its members, with the bounds of couplings."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ class StableSystemStep:
     members: tuple[Float[Array, ""], ...]
     """The largest safe step of each member [s]; infinite where nothing limits it."""
     steps: tuple[StableStep | None, ...]
-    """Of rods, what limits each; of equal rods with a leading axis."""
+    """Stable steps of rods and their limits, with a leading axis for equal rods; `None`
+    for rigid bodies."""
     names: tuple[str, ...] = static()
     """Names of the members."""
 
     @property
     def limiting_mode(self) -> str:
-        """The limiting motion in words; for concrete values only."""
+        """The limiting motion in words, for concrete values only."""
         which = min(range(len(self.names)), key=lambda k: float(self.members[k]))
         name, step = self.names[which], self.steps[which]
         if step is None:
@@ -49,13 +50,13 @@ class StableSystemStep:
 
 @pytree
 class CouplingBounds(Effect):
-    """What couplings add to the stiffness and drag of a rod: a bound without loads."""
+    """Stiffness and drag that couplings add to a rod: a bound without loads."""
 
     bound: StabilityBound
     """The bound."""
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """As given."""
+        """The given bound."""
         return self.bound
 
 
@@ -64,7 +65,7 @@ def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemS
     """The largest step at which a system is stable, times a safety factor.
 
     Args:
-        system: The system; of schedules, the bound on their size counts.
+        system: The system; its schedules count with the bounds on their size.
         safety: Fraction of the limit to use, in (0, 1].
     """
     system = system.at_largest
@@ -103,7 +104,7 @@ def _of_rods(member: Scene, bound: StabilityBound, safety: ArrayLike) -> StableS
 
 
 def _of_bodies(bodies: RigidBodies, bound: StabilityBound) -> Array:
-    """The step at which explicit springs and dashpots on bodies are stable."""
+    """Largest step at which explicit springs and dashpots on bodies are stable [s]."""
     least = jnp.min(bodies.principal_inertias, axis=0)
     moving = _limit(bodies.masses, bound.nodes, bound.node_drag)
     turning = _limit(least, bound.elements, bound.element_drag)

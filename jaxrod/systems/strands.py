@@ -1,9 +1,9 @@
-"""Strands: the segments and contact points of a member's rods, in one row each.
+"""Strands: one row of all segments of a member's rods, one of all contact points.
 
-A segment is an element, from its first node to its next. On every segment lie equally
-many contact points, the first at its first node; the last node of a rod is one more.
-Each stands for some of the rod's rest length (trapezoidal rule). All is regular: rows
-are taken apart and put together by shapes, without indices.
+A segment is an element, from its first node to its next. Every segment has equally
+many contact points, the first of them at its first node; the last node of a rod is one
+more. Each point stands for a part of the rod's rest length (trapezoidal rule). The
+layout is regular, so rows are split and joined by reshaping, without indices.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class Strands:
     per_element: int = static()
     """Contact points per element."""
     continued: tuple[int, ...] = static(default=())
-    """Last segments of rods that go on in another rod, by their numbers."""
+    """Numbers of the last segments of rods that continue in another rod."""
     closed: tuple[int, ...] = static(default=())
-    """Rods whose last node is their first, by their numbers."""
+    """Numbers of the rods whose last node is their first."""
 
     @property
     def n_elements(self) -> int:
@@ -72,7 +72,7 @@ class Strands:
 
     @property
     def first_lengths(self) -> Array:
-        """Rest length that the point at the first node of each segment has [m]."""
+        """Rest length of the point at the first node of each segment [m]."""
         return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
 
     @property
@@ -87,11 +87,11 @@ class Strands:
 
     @property
     def is_end(self) -> np.ndarray:
-        """Whether each segment is the last of its rod, and no other rod goes on."""
+        """Whether each segment is the last of its rod, and no other rod continues."""
         return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
 
     def _rods(self, row: Array) -> Array:
-        """A row as one row for each rod."""
+        """A row split into one row for each rod."""
         return row.reshape(self.count, -1)
 
     @property
@@ -100,39 +100,39 @@ class Strands:
         return np.isin(np.arange(self.count), self.closed)[:, None]
 
     def smooth(self, nodes: Array) -> tuple[Array, Array]:
-        """Places and tangents of smooth axes at nodes, from a field on nodes."""
+        """Places and tangents of smooth axes at the nodes, from a field on nodes."""
         place, tangent = smooth_nodes(self._rods(nodes), self.is_closed)
         return place.reshape(-1), tangent.reshape(-1)
 
     def from_smooth(self, places: Array, tangents: Array) -> Array:
-        """Forces on nodes, from those on smooth axes and on their tangents there."""
+        """Forces on nodes, from forces on places and tangents of smooth axes."""
         return from_smooth_nodes(
             self._rods(places), self._rods(tangents), self.is_closed
         ).reshape(-1)
 
     def firsts(self, nodes: Array) -> Array:
-        """A field on nodes, at the first node of each segment."""
+        """Values of a field on nodes at the first node of each segment."""
         return self._rods(nodes)[:, :-1].reshape(-1)
 
     def nexts(self, nodes: Array) -> Array:
-        """A field on nodes, at the next node of each segment."""
+        """Values of a field on nodes at the next node of each segment."""
         return self._rods(nodes)[:, 1:].reshape(-1)
 
     def at_points(self, nodes: Array) -> Array:
-        """A field on nodes, at the points."""
+        """Values of a field on nodes, interpolated at the points."""
         rods = self._rods(nodes)
         first, change = rods[:, :-1, None], (rods[:, 1:] - rods[:, :-1])[:, :, None]
         within = (first + self._fractions(nodes) * change).reshape(self.count, -1)
         return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
 
     def of_points(self, segments: Array) -> Array:
-        """A field on segments, at the points on them."""
+        """Values of a field on segments at the points on them."""
         rods = self._rods(segments)
         within = jnp.repeat(rods, self.per_element, axis=1)
         return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
 
     def to_nodes(self, points: Array, firsts: Array, nexts: Array) -> Array:
-        """Forces at points and at both nodes of segments, on the nodes."""
+        """Forces at points and at both nodes of segments, summed on the nodes."""
         rods = self._rods(points)
         within = rods[:, :-1].reshape(self.count, -1, self.per_element)
         later = jnp.sum(self._fractions(points) * within, axis=2)
@@ -143,20 +143,20 @@ class Strands:
         return (nodes + jnp.concatenate([none, following], axis=1)).reshape(-1)
 
     def from_segments(self, firsts: Array, nexts: Array) -> Array:
-        """Forces at both nodes of segments, on the nodes."""
+        """Forces at both nodes of segments, summed on the nodes."""
         first = jnp.pad(self._rods(firsts), ((0, 0), (0, 1)))
         following = jnp.pad(self._rods(nexts), ((0, 0), (1, 0)))
         return (first + following).reshape(-1)
 
     def to_segments(self, points: Array) -> Array:
-        """Couples at points, on their segments."""
+        """Couples at points, summed on their segments."""
         rods = self._rods(points)
         within = rods[:, :-1].reshape(self.count, -1, self.per_element)
         last = jnp.pad(rods[:, -1:], ((0, 0), (self.n_elements - 1, 0)))
         return (jnp.sum(within, axis=2) + last).reshape(-1)
 
     def _fractions(self, like: Array) -> Array:
-        """Places of the points along a segment, over its length."""
+        """Places of the points along a segment, over its length [1]."""
         fractions = np.arange(self.per_element) / self.per_element
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
@@ -167,12 +167,12 @@ def strands(
     continued: tuple[int, ...] = (),
     closed: tuple[int, ...] = (),
 ) -> Strands:
-    """Works out the constants of a member.
+    """Strands of a member.
 
     Args:
-        parts: Of rods.
+        parts: Constants of a member that consists of rods.
         per_element: Contact points per element.
-        continued: Last segments of rods that go on in another rod.
+        continued: Last segments of rods that continue in another rod.
         closed: Rods whose last node is their first.
     """
     assert parts.rest_lengths is not None and parts.radii is not None
@@ -186,7 +186,7 @@ def strands(
     places = jnp.concatenate([along.reshape(count, -1), ends], axis=1)
     gaps = places[:, 1:] - places[:, :-1]
     spacing = 0.5 * (jnp.pad(gaps, ((0, 0), (1, 0))) + jnp.pad(gaps, ((0, 0), (0, 1))))
-    # A node between two elements has the mean of their radii, by length.
+    # A node between two elements has the mean of their radii, weighted by length.
     weighted = radii * lengths
     inner = (weighted[:, 1:] + weighted[:, :-1]) / (lengths[:, 1:] + lengths[:, :-1])
     at_first = jnp.concatenate([radii[:, :1], inner], axis=1)
@@ -210,12 +210,12 @@ def strands(
 def strands_and_ends(
     parts: Parts, per_element: int, free: Float[Array, "rods 2"]
 ) -> tuple[Strands, Ends]:
-    """The constants of a member, with lengths that are zero at ends, and its ends.
+    """Strands of a member, whose lengths are zero at ends, and the ends of its rods.
 
     Args:
-        parts: Of rods.
+        parts: Constants of a member that consists of rods.
         per_element: Contact points per element.
-        free: One for each end that is free, zero where it goes on in another rod.
+        free: One for each end that is free, zero where the rod continues in another.
     """
     made = strands(parts, per_element)
     count, n = made.count, made.n_elements
@@ -238,34 +238,34 @@ def strands_and_ends(
 
 @pytree
 class Segments:
-    """Segments at a moment."""
+    """Segments at one moment."""
 
     first: Vec3
-    """First nodes [m]."""
+    """Positions of the first nodes [m]."""
     edge: Vec3
-    """From there to the next [m]."""
+    """Vectors from the first nodes to the next [m]."""
     first_velocity: Vec3
-    """Of the first nodes [m/s]."""
+    """Velocities of the first nodes [m/s]."""
     velocity_change: Vec3
-    """From there to the next [m/s]."""
+    """Velocities of the next nodes minus those of the first [m/s]."""
     spin: Vec3 | None
     """Angular velocities, world frame [rad/s]."""
 
 
 @pytree
 class ContactPoints:
-    """Contact points at a moment."""
+    """Contact points at one moment."""
 
     position: Vec3
-    """Places [m]."""
+    """Positions on the centreline [m]."""
     velocity: Vec3
     """Velocities of the centreline [m/s]."""
     spin: Vec3 | None
-    """Angular velocities of their segments, world frame [rad/s]."""
+    """Angular velocities of the points' segments, world frame [rad/s]."""
 
 
 def segments_at(strand: Strands, seen: Seen, *, spins: bool) -> Segments:
-    """A member's segments."""
+    """Segments of a member."""
     first = mapped(strand.firsts, seen.motion.position)
     slow = mapped(strand.firsts, seen.motion.velocity)
     following = mapped(strand.nexts, seen.motion.position)
@@ -280,7 +280,7 @@ def segments_at(strand: Strands, seen: Seen, *, spins: bool) -> Segments:
 
 
 def points_at(strand: Strands, seen: Seen, *, spins: bool) -> ContactPoints:
-    """A member's contact points."""
+    """Contact points of a member."""
     return ContactPoints(
         position=mapped(strand.at_points, seen.motion.position),
         velocity=mapped(strand.at_points, seen.motion.velocity),
@@ -303,9 +303,9 @@ class StrandLoads:
     turning_segments: Vec3 | None = None
     """Couples on segments [N m]."""
     first_tangents: Vec3 | None = None
-    """Forces on tangents at first nodes, where axes are smooth [N]."""
+    """Forces on the tangents at first nodes, for smooth axes [N]."""
     next_tangents: Vec3 | None = None
-    """Forces on tangents at next nodes [N]."""
+    """Forces on the tangents at next nodes, for smooth axes [N]."""
 
     @classmethod
     def on_segments(
@@ -315,7 +315,7 @@ class StrandLoads:
         turns: Vec3 | None,
         tangents: tuple[Vec3, Vec3] | None = None,
     ) -> StrandLoads:
-        """Loads of segments alone: at nodes, as couples, and on tangents."""
+        """Loads on segments alone: forces at nodes, couples, and forces on tangents."""
         first, following = (None, None) if tangents is None else tangents
         return cls(
             on_firsts=firsts,
@@ -326,7 +326,7 @@ class StrandLoads:
         )
 
     def added(self, more: StrandLoads) -> StrandLoads:
-        """Sum of both, of which parts may be missing."""
+        """Sum of both loads; either may lack some parts."""
         return StrandLoads(
             _added(self.on_points, more.on_points),
             _added(self.on_firsts, more.on_firsts),
@@ -345,7 +345,7 @@ def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
 
 
 def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
-    """The loads on nodes and elements."""
+    """Loads transferred to nodes and elements."""
     assert loads.on_firsts is not None and loads.on_nexts is not None
     if loads.on_points is None:
         return _of_segments(strand, seen, loads)
@@ -365,7 +365,7 @@ def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
 
 
 def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
-    """The loads on nodes and elements, where there are none on points."""
+    """Loads transferred to nodes and elements, if there are none on points."""
     assert loads.on_firsts is not None and loads.on_nexts is not None
     x, y, z = _gathered(strand, loads.on_firsts, loads.on_nexts)
     if loads.first_tangents is not None:
@@ -382,6 +382,6 @@ def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
 
 
 def _gathered(strand: Strands, firsts: Vec3, nexts: Vec3) -> Vec3:
-    """Forces on nodes, from those on both nodes of segments."""
+    """Forces on nodes, from forces on both nodes of segments."""
     x, y, z = map(strand.from_segments, firsts, nexts)
     return x, y, z

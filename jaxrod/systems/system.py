@@ -52,16 +52,16 @@ from jaxrod.validation import knows_constants
 
 @pytree
 class System(Assembly, Composite):
-    """Rods and rigid bodies by name, and what they do to each other.
+    """Rods and rigid bodies by name, and the couplings between them.
 
     Structure is static, numbers are traced. Only what is listed is in the compiled
-    program. Build one with `make_system`; step it and ask about it with the functions
-    that a scene has: `advance`, `rollout`, `stable_dt`, `health`, `total_energy`,
-    `momentum`, with a dict of states by member.
+    program. Build a system with `make_system`. The functions for scenes take it too:
+    `advance`, `rollout`, `stable_dt`, `health`, `total_energy`, `momentum`, with a dict
+    of states by member.
     """
 
     def check_run(self, state: Any, dt: ArrayLike) -> Array:
-        """Checks the arguments of a run; gives the step the system's type."""
+        """Checks the arguments of a run, and returns the step in the system's type."""
         return check_system_run(self, state, dt)
 
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
@@ -69,27 +69,27 @@ class System(Assembly, Composite):
         return system_stepper(self, state, dt, first)
 
     def with_memory(self, state: Any) -> dict[str, Any]:
-        """The state with the memories that effects begin with."""
+        """The state with the initial memories of effects."""
         return system_with_memory(self, state)
 
     def step_warning(self, dt: Array) -> str | None:
-        """Words about a concrete step above the stability bound."""
+        """Warning about a concrete step above the stability bound; `None` below it."""
         return unstable_step(self, dt)
 
     def stable_step(self, safety: ArrayLike) -> StableSystemStep:
-        """The largest step at which it is stable, times a safety factor."""
+        """The largest step at which the system is stable, times a safety factor."""
         return stable_system_dt(self, safety)
 
     def health(
         self, state: Any, dt: ArrayLike, limits: HealthLimits | None
     ) -> SystemHealth:
-        """Flags and what is behind them."""
+        """Flags and the measured values behind them."""
         check_system_state(self, state)
         self.check_moment()
         return system_health(self, state, dt, limits=limits)
 
     def check_moment(self) -> None:
-        """Raises a `ValueError` if it depends on time."""
+        """Raises a `ValueError` if the system depends on time."""
         if self.depends_on_time:
             raise ValueError(
                 "this asks about one moment, but a number of an effect or a coupling "
@@ -97,12 +97,12 @@ class System(Assembly, Composite):
             )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
-        """Of all members [J]."""
+        """Kinetic energy of all members [J]."""
         check_system_state(self, state)
         return system_kinetic_energy(self, state)
 
     def potential_energy(self, state: Any) -> Float[Array, ""]:
-        """Of all members and couplings [J]."""
+        """Potential energy of all members and couplings [J]."""
         check_system_state(self, state)
         self.check_moment()
         return system_potential_energy(self, state)
@@ -127,10 +127,13 @@ def make_system(
     """A system of rods and rigid bodies.
 
     Args:
-        members: By name: scenes, each a rod and its effects (or, with a leading axis on
-            every number, equal rods as from `jax.vmap`), and `RigidBodies`.
-        *couplings: What `tie`, `weld`, `attach`, `hinge` and others return.
-        state: A state of the system, if what is attached is to be checked against it.
+        members: Members by name: scenes and `RigidBodies`. A scene is a rod and its
+            effects, or equal rods if every number has a leading axis, as from
+            `jax.vmap`.
+        *couplings: Couplings, as `tie`, `weld`, `attach`, `hinge_joint` and others
+            return them.
+        state: A state of the system. If it is given, couplings are checked against the
+            nodes that supports hold in it, and lists of neighbours are sized for it.
 
     Raises:
         ValueError: If a coupling does not fit the members, types differ, a member's
@@ -207,7 +210,7 @@ def _check_member(name: Any, member: Any) -> None:
 
 
 def _with_own_types(member: Member) -> Member:
-    """Bodies with the numbers of their effects in their own type."""
+    """The member, with the numbers of a body's effects in the type of the body."""
     if not isinstance(member, RigidBodies):
         return member
     cast = in_type(member.masses.dtype)
@@ -217,7 +220,7 @@ def _with_own_types(member: Member) -> Member:
 def _free_ends(
     parts: AllParts, couplings: Sequence[Coupling], dtype: Any
 ) -> dict[str, Array]:
-    """One for each end of the rods of each member that is free, else zero."""
+    """One for each free end of the rods of each member, zero for other ends."""
     held = {node for coupling in couplings for node in coupling.joined_nodes()}
     return {
         name: jnp.asarray(free_ends(name, parts, held), dtype)
@@ -227,7 +230,7 @@ def _free_ends(
 
 
 def _with_free_ends(member: Member, free: Float[Array, "rods 2"]) -> Member:
-    """A scene whose effects know which ends of its rods are free."""
+    """The scene, whose effects know which ends of its rods are free."""
     scene: Any = member
     if not scene.effects or bool(jnp.all(free)):
         return member
@@ -239,7 +242,7 @@ def _with_free_ends(member: Member, free: Float[Array, "rods 2"]) -> Member:
 def _sized(
     system: System, couplings: tuple[Coupling, ...], state: SystemState | None
 ) -> tuple[Coupling, ...]:
-    """Couplings with room for their neighbours, counted in a state."""
+    """Couplings with room for their neighbours, as counted in a state."""
     if RECORD in system.members:
         raise ValueError(
             f"no member can be called {RECORD!r}: a state has its record of lists there"
@@ -252,7 +255,7 @@ def _sized(
                 "neighbour_lists, or make_system a state in which to count them"
             )
         return couplings
-    # As the lists would be, without them: nothing is looked for yet.
+    # Without couplings: nothing is searched yet.
     plain = replace(system, couplings=()).at(0.0)
     seen, _ = seen_at_rest(plain, state)
     parts = system.parts()
