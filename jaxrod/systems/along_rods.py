@@ -1,9 +1,10 @@
 """Shares of contact between places that are near to each other along rods.
 
-A rod bent to a curvature of one over its radius just touches itself half a turn away:
-nearer than pi times the radius along the rod nothing touches, and from an element's
-length farther on all of it counts. Near nodes that are tied together the same holds,
-counted along both rods. All arguments broadcast.
+A rod bent to a curvature of one over its radius just touches itself half a turn away.
+So places nearer than pi times the radius along the rod do not touch. From there the
+share of contact rises, and is one an element's length farther on. The same holds near
+nodes that are tied together, with the distance measured along both rods. All arguments
+broadcast.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from jaxrod.systems.strands import Strands
 
 
 def share_of_gap(gap: Array, radius: Array, length: Array) -> Array:
-    """Share that counts of places on one rod with a gap between them [1].
+    """Share of contact of places on one rod with a gap between them [1].
 
     Args:
-        gap: Rest arc length between them; negative where they overlap [m].
-        radius: Of the rod [m].
-        length: Over which the share rises [m].
+        gap: Rest arc length between the places; negative where they overlap [m].
+        radius: Radius of the rod [m].
+        length: Length over which the share rises [m].
     """
     return jnp.clip((gap - math.pi * radius) / length, 0, 1)
 
@@ -38,13 +39,14 @@ def tied_share(
     radii: tuple[Array, Array],
     length: Array,
 ) -> Array:
-    """Share that counts near nodes that are tied together [1].
+    """Share of contact near nodes that are tied together [1].
 
     Args:
-        along: From the node on the one rod and from that on the other [m].
-        concerned: Whether both are on the rods that are tied.
-        radii: Of both [m].
-        length: Over which the share rises [m].
+        along: Rest arc lengths from the tied node on the first rod and on the second
+            [m].
+        concerned: Whether both places are on the tied rods.
+        radii: Radii of both [m].
+        length: Length over which the share rises [m].
     """
     reach = 0.5 * math.pi * (radii[0] + radii[1])
     share = jnp.clip((along[0] + along[1] - reach) / length, 0, 1)
@@ -52,5 +54,5 @@ def tied_share(
 
 
 def rod_and_place(strand: Strands, node: int) -> tuple[int, Array]:
-    """Rod of a node of a member, and its rest arc length along it [m]."""
+    """Number of the rod of a node, and the node's rest arc length along it [m]."""
     return node // (strand.n_elements + 1), strand.node_places[node]

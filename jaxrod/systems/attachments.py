@@ -1,10 +1,10 @@
 r"""Attachments: nodes of rods that are part of a rigid body, exactly.
 
 A node attached at the place $p$ of a body (own frame) has no motion of its own:
-$x = X + R p$, $v = V + \omega\times R p$. The body has its mass too, in its total, its
-centre and its inertia, and takes the impulse of every kick of the node,
-$J = m\,\Delta v$ at $x$. Momentum is exact; inertia that is added does not limit the
-time step; any number of nodes may be on one body.
+$x = X + R p$, $v = V + \omega\times R p$. The node's mass counts in the body's mass,
+centre and inertia. The body takes the impulse of every kick of the node,
+$J = m\,\Delta v$ at $x$. Momentum is exact. Added inertia does not limit the time step.
+Any number of nodes may be on one body.
 """
 
 from __future__ import annotations
@@ -47,16 +47,21 @@ class Attachment(Coupling):
     points: Points
     """The nodes."""
     bodies: Points
-    """The body of each."""
+    """The body of each node."""
     places: Float[Array, "3 nodes"]
-    """Where each node is, in its body's frame [m]."""
+    """Place of each node in its body's frame [m]."""
 
     def joined_nodes(self) -> list[tuple[str, int]]:
-        """The nodes, which are part of bodies."""
+        """Nodes that are part of bodies."""
         return [(self.points.member, int(i)) for i in self.points.nodes.values]
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if members are missing, smaller or not of their kinds."""
+        """Checks that the members fit.
+
+        Raises:
+            ValueError: If members are missing, too small or of the wrong kind, or a
+                support holds one of the nodes.
+        """
         self.points.check(parts)
         self.bodies.check(parts)
         if not parts[self.points.member].is_rod or parts[self.bodies.member].is_rod:
@@ -75,7 +80,7 @@ class Attachment(Coupling):
             )
 
     def carried(self, parts: AllParts) -> Carried:
-        """The point masses on the bodies."""
+        """Point masses of the nodes, summed on the bodies."""
         masses = parts[self.points.member].node_masses[self.points.nodes.values]
         place = vectors.split(self.places)
         weighted = vectors.scale(masses, place)
@@ -92,7 +97,7 @@ class Attachment(Coupling):
         return Carried(total(masses), (x, y, z), (one, two, three))
 
     def _arms(self, seen: Seen) -> Vec3:
-        """From the bodies' origins to the nodes, world frame [m]."""
+        """Vectors from the bodies' origins to the nodes, world frame [m]."""
         frame = directors(orientation_at(seen, self.bodies))
         return to_world(frame, vectors.split(self.places))
 
@@ -102,7 +107,7 @@ class Attachment(Coupling):
         return vectors.add((x, y, z), swing)
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Puts the nodes where the bodies have them, with their velocities."""
+        """Puts the nodes at their places on the bodies, with the velocities there."""
         body = seen[self.bodies.member]
         arms = self._arms(body)
         x, y, z = (picked(c, self.bodies.nodes) for c in body.motion.position)
@@ -120,7 +125,7 @@ class Attachment(Coupling):
         return {self.points.member: moved}
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
-        """Gives the nodes the velocities of the bodies."""
+        """Gives the nodes the velocities of their places on the bodies."""
         body = seen[self.bodies.member]
         motion = seen[self.points.member].motion
         velocity = self._velocities(body, self._arms(body))
@@ -129,7 +134,7 @@ class Attachment(Coupling):
         return {self.points.member: changed}
 
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
-        """The nodes' impulses, on their bodies."""
+        """Impulses of the nodes, passed on to their bodies."""
         name, nodes = self.points.member, self.points.nodes
         masses = picked(before[name].parts.node_masses, nodes)
         was, now = before[name].motion.velocity, after[name].motion.velocity
@@ -157,7 +162,7 @@ def _put(field: Vec3, index: Indices, value: Vec3) -> Vec3:
 def attachment(
     places: Sequence[Place], bodies: Sequence[Place], state: Mapping[str, Any]
 ) -> Attachment:
-    """Nodes made part of bodies where a state has both.
+    """Attachment of nodes to bodies as a state has both.
 
     Args:
         places: Nodes of one member.

@@ -1,4 +1,4 @@
-"""Numbers that laws of contact between rods have in common, checked."""
+"""Checks of the numbers that laws of contact between rods have in common."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ def contact_numbers(
     """Checked fields that laws have in common.
 
     Args:
-        members: Names.
+        members: Names of the members.
         stiffness: Force per penetration.
         damped: Damping, friction and friction drag.
         onset: Width of the onset over the mean of the radii [1].
-        partners: Rods that may touch one place.
-        lists: How lists are made.
-        units: Of the stiffness and of damping.
+        partners: Rods that may touch one place at a time.
+        lists: Settings of lists of neighbours.
+        units: Units of the stiffness and of damping.
 
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
-        TypeError: If a name is none.
+        TypeError: If a name is not a string.
     """
     for name in members:
         if not isinstance(name, str):

@@ -1,7 +1,7 @@
 r"""Elastic joints: moments between elements of two members.
 
-With $q_a, q_b$ the orientations of the two elements, $\phi$ is the rotation vector of
-$(q_a r)^* q_b$ and the energy $\frac12 (\phi - \phi_0)\cdot K (\phi - \phi_0)$. For two
+Let $q_a, q_b$ be the orientations of the two elements and $\phi$ the rotation vector of
+$(q_a r)^* q_b$. The energy is $\frac12 (\phi - \phi_0)\cdot K (\phi - \phi_0)$. For two
 rods $r$ is their relative orientation at rest and $\phi_0$ is zero. The joint that
 closes a ring keeps the curvature of its rod in $\phi_0$. The stiffness $K$ is that of
 half an element of each rod, as springs in series, each about the axes of its section:
@@ -9,8 +9,8 @@ half an element of each rod, as springs in series, each about the axes of its se
 $$K^{-1} = \tfrac12 l_a R^T B_a^{-1} R + \tfrac12 l_b B_b^{-1}$$
 
 with $R$ the matrix of $r$, and $l$ and $B$ the length and the bending and twisting
-stiffness of an element. So the joint does not depend on the order of the two members
-nor on how the sections are described.
+stiffness of an element. So the joint does not depend on the order of the two members,
+nor on the axes in which sections are described.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class ElasticJoint(Coupling):
     """Elastic joints between elements of `a` and elements of `b`, one each."""
 
     a: Points
-    """Elements of the one member."""
+    """Elements of the first member."""
     b: Points
-    """Elements of the other, or of the same."""
+    """Elements of the second member, or of the same."""
     rest_frames: Float[Array, "4 joints"]
-    """Relative orientations that count as none."""
+    """Orientations of `b` relative to `a` that count as zero rotation."""
     rest_rotations: Float[Array, "3 joints"]
     """Rotation vectors at rest [rad]."""
     stiffness: Float[Array, "3 joints"] | None = None
@@ -65,12 +65,12 @@ class ElasticJoint(Coupling):
     """Couple per relative angular velocity, one for all or one for each [N m s]."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or smaller."""
+        """Raises ValueError if a member is missing or too small."""
         self.a.check(parts)
         self.b.check(parts)
 
     def prepared(self, parts: AllParts) -> ElasticJoint:
-        """With the stiffness of the rods it joins, where none was given."""
+        """The joint with the stiffness of the rods it joins, unless one was given."""
         if self.stiffness is not None:
             return self
         frames = split_quaternion(self.rest_frames)
@@ -78,7 +78,7 @@ class ElasticJoint(Coupling):
         return replace(self, stiffness=own, mixed_stiffness=mixed)
 
     def _rotation(self, seen: AllSeen) -> tuple[Vec3, Array, Vec3]:
-        """Rotation vector [rad], its coupling, and the moment [N m]."""
+        """Rotation vectors [rad], their coupling, and moments [N m]."""
         before = multiply_quaternions(
             orientation_at(seen[self.a.member], self.a),
             split_quaternion(self.rest_frames),
@@ -91,7 +91,7 @@ class ElasticJoint(Coupling):
         return rotation, coupling, self._moment(bend)
 
     def _moment(self, bend: Vec3) -> Vec3:
-        """The stiffness times rotations beyond those at rest [N m]."""
+        """Moments of rotations from rest: the stiffness times them [N m]."""
         assert self.stiffness is not None
         moment = vectors.multiply(vectors.split(self.stiffness), bend)
         if self.mixed_stiffness is None:
@@ -102,10 +102,10 @@ class ElasticJoint(Coupling):
         return vectors.add(moment, more)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """The joints' couples on both elements, and the dashpots'."""
+        """Couples of the joints and dashpots on both elements."""
         rotation, coupling, moment = self._rotation(seen)
         odd, even = joint_couples(rotation, coupling, moment)
-        # In the frame of the element as it is, not as it counts.
+        # From the element's frame turned by the rest rotation to the frame itself.
         frame = directors(split_quaternion(self.rest_frames))
         on_a = to_world(frame, vectors.add(odd, even))
         on_b = vectors.subtract(even, odd)
@@ -138,8 +138,8 @@ class ElasticJoint(Coupling):
         assert self.stiffness is not None
         stiffness = jnp.max(self.stiffness, axis=0)
         if self.mixed_stiffness is not None:
-            # No stiffness about any axis exceeds the largest sum of a row, nor the
-            # trace.
+            # The stiffness about any axis is at most the largest row sum, and at most
+            # the trace.
             k23, k31, k12 = jnp.abs(self.mixed_stiffness)
             rows = self.stiffness + jnp.stack([k12 + k31, k12 + k23, k31 + k23])
             trace = jnp.sum(self.stiffness, axis=0)
@@ -153,14 +153,14 @@ def natural_stiffness(
     """Stiffness of half an element of each rod in series; a body is rigid [N m].
 
     Args:
-        a: Elements of the one member.
-        b: Elements of the other.
-        frames: Orientations of `b` relative to `a` that count as none.
-        parts: The members.
+        a: Elements of the first member.
+        b: Elements of the second member.
+        frames: Orientations of `b` relative to `a` that count as zero rotation.
+        parts: Constants of the members.
 
     Returns:
-        Stiffness about the axes of `b`, and between them: about d2 and d3, d3 and d1,
-        d1 and d2, or `None` where there is none.
+        Stiffness about the axes of `b`, and the mixed stiffness for d2 and d3, d3 and
+        d1, d1 and d2, or `None` if it is zero.
 
     Raises:
         ValueError: If both members are rigid bodies.
@@ -177,7 +177,7 @@ def natural_stiffness(
     if of_a is None:
         assert of_b is not None
         return 1 / jnp.stack(of_b), None
-    # Rows are the axes of `a` in the frame of `b`.
+    # The rows are the axes of `a` in the frame of `b`.
     axes = transpose(directors(frames))
     compliance = turned_diagonal(axes, of_a)
     if of_b is not None:
@@ -188,7 +188,7 @@ def natural_stiffness(
 
 
 def _half_compliance(own: Parts, points: Points) -> Vec3 | None:
-    """Rotation per moment of half of some elements [1/(N m)]; `None` for bodies."""
+    """Rotation per moment of half an element, for each [1/(N m)]; `None` for bodies."""
     if not own.is_rod:
         return None
     assert own.rest_lengths is not None and own.bend_twist_stiffness is not None
@@ -199,10 +199,10 @@ def _half_compliance(own: Parts, points: Points) -> Vec3 | None:
 
 
 def _inverse(matrix: Matrix) -> tuple[Array, Array]:
-    """Diagonal, and entries beside it, of the inverse of a positive definite matrix.
+    """Diagonal and off-diagonal entries of the inverse of positive definite matrices.
 
-    By its factors $L D L^T$: exact to rounding for flat sections too, whose stiffnesses
-    differ by orders of magnitude.
+    Computed from the factors $L D L^T$. They are exact to round-off for flat sections
+    too, whose stiffnesses differ by orders of magnitude.
     """
     (a, b, c), (_, d, e), (_, _, f) = matrix
     # Rows of L, and D.
@@ -235,14 +235,14 @@ def spin_at(seen: Seen, points: Points) -> Vec3:
 
 
 def least_inertia(parts: Parts, points: Points) -> Array:
-    """The smallest moment of inertia of some elements [kg m^2]."""
+    """Smallest moment of inertia of each of some elements [kg m^2]."""
     return jnp.min(parts.inertias, axis=0)[points.elements.values]
 
 
 def turning_bounds(
     a: Points, b: Points, parts: AllParts, stiffness: Array, damping: Array | None
 ) -> dict[str, StabilityBound]:
-    """Bounds of springs against relative turns: shared by inertia."""
+    """Bounds of springs against relative rotation, shared in proportion to inertia."""
     inertia = least_inertia(parts[a.member], a), least_inertia(parts[b.member], b)
     ease = 1 / inertia[0] + 1 / inertia[1]
     total: dict[str, StabilityBound] = {}
@@ -258,7 +258,7 @@ def turning_bounds(
 
 
 def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
-    """Sum of bounds, of which parts may be missing."""
+    """Sum of two bounds; either may lack some parts."""
     if a is None:
         return b
 

@@ -1,10 +1,10 @@
-"""Elements of rods and others that they may touch: looked up, and loads given back.
+"""Pairs of elements of rods that may touch: gather of elements, scatter of loads.
 
-All pairs of two members are `(others, own)`, those of a list lie in one row. What is
-looked up lies in one table, a row for each element, and what is given back is added to
-one: XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for) aborts
-the process where each number is looked up by itself and the program is transposed; a
-table of rows it compiles, forward and in reverse, in loops and under `vmap`.
+All pairs of two members are `(others, own)`; the pairs of a list are in one row. Gather
+reads from one table with a row for each element, and scatter adds to one. The reason is
+XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for): it aborts
+the process if each number is gathered separately and the program is transposed. It
+compiles a table of rows, forward and in reverse, in loops and under `vmap`.
 """
 
 from __future__ import annotations
@@ -26,57 +26,57 @@ Tree = TypeVar("Tree")
 
 @pytree
 class Elements:
-    """Elements of one member at a moment; all of one shape."""
+    """Elements of one member at one moment; all fields have one shape."""
 
     first: Vec3
-    """First nodes [m]."""
+    """Positions of the first nodes [m]."""
     edge: Vec3
-    """From there to the next [m]."""
+    """Vectors from the first nodes to the next [m]."""
     radii: Array
     """Radii [m]."""
     follows: Array
-    """One where another element follows, on this rod or one tied to it, or zero [1]."""
+    """One where another element follows, on this rod or a tied one, else zero [1]."""
     first_velocity: Vec3 | None = None
-    """Of the first nodes [m/s]; `None` where nothing is damped."""
+    """Velocities of the first nodes [m/s]; `None` if they are not needed."""
     velocity_change: Vec3 | None = None
-    """From there to the next [m/s]."""
+    """Velocities of the next nodes minus those of the first [m/s]."""
     spin: Vec3 | None = None
     """Angular velocities, world frame [rad/s]; `None` without friction."""
     rods: Array | None = None
-    """Number of the rod of each; `None` where it does not matter."""
+    """Number of each element's rod; `None` if it is not needed."""
     starts: Array | None = None
-    """Rest arc length where each begins [m]."""
+    """Rest arc length at the start of each element [m]."""
     rest_lengths: Array | None = None
     """Rest lengths [m]."""
     first_radii: Array | None = None
-    """Radius at the first node of each; `None` where points do not matter [m]."""
+    """Radius at the first node of each element [m]; `None` without contact points."""
     first_lengths: Array | None = None
-    """Rest length that the contact point there stands for [m]."""
+    """Rest length of the contact point at the first node [m]."""
     last: Array | None = None
-    """One where an element is the last of its rod, or zero [1]."""
+    """One where an element is the last of its rod, else zero [1]."""
     bulges: tuple[Vec3, Vec3] | None = None
-    """Tangents of a smooth axis less the edge, at the first node and at
-    the next; `None` where elements are straight [m]."""
+    """Tangents of a smooth axis minus the edge, at the first node and at the next [m];
+    `None` for straight elements."""
     velocity_bulges: tuple[Vec3, Vec3] | None = None
-    """Their rates [m/s]."""
+    """Rates of the bulges [m/s]."""
 
     @property
     def ends(self) -> Array:
-        """Rest arc length where each ends [m]."""
+        """Rest arc length at the end of each element [m]."""
         assert self.starts is not None and self.rest_lengths is not None
         return self.starts + self.rest_lengths
 
     def on_axis(self, fraction: Array) -> Vec3:
-        """From the first node to a place on the axis [m]."""
+        """Vector from the first node to a place on the axis [m]."""
         return _on_cubic(self.edge, self.bulges, fraction)
 
     def change_on_axis(self, fraction: Array) -> Vec3:
-        """Velocity of a place on the axis less that of the first node [m/s]."""
+        """Velocity of a place on the axis minus that of the first node [m/s]."""
         assert self.velocity_change is not None
         return _on_cubic(self.velocity_change, self.velocity_bulges, fraction)
 
     def tangent(self, fraction: Array) -> Vec3:
-        """Change of the place on the axis with the fraction [m]."""
+        """Derivative of the place on the axis by the fraction [m]."""
         if self.bulges is None:
             return self.edge
         first, second = self.bulges
@@ -84,7 +84,7 @@ class Elements:
         return _combined(self.edge, (a, first), (b, second))
 
     def bend(self, fraction: Array) -> Vec3:
-        """Change of the tangent with the fraction, of smooth axes [m]."""
+        """Derivative of the tangent by the fraction, for smooth axes [m]."""
         assert self.bulges is not None
         first, second = self.bulges
         a, b = 6 * fraction - 4, 6 * fraction - 2
@@ -93,13 +93,13 @@ class Elements:
 
 
 def bulge_shares(fraction: Array) -> tuple[Array, Array]:
-    """Shares of both bulges at a place on a smooth axis [1]."""
+    """Factors of both bulges at a place on a smooth axis [1]."""
     rest = 1 - fraction
     return fraction * rest * rest, -fraction * fraction * rest
 
 
 def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
-    """Distance that no place of smooth axes is farther from the chords [m]."""
+    """Upper bound of the distance of smooth axes from their chords [m]."""
     first, second = (jnp.sqrt(vectors.dot(bulge, bulge)) for bulge in bulges)
     return 4 / 27 * (first + second)
 
@@ -128,15 +128,15 @@ def elements_at(
     dotted: bool = False,
     smooth: bool = False,
 ) -> Elements:
-    """The elements of a member.
+    """Elements of a member.
 
     Args:
-        strand: Its constants.
-        seen: Where it is.
+        strand: Segments and points of the member.
+        seen: The member at one moment.
         moves: Whether velocities are needed.
-        spins: Whether angular velocities are.
-        placed: Whether places along the rod are.
-        dotted: Whether contact points are, and so places.
+        spins: Whether angular velocities are needed.
+        placed: Whether places along the rod are needed.
+        dotted: Whether contact points, and so places, are needed.
         smooth: Whether elements are pieces of a smooth axis.
     """
     first, edge, bulges = _pieces(strand, seen.motion.position, smooth=smooth)
@@ -168,7 +168,7 @@ def elements_at(
 def _pieces(
     strand: Strands, nodes: Vec3, *, smooth: bool
 ) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
-    """A field at first nodes, its change to the next, and the bulges of that."""
+    """A field at first nodes, its change to the next nodes, and its bulges."""
     tangents: Vec3 | None = None
     if smooth:
         (x, p), (y, q), (z, r) = (strand.smooth(component) for component in nodes)
@@ -185,38 +185,38 @@ def _pieces(
 
 
 def beside(tree: Tree) -> Tree:
-    """Fields of elements along the fastest axis, to meet others."""
+    """Fields of elements along the last axis, to pair with others."""
     return jax.tree.map(lambda leaf: leaf[None, :], tree)
 
 
 def upright(tree: Tree) -> Tree:
-    """Fields of all elements along the axis before."""
+    """Fields of elements along the first of two axes."""
     return jax.tree.map(lambda leaf: leaf[:, None], tree)
 
 
 def lifted(tree: Tree) -> Tree:
-    """Fields of pairs with an axis for points on them before the others."""
+    """Fields of pairs with a leading axis for points on elements."""
     return jax.tree.map(lambda leaf: leaf[None], tree)
 
 
 def looked_up(tree: Tree, index: Int[Array, "..."]) -> Tree:
-    """Fields of elements, for those that an index names."""
+    """Fields of elements, gathered at some indices."""
     return of_table(table_of(tree)[index], tree)
 
 
 def table_of(tree: Any) -> Array:
-    """Fields as one table, a row for each element."""
+    """Fields as one table with a row for each element."""
     return jnp.stack(jax.tree.leaves(tree), axis=-1)
 
 
 def of_table(rows: Array, like: Tree) -> Tree:
-    """Fields of a tree like another, from rows of a table."""
+    """Tree of fields with the structure of another, from rows of a table."""
     leaves, structure = jax.tree.flatten(like)
     return jax.tree.unflatten(structure, [rows[..., k] for k in range(len(leaves))])
 
 
 def given_back(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
-    """What was worked out for those that an index names, added up on the elements."""
+    """Fields of pairs, scattered and summed on the elements at some indices."""
     rows = table_of(tree)
     total = jnp.zeros((size, rows.shape[-1]), rows.dtype).at[index].add(rows)
     return of_table(total, tree)
@@ -224,26 +224,26 @@ def given_back(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
 
 @pytree
 class IndexList:
-    """Pairs of elements, of one member and of another."""
+    """List of pairs of elements of two members."""
 
     own: Int[Array, " pairs"]
-    """Numbers of the ones, in order."""
+    """Numbers of the first elements."""
     other: Int[Array, " pairs"]
-    """Numbers of the others."""
+    """Numbers of the second elements."""
     there: Bool[Array, " pairs"]
-    """Which entries are taken."""
+    """Mask of the entries in use."""
 
 
 @pytree
 class Pairs:
-    """Elements of one member and others that they may touch."""
+    """Pairs of elements of two members that may touch."""
 
     own: Elements
-    """Of the one, `(1, own)`, or from a list, `(pairs,)`."""
+    """First elements, `(1, own)`, or `(pairs,)` from a list."""
     other: Elements
-    """Of the other, `(others, 1)`, or from a list, `(pairs,)`."""
+    """Second elements, `(others, 1)`, or `(pairs,)` from a list."""
     listed: IndexList | None = None
-    """The list; `None`: all pairs."""
+    """The list; `None` for all pairs."""
 
     @classmethod
     def of(cls, own: Elements, other: Elements, listed: IndexList | None) -> Pairs:
@@ -253,13 +253,13 @@ class Pairs:
         return cls(looked_up(own, listed.own), looked_up(other, listed.other), listed)
 
     def on_own(self, tree: Tree, size: int) -> Tree:
-        """Sums for the one, which has so many elements."""
+        """Sums over pairs for each first element, of which there are `size`."""
         if self.listed is None:
             return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), tree)
         return given_back(tree, self.listed.own, size)
 
     def on_other(self, tree: Tree, size: int) -> Tree:
-        """Sums for the other, which has so many elements."""
+        """Sums over pairs for each second element, of which there are `size`."""
         if self.listed is None:
             return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=1), tree)
         return given_back(tree, self.listed.other, size)

@@ -1,11 +1,11 @@
 r"""Glue: rods side by side, joined all along by a line of springs.
 
-Each pair of elements shares a point midway between their surfaces, fixed in both. What
-the point of the one is off that of the other is $g$; per length the line stores
-$\frac12 k |g|^2 + \frac12 k_t |\phi|^2$, with $\phi$ the turn of the one element
-against the other from what it was. Forces and those of the dashpots act at one point,
-half on each node of an element with the couple of the lever arm: momentum and angular
-momentum are exact.
+Each pair of elements shares a point midway between their surfaces, fixed in both
+elements. With $g$ the gap between the two copies of this point and $\phi$ the relative
+rotation of the two elements from rest, the line stores per length
+$\frac12 k |g|^2 + \frac12 k_t |\phi|^2$. Forces of springs and dashpots act at one
+point, half on each node of an element, with the couple of the lever arm. So momentum
+and angular momentum are exact.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class Glue(Coupling):
     """Glue between elements of two rods; see `glue`."""
 
     a: GluedSide
-    """The one rod."""
+    """Elements of the first rod."""
     b: GluedSide
-    """The other."""
+    """Elements of the second rod."""
     joint: ElasticJoint
-    """What resists turning."""
+    """Joints that resist relative rotation."""
     stiffness: Float[Array, ""] | Float[Array, " pairs"]
     """Force per length of glue and distance, one for all or one for each [N/m^2]."""
     turning_stiffness: Float[Array, ""] | Float[Array, " pairs"] | None = None
@@ -66,7 +66,7 @@ class Glue(Coupling):
     """Length of glue of each pair, once prepared [m]."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing, smaller or rigid."""
+        """Raises ValueError if a member is missing, too small or rigid."""
         for side in (self.a, self.b):
             side.points.check(parts)
             if not parts[side.points.member].is_rod:
@@ -76,7 +76,7 @@ class Glue(Coupling):
                 )
 
     def prepared(self, parts: AllParts) -> Glue:
-        """With the glue's places and lengths, and the stiffness against turning."""
+        """The glue with its places, its lengths and its stiffness against rotation."""
         if self.lengths is not None:
             return self
         each, radii = [], []
@@ -96,7 +96,7 @@ class Glue(Coupling):
         return replace(self, a=a, b=b, lengths=lengths, joint=joint)
 
     def _gap(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
-        """From the glue on `a` to that on `b`, and the points midway."""
+        """Vectors from the glue on `a` to the glue on `b`, and the points midway."""
         first = self.a.places(seen[self.a.points.member])
         second = self.b.places(seen[self.b.points.member])
         gap = vectors.subtract(second, first)
@@ -137,7 +137,7 @@ class Glue(Coupling):
         return stored + self.joint.energy(seen)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on both rods: shared by inertia."""
+        """Stiffness and damping on both rods, shared in proportion to inertia."""
         assert self.lengths is not None
         one, two = parts[self.a.points.member], parts[self.b.points.member]
         ease = self.lengths * (self.a.mobility(one) + self.b.mobility(two))
@@ -154,9 +154,9 @@ class Glue(Coupling):
 
 
 Rods = str | tuple[str, int]
-"""A rod by name, or one of equal rods."""
+"""Name of a rod, or name and number of one of equal rods."""
 Glued = tuple[Sequence[int], Sequence[int]]
-"""Elements of one rod, and those of another that are glued to them."""
+"""Elements of a first rod, and the elements of a second rod glued to them."""
 
 
 def glue(
@@ -170,23 +170,24 @@ def glue(
     turning_damping: Numbers | None = None,
     elements: Glued | Sequence[Glued] | None = None,
 ) -> Glue:
-    """Rods glued side by side where `state` has them, without force there.
+    """Rods glued side by side, free of force in `state`.
 
     Args:
-        a: Name of a rod, or `("rods", 2)` of one of equal rods; or several of one
-            member, each glued to one of `b`.
-        b: The other, or as many.
+        a: Name of a rod, or name and number of one of equal rods such as `("rods", 2)`.
+            Or several rods of one member, each glued to one of `b`.
+        b: The other rod, or as many.
         state: State of the system at rest.
         stiffness: Force per length of glue and distance, in all directions [N/m^2].
             This and the next three are a number, or one for each pair of glued
-            elements, those of the first rods first.
+            elements, starting with those of the first rods.
         turning_stiffness: Couple per length and angle between the elements [N].
         damping: Force per length and relative speed [kg/(m s)].
-        turning_damping: Couple per length and relative angular velocity [N s]; with a
-            `turning_stiffness`.
-        elements: Numbers of the elements of `a` and of as many of `b` that are glued to
-            them; by default each to that of the same number. Of several rods the same
-            for all, or a list of such pairs of lists, one for each rod of `a`.
+        turning_damping: Couple per length and relative angular velocity [N s]; acts
+            only with a `turning_stiffness`.
+        elements: Numbers of elements of `a`, and as many of the elements of `b` glued
+            to them; by default each element is glued to the one of the same number.
+            With several rods, one such pair of lists for all, or a list of such pairs,
+            one for each rod of `a`.
 
     Returns:
         A coupling for `make_system`.
@@ -194,7 +195,7 @@ def glue(
     Raises:
         ValueError: If there are no such rods or elements, their numbers differ, or a
             number is out of range.
-        TypeError: If a rod is none.
+        TypeError: If a rod is not given by its name.
     """
     layouts = layouts_of(state)
     names = [_rods("a", a), _rods("b", b)]
@@ -214,7 +215,7 @@ def glue(
         points_of(side, [resolved(side, place, layouts) for place in places])
         for side, places in zip("ab", pairs, strict=True)
     ]
-    # All pairs are of two members, so that there is one row of joints.
+    # All pairs are of the same two members, so there is one row of joints.
     (joint,) = elastic_joints(pairs[0], pairs[1], state)
     middles = [_middles(state[own.member], own) for own in points]
     midway = 0.5 * (middles[0][0] + middles[1][0])
@@ -245,7 +246,7 @@ def glue(
 
 
 def _listed(elements: Any, count: int) -> list[Any]:
-    """Two lists of glued elements for each pair of rods; `None` where all are glued."""
+    """Two lists of glued elements for each pair of rods; `None` to glue them all."""
     if elements is None:
         return [None] * count
     words = (
@@ -269,7 +270,7 @@ def _listed(elements: Any, count: int) -> list[Any]:
 
 
 def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
-    """Rods as a list of names, with their numbers."""
+    """Rods as a list of names, each with a number if one is given."""
     if isinstance(given, str):
         return [(given,)]
     if not isinstance(given, Sequence) or not given:
@@ -317,7 +318,7 @@ def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
     """Middles of elements `(3, k)` [m], and their frames `(3, 3, k)`."""
     row: Any = state.positions, state.orientations
     first, listed = points.nodes.values, points.elements.values
-    # The state is known, also where other numbers are traced.
+    # The state is concrete even while other numbers are traced.
     with jax.ensure_compile_time_eval():
         if state.positions.ndim == 3:
             row = in_one_row(row)

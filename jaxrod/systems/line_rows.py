@@ -1,4 +1,4 @@
-"""The line law on rows of all points and all segments: nothing is looked up."""
+"""The line law on rows of all points and all segments, without gather."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def row_loads(contact: TouchingRods, seen: AllSeen) -> dict[str, Loads]:
 
 
 def row_nearnesses(contact: TouchingRods, seen: AllSeen) -> Iterator[Nearness]:
-    """Points and segments of all members that meet."""
+    """Pairs of points and segments of all members that meet."""
     strands, members = contact.strands, contact.members
     for view in _views(contact):
         own = strands[view.member]
@@ -67,13 +67,14 @@ def row_nearnesses(contact: TouchingRods, seen: AllSeen) -> Iterator[Nearness]:
 class _View(NamedTuple):
     """The points of a member, and all segments that they may meet, in one row.
 
-    One row for all other members: a program for each member, not for every two.
+    All other members share one row, so that the program has one part for each member,
+    not for each pair of members.
     """
 
     member: int
     others: tuple[int, ...]
     weights: Array
-    """Half the lengths that count, `(segments, points)` [m]."""
+    """Half the counted lengths of points, `(segments, points)` [m]."""
 
 
 def _views(contact: TouchingRods) -> Iterator[_View]:
@@ -86,7 +87,7 @@ def _views(contact: TouchingRods) -> Iterator[_View]:
 
 
 def _weights(contact: TouchingRods, a: int, b: int) -> Array:
-    """Half the lengths of the points of one member, for segments of another [m]."""
+    """Half the counted lengths of one member's points, for another's segments [m]."""
     points, segments = contact.strands[a], contact.strands[b]
     shape = segments.radii.shape[0], points.lengths.shape[0]
     half = jnp.broadcast_to(0.5 * points.lengths[None, :], shape)
@@ -112,7 +113,7 @@ def _segments(
 def _parted(
     contact: TouchingRods, view: _View, loads: StrandLoads
 ) -> Iterator[tuple[int, StrandLoads]]:
-    """Loads on the segments, member by member."""
+    """Loads on the segments, split by member."""
     start = 0
     for k in view.others:
         here = slice(start, start + contact.strands[k].radii.shape[0])
@@ -123,7 +124,7 @@ def _parted(
 def _within(
     contact: TouchingRods, points: Strands, segments: Strands, half: Array
 ) -> Array:
-    """Half the lengths of points, for segments of the same member."""
+    """Half the counted lengths of points, for segments of the same member [m]."""
     same = segments.segment_rods[:, None] == points.point_rods[None, :]
     if not contact.itself:
         return jnp.where(same, 0, half)
@@ -152,7 +153,7 @@ def _near(
 def _pair_loads(
     contact: TouchingRods, near: Nearness, points: ContactPoints, segments: Segments
 ) -> tuple[StrandLoads, StrandLoads]:
-    """Loads of one kind of nearness on the points' member and the segments'."""
+    """Loads of one set of pairs on the points' member and on the segments' members."""
     rate = near.rates(points, segments)
     leaving = vectors.dot(rate, near.normal)
     push = normal_force(
@@ -171,7 +172,7 @@ def _pair_loads(
 
 
 def _away(points: Strands, node: int, segments: Strands, other: int) -> Array:
-    """Zero for points and segments near nodes that are tied, along their rods."""
+    """Share that counts of pairs; zero for points and segments near tied nodes [1]."""
     rod, place = rod_and_place(points, node)
     fellow, mark = rod_and_place(segments, other)
     along = jnp.abs(points.places - place)

@@ -1,8 +1,8 @@
-"""Steps of a system that looks for neighbours every so often.
+"""Steps of a system that searches for neighbours every so often.
 
-Lists are carried from step to step beside the motions, and so is how many steps ago
-they were made. That count depends on no number of the system: under `jax.vmap` it is
-the same for all, and the search stays a branch that is taken once in a while.
+Lists are carried from step to step together with the motions and the age of the lists
+in steps. This age depends on no number of the system. So under `jax.vmap` it is the
+same for all systems, and the search stays a branch that is taken once in a while.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from jaxrod.systems.stepper import Motions, SystemStepper
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:
-    """Steps between searches: those of the coupling that asks for the fewest."""
+    """Steps between searches: the fewest that any coupling asks for."""
     asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
     return min(asked) if asked else None
 
 
 def lists_neighbours(system: Assembly) -> bool:
-    """Whether a system has couplings that look for neighbours."""
+    """Whether a system has couplings that search for neighbours."""
     return refresh_every(system.couplings) is not None
 
 
 def with_found(
     couplings: Sequence[Coupling], found: Sequence[Any]
 ) -> tuple[Coupling, ...]:
-    """Couplings with what they have found, in their field `found`."""
+    """Couplings with the results of their searches in their field `found`."""
     left = iter(found)
-    # A coupling that searches is a dataclass by its decorator, with such a field.
+    # A coupling that searches is a dataclass, by its decorator, with a field `found`.
     return tuple(
         c if c.refresh_every is None else replace(c, found=next(left))  # type: ignore[type-var]
         for c in couplings
@@ -47,22 +47,22 @@ def with_found(
 
 
 def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
-    """What the couplings that look for neighbours find."""
+    """Results of the searches of couplings that search for neighbours."""
     return tuple(c.search(seen) for c in couplings if c.refresh_every is not None)
 
 
 @pytree
 class Listing:
-    """Motions of a system, and the lists of what is near."""
+    """Motions of a system, and its lists of neighbours."""
 
     motions: Any
-    """What the system's own stepper carries."""
+    """Carry of the system's own stepper."""
     found: tuple[Any, ...]
     """Lists of each coupling that has some."""
     age: Int[Array, ""]
-    """Steps since they were made."""
+    """Steps since the lists were made."""
     record: NeighbourRecord
-    """What they may have missed."""
+    """Record of contacts that the lists may have missed."""
 
 
 @pytree
@@ -71,32 +71,33 @@ class ListingSystem:
 
     steps_of_end: ClassVar[int] = 1
     one_by_one: ClassVar[bool] = True
-    """A batch goes one after the other: branches by what lists hold stay branches."""
+    """Whether the systems of a batch are stepped one after the other, so that branches
+    on the contents of lists stay branches."""
     stepper: SystemStepper | EvolvingSystem
-    """The system's stepper, with couplings without lists."""
+    """The system's stepper, whose couplings have no lists yet."""
     every: int = static()
     """Steps between searches."""
 
     def begin(self, state: Mapping[str, Any]) -> Listing:
-        """To the middle of the first step, where neighbours are looked for."""
+        """Carry in the middle of the first step, where neighbours are searched."""
         motions = self.stepper.begin(state)
         found = searched(self.stepper.couplings, self._seen(motions))
         return Listing(motions, found, jnp.zeros((), jnp.int32), state[RECORD])
 
     def cycle(self, carry: Listing) -> Listing:
-        """From the middle of a step to the middle of the next."""
+        """Moves from the middle of a step to the middle of the next."""
         carry = self._looked(carry)
         moved = self._listed(carry).cycle(carry.motions)
         return replace(carry, motions=moved, age=carry.age + 1)
 
     def end(self, carry: Listing) -> dict[str, Any]:
-        """From the middle of the last step to its end."""
+        """Moves from the middle of the last step to its end."""
         carry = self._looked(carry)
         state = self._listed(carry).end(carry.motions)
         return {**state, RECORD: carry.record}
 
     def _looked(self, carry: Listing) -> Listing:
-        """With lists that are young enough, and what they may have missed."""
+        """The carry with lists that are young enough, and with its record updated."""
 
         def anew(_: Any) -> tuple[Any, ...]:
             return searched(self.stepper.couplings, self._seen(carry.motions))

@@ -1,4 +1,4 @@
-"""Members that couplings name: found, or refused in words."""
+"""Check of the names of members that couplings give."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 
 def check_named(name: str, members: Iterable[str], where: str = "") -> None:
-    """Raises a `ValueError` if no member has a name.
+    """Raises a `ValueError` if no member has the given name.
 
     Args:
         name: The name.
         members: Names of all members.
-        where: What asks, for the message.
+        where: Name of the argument or caller, for the message.
     """
     known = list(members)
     if name not in known:

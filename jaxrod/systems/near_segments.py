@@ -1,7 +1,7 @@
-"""Contact points near segments: nearest places, what they do there, sums over pairs.
+"""Contact points near segments: closest points, loads there, and sums over pairs.
 
-All pairs at once, `(segments, points)`: nothing is looked up, points are along the
-fastest axis.
+All pairs are computed at once, `(segments, points)`. There is no gather, and points are
+along the fastest axis.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from jaxrod.systems.parts import mapped
 from jaxrod.systems.strands import ContactPoints, Segments, StrandLoads
 
 _ROUNDED = 1e-7
-"""Share of the radii within which distances are rounded off [1]."""
+"""Width within which distances are smoothed, over the sum of the radii [1]."""
 
 
 @pytree
 class Nearness:
-    """Points and segments at places on the segments."""
+    """Pairs of a contact point and a place on a segment."""
 
     normal: Vec3
     """Unit vectors from the segments to the points."""
     fraction: Array
-    """Where on the segment, over its length [1]."""
+    """Place on the segment, over its length [1]."""
     weight: Array
-    """Rest length for which the pair counts; negative for what is taken away [m]."""
+    """Rest length for which the pair counts; negative if it is subtracted [m]."""
     depth: Array
     """Penetration [m]."""
     width: Array
@@ -55,7 +55,7 @@ class Nearness:
         return vectors.subtract(mapped(_row, points.velocity), other)
 
     def arms(self) -> tuple[Vec3, Vec3]:
-        """From the axes of points and of segments to their common point [m]."""
+        """Vectors from the axes of points and of segments to their common point [m]."""
         overlap = 0.5 * self.depth
         return (
             vectors.scale(overlap - self.point_radii, self.normal),
@@ -70,7 +70,7 @@ class Nearness:
         points: ContactPoints,
         segments: Segments,
     ) -> Vec3:
-        """Velocity of one surface along the other, at the common point [m/s]."""
+        """Slip velocity of points relative to segments, at their common point [m/s]."""
         assert points.spin is not None and segments.spin is not None
         along = vectors.subtract(rate, vectors.scale(leaving, self.normal))
         turning = vectors.cross(mapped(_row, points.spin), arms[0])
@@ -80,10 +80,10 @@ class Nearness:
     def summed(
         self, force: Vec3, turns: tuple[Vec3, Vec3] | None
     ) -> tuple[StrandLoads, StrandLoads]:
-        """Loads on the points' member, and on the segments'.
+        """Loads on the points' member, and on the segments' member.
 
         Args:
-            force: On the points, per length [N/m].
+            force: Force on the points, per length [N/m].
             turns: Couples on the points and on the segments, per length [N], if any.
         """
         weighted = vectors.scale(self.weight, force)
@@ -114,16 +114,16 @@ def nearnesses(
     radii: tuple[Array, Array],
     onset: Array,
 ) -> Iterator[Nearness]:
-    """Points at their nearest places on segments, then at the segments' next nodes.
+    """Points with their closest points on segments, then with the segments' next nodes.
 
-    The second count negative, and only where another segment follows.
+    The latter count negative, and only where another segment follows.
 
     Args:
         points: The points.
         segments: The segments.
         weights: Rest length for which each pair counts [m].
         is_end: Whether each segment is the last of its rod, and nothing follows.
-        radii: Of the segments and at the points [m].
+        radii: Radii of the segments, and radii at the points [m].
         onset: Width of the onset over the mean of the radii [1].
     """
     place = mapped(_row, points.position)

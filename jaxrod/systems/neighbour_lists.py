@@ -1,10 +1,10 @@
-"""Lists of what is near: how large they are, and how often they are made anew.
+"""Lists of neighbours: their sizes, and how often they are made.
 
-A list names pairs of elements, of one member and of another, that are so near that they
-may touch before the list is made anew: their surfaces are nearer than a *skin*. It
-holds while no node has moved by more than half of that. Numbers of entries are
-structure; what finds no entry is counted, never forgotten. A list is one row of pairs,
-not so many for each element: contact is uneven, and most of those would be idle.
+A list has pairs of elements of two members that may touch before the list is made
+again: the gap between their surfaces is below a *skin*. The list is valid while no node
+has moved by more than half the skin. The number of entries is static; pairs that find
+no room are counted, so that the loss is never silent. A list is one row of pairs. A
+fixed number of entries for each element would mostly be idle, since contact is uneven.
 """
 
 from __future__ import annotations
@@ -21,27 +21,28 @@ from jaxrod.systems.element_pairs import IndexList
 from jaxrod.validation import Numbers, as_array, check_count
 
 SPARE = 1.5
-"""Entries that are made over entries that are counted in a state."""
+"""Ratio of allocated entries to entries counted in a state [1]."""
 MOST_IN_CELLS = 10_000
-"""Room for more elements in three cells is taken for a mistake."""
+"""Largest number of elements in three cells; room for more is taken for a mistake."""
 
 
 @pytree
 class NeighbourLists:
-    """How lists of neighbours are made; see `neighbour_lists`."""
+    """Settings of lists of neighbours; see `neighbour_lists`."""
 
     skin: Float[Array, ""]
     """Gap between surfaces up to which elements are listed, over the radius [1]."""
     refresh_every: int = static(default=32)
-    """Steps between lists."""
+    """Steps between searches."""
     pairs: int | tuple[int, ...] | None = static(default=None)
-    """Entries of every list, or of each; `None`: counted in the state of
+    """Entries of all lists, or of each list; `None` to count them in the state given to
     `make_system`."""
     candidates: int | tuple[int, ...] | None = static(default=None)
-    """Pairs that are near enough to be looked at closely, likewise."""
+    """Room for pairs near enough to compute their exact distance, for all lists or for
+    each; `None` to count them too."""
     cell_slots: int | None = static(default=None)
-    """Elements in three neighbouring cells of the grid by which neighbours are looked
-    for; 0: no grid, all pairs are looked at; `None`: counted too."""
+    """Room for elements in three neighbouring cells of the search grid; 0 for no grid,
+    so that all pairs are tested; `None` to count them too."""
 
     @property
     def is_sized(self) -> bool:
@@ -54,42 +55,42 @@ class Found:
     """Lists of all pairs of members of a coupling, and where they were made."""
 
     lists: tuple[IndexList, ...]
-    """For each pair of members."""
+    """Lists, one for each pair of members."""
     places: tuple[Vec3, ...]
-    """Nodes of the members then [m]."""
+    """Positions of the members' nodes at the search [m]."""
     missed: Float[Array, ""]
-    """Most entries that lacked in a list, of pairs, candidates or cells [1]."""
+    """Largest shortage of entries, of pairs, candidates or cell slots [1]."""
     used: Float[Array, " lists"]
     """Entries that each list needs [1]."""
     candidates: Float[Array, " lists"]
-    """Candidates of each [1]."""
+    """Candidates of each list [1]."""
     in_cells: Float[Array, ""]
-    """Most elements in three neighbouring cells [1]."""
+    """Largest number of elements in three neighbouring cells [1]."""
 
 
 @pytree
 class NeighbourRecord:
-    """What lists of neighbours may have missed since a run began, the worst of it.
+    """Worst cases of what lists of neighbours may have missed since a run began.
 
-    Under the name "neighbours" in the state of a system that has lists. It stays until
-    the entry is taken out of the state.
+    It is under the name "neighbours" in the state of a system that has lists, and stays
+    until it is removed from the state.
     """
 
     missed: Float[Array, ""]
-    """Most entries that lacked in a list [1]."""
+    """Largest shortage of entries in a list [1]."""
     moved: Float[Array, ""]
-    """Farthest that a node moved from where lists were made, over half the skin [1]."""
+    """Largest displacement of a node since a search, over half the skin [1]."""
     used: Float[Array, ""]
-    """Most entries that a list needed [1]."""
+    """Largest number of entries that a list needed [1]."""
 
     @property
     def overflow(self) -> Bool[Array, ""]:
-        """Flag: contact may have been missed, since lists had too few entries."""
+        """Flag: contact may have been missed because lists had too few entries."""
         return ~(self.missed <= 0)
 
     @property
     def stale(self) -> Bool[Array, ""]:
-        """Flag: contact may have been missed, since lists were too old."""
+        """Flag: contact may have been missed because lists were too old."""
         return ~(self.moved <= 1)
 
 
@@ -104,7 +105,7 @@ def no_record(dtype: Any) -> NeighbourRecord:
 
 
 def with_spare(count: float) -> int:
-    """Entries for a number that was counted, and some for what is to come."""
+    """Number of entries for a count, with some to spare."""
     return math.ceil(SPARE * count) + 16
 
 
@@ -119,25 +120,26 @@ def neighbour_lists(
     """Lists of neighbours for contact among many rods.
 
     Lists are made at the beginning of every run and every `refresh_every` steps in it.
-    Results are those without lists as long as neither flag of `health` rises: overflow,
-    for too few entries, and stale, if a node moved by more than half the skin before
-    the lists were made anew. `jaxrod.neighbours` counts what a state needs.
+    Results are the same as without lists as long as `health` raises neither of two
+    flags: `overflow` for too few entries, and `stale` if a node moved by more than half
+    the skin before the lists were made again. `jaxrod.neighbours` counts the entries
+    that a state needs.
 
     Args:
-        refresh_every: Steps between lists: about `skin * radius / (2 * dt * speed)` of
-            the fastest node, less some.
+        refresh_every: Steps between searches: somewhat less than
+            `skin * radius / (2 * dt * speed)` with the speed of the fastest node.
         skin: Gap between surfaces up to which elements are listed, over the largest
-            radius [1]. A larger one makes lists longer and good for more steps.
-        pairs: Pairs of elements of two members (or of one) that may touch; by default
-            half as many again as there are in the state given to `make_system`.
-        candidates: Pairs whose distance is worked out for that, some times as many;
-            by default counted too.
-        cell_slots: Elements that three neighbouring cells may hold of the grid by
-            which neighbours are looked for, 0 to look at all pairs instead; by default
-            counted too, and all pairs up to some hundred elements.
+            radius [1]. A larger skin makes lists longer and valid for more steps.
+        pairs: Room for pairs of elements of two members (or of one) that may touch; by
+            default half as many again as in the state given to `make_system`, and some.
+        candidates: Room for pairs whose exact distance is computed, some times as many
+            as `pairs`; counted by default too.
+        cell_slots: Room for elements in three neighbouring cells of the search grid, or
+            0 to test all pairs instead. By default counted too; members of up to some
+            hundred elements test all pairs.
 
     Returns:
-        For the argument `lists` of `rod_contact` and `crossing_contact`.
+        Settings for the argument `lists` of `rod_contact` and `crossing_contact`.
 
     Raises:
         ValueError: If a number is out of range.

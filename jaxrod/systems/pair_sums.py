@@ -1,11 +1,10 @@
-"""Sums over pairs of elements: what pairs do, added up on the elements of both members.
+"""Sums over pairs of elements, scattered to the elements of both members.
 
-A list has room for more than it holds, and what it holds comes first. It is worked
-through block by block, and blocks without an entry are left out: what a step costs
-goes by the entries that are taken, not by the room. Blocks are a loop of a number that
-is structure, each with a branch, so that sums are differentiable in reverse; under
-`jax.vmap` both branches are worked out. There are few of them, since in reverse each
-goes through all elements.
+A list has more room than entries, and its entries come first. It is processed block by
+block, and blocks without entries are skipped, so a step costs as much as there are
+entries, not as there is room. The number of blocks is static and each has a branch, so
+that sums are differentiable in reverse; under `jax.vmap` both branches are computed.
+There are few blocks, since in reverse each goes through all elements.
 """
 
 from __future__ import annotations
@@ -26,24 +25,24 @@ from jaxrod.systems.element_pairs import (
 )
 
 LEAST = 1024
-"""Entries of a list that are worked through at once, or more."""
+"""Smallest number of list entries processed at once; shorter lists are one block."""
 BLOCKS = 32
-"""Blocks of a list, at most."""
+"""Largest number of blocks of a list."""
 
 OfPairs = Callable[[Pairs], tuple[Any, Any]]
-"""What pairs do: numbers for the one elements, and for the others."""
+"""Function from pairs to numbers for their first elements and for their second."""
 
 
 def sums_over_pairs(
     work: OfPairs, own: Elements, other: Elements, listed: IndexList | None
 ) -> tuple[Any, Any]:
-    """Sums of what pairs do, on each of the ones and on each of the others.
+    """Sums over pairs, on each element of the first member and of the second.
 
     Args:
-        work: What pairs do.
-        own: All elements of the one member.
-        other: All elements of the other.
-        listed: The pairs; `None`: all.
+        work: Function that is summed over pairs.
+        own: All elements of the first member.
+        other: All elements of the second member.
+        listed: The pairs; `None` for all.
     """
     if listed is None or listed.there.shape[0] <= LEAST:
         pairs = Pairs.of(own, other, listed)
@@ -63,8 +62,8 @@ def _by_blocks(
     tables = table_of(own), table_of(other)
 
     def cut(number: Array) -> IndexList:
-        # The last block begins sooner than it should, so as to end with the list:
-        # what the one before had is left out.
+        # The last block begins early, so that it ends with the list. Entries that the
+        # block before it had are left out.
         due = number * block
         begin = jnp.minimum(due, entries - block)
         some: IndexList = jax.tree.map(
@@ -104,9 +103,9 @@ def _by_blocks(
 
 @jax.custom_jvp
 def _added(total: Array, index: Array, rows: Array) -> Array:
-    """A table to whose rows others are added.
+    """A table with rows added at some indices.
 
-    Its slope looks up indices of its own: XLA's CPU compiler (0.10.1, with the fusion
+    Its derivative uses indices of its own: XLA's CPU compiler (0.10.1, with the fusion
     that `configure_cpu` asks for) makes one kernel of two such sums by the same indices
     and aborts the process.
     """

@@ -1,4 +1,4 @@
-"""Parties to contact: the rigid bodies of a member, or one that stands still."""
+"""Parties to contact: the rigid bodies of a member, or one fixed body."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from jaxrod.systems.solids import solid_of
 
 @pytree
 class Party:
-    """Bodies of a shape, with the balls by which they look for contact."""
+    """Bodies of one shape, with the balls that are tested for contact."""
 
     shape: Body
-    """Surface in their own frame."""
+    """Surface in the bodies' own frame."""
     samples: Samples | None
-    """Balls in their own frame; `None` if only the surface is known."""
+    """Balls in the bodies' own frame; `None` if only the surface is known."""
     sizes: Array
-    """Half a least thickness or so of each; infinite for what stands still [m]."""
+    """Half the smallest thickness of each, roughly; infinite for a fixed body [m]."""
     reach: Array
     """Largest distance of the surface from the origin [m]."""
     masses: Array
-    """Of each; infinite for what stands still [kg]."""
+    """Mass of each body; infinite for a fixed body [kg]."""
     inertias: Array
-    """Least moment of inertia of each, likewise [kg m^2]."""
+    """Smallest moment of inertia of each body; infinite for a fixed body [kg m^2]."""
     pose: Posed | None = None
-    """Where what stands still is, or what moves at a moment."""
+    """Pose of a fixed body, or of moving bodies at one moment."""
     member: str = static(default="")
-    """Name of the member; empty for what stands still."""
+    """Name of the member; empty for a fixed body."""
 
     @property
     def count(self) -> int:
@@ -56,16 +56,16 @@ class Party:
 
     @property
     def is_round(self) -> bool:
-        """Whether its balls are all there is to it."""
+        """Whether the balls are the whole body."""
         return self.samples is not None and self.samples.is_round
 
     @property
     def is_ball(self) -> bool:
-        """Whether it is one ball."""
+        """Whether the body is a single ball."""
         return self.samples is not None and self.is_round and self.samples.count == 1
 
     def at(self, seen: AllSeen) -> Party:
-        """Where it is at a moment."""
+        """The party with its pose at one moment."""
         if not self.member:
             return self
         own = seen[self.member]
@@ -80,7 +80,7 @@ class Party:
         return replace(self, pose=pose)
 
     def loads(self, seen: AllSeen, forces: Vec3, couples: Vec3) -> Loads:
-        """Loads on the member, of couples in the world frame."""
+        """Loads on the member, from couples given in the world frame."""
         frame = directors(seen[self.member].motion.orientation)
         return Loads(forces, to_material(frame, couples))
 
@@ -97,7 +97,7 @@ def parties_of(
     Args:
         members: Constants of the members.
         fixed: Bodies that stand still.
-        balls: Balls along the axis of each.
+        balls: Number of balls along the axis of each.
         points_per_edge: Points on every edge of a box.
         points: Points on members, by name.
     """
@@ -107,7 +107,7 @@ def parties_of(
         samples = samples_of(own.shape, along, points_per_edge)
         if name in points:
             samples = given_samples(points[name])
-        # Of what is filled evenly: exact for a sphere.
+        # At uniform density; exact for a sphere.
         least, most = jnp.min(own.inertias, axis=0), jnp.max(own.inertias, axis=0)
         reach = jnp.max(jnp.sqrt(5 * most / own.node_masses))
         if samples is not None:
@@ -129,7 +129,7 @@ def parties_of(
 
 
 def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
-    """A body that stands still, in the frame of its axes."""
+    """Party of a fixed body, in the frame of its axes."""
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not isinstance(body, Plane):
@@ -156,7 +156,8 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
 
 
 Way = tuple[bool, bool, float]
-"""Whether the first looks at the second, the other way round, and what it counts."""
+"""Whether balls of the first party are tested against the second, whether the reverse,
+and the weight of each ball."""
 
 
 @pytree
@@ -168,24 +169,26 @@ class Meeting:
     width: Array
     """Width of the onset [m]."""
     normal: Vec3
-    """Out of the surface."""
+    """Outward normal of the surface."""
     rate: Vec3
-    """Velocity of the ball's body relative to the other's, at the place [m/s]."""
+    """Velocity of the ball's body relative to the other, at the place of contact [m/s].
+    """
     arms: tuple[Vec3, Vec3]
-    """From the origins of the ball's body and of the other to the place [m]."""
+    """Vectors from the origins of the ball's body and of the other to the place of
+    contact [m]."""
     share: Array
-    """What each counts [1]."""
+    """Weight of each ball and surface [1]."""
     balls: int = static()
-    """Balls of each body."""
+    """Number of balls of each body."""
 
     @staticmethod
     def between(a: Party, b: Party, *, same: bool) -> tuple[Way, ...]:
-        """The ways in which two parties look at each other.
+        """Ways in which two parties are tested against each other.
 
         Args:
-            a: The one.
-            b: The other, or the same.
-            same: Whether they are the same: then the one way is also the other.
+            a: The first party.
+            b: The second party, or the same.
+            same: Whether both are the same: then one way covers both.
         """
         first, second = (True, False), (False, True)
         if same:
@@ -206,7 +209,7 @@ class Meeting:
 
     @staticmethod
     def contacts(a: Party, b: Party, *, same: bool) -> float:
-        """The most balls by which a body of one touches a body of the other."""
+        """Largest number of balls, weighted, by which two of their bodies touch."""
         total = 0.0
         for first, _, share in Meeting.between(a, b, same=same):
             looks, surface = (a, b) if first else (b, a)
@@ -219,14 +222,14 @@ class Meeting:
 
     @staticmethod
     def of(a: Party, b: Party, share: float, onset: Array, *, same: bool) -> Meeting:
-        """Where the balls of one party are against the surfaces of another.
+        """Meeting of the balls of one party with the surfaces of another.
 
         Args:
-            a: Whose balls, at a moment.
-            b: Whose surfaces, at a moment.
-            share: What each ball counts.
-            onset: Width of the onset over the smaller size.
-            same: Whether they are the same: no body looks at itself.
+            a: Party with the balls, at one moment.
+            b: Party with the surfaces, at one moment.
+            share: Weight of each ball [1].
+            onset: Width of the onset over the smaller size [1].
+            same: Whether both are the same: a body is not tested against itself.
         """
         samples, pose, other = a.samples, a.pose, b.pose
         assert samples is not None and pose is not None and other is not None
@@ -279,7 +282,7 @@ class Meeting:
         )
 
     def loads(self, force: Vec3) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
-        """Forces and couples on all bodies of both parties, from those on balls."""
+        """Forces and couples on all bodies of both parties, from forces on balls."""
         couples = vectors.cross(self.arms[0], force)
         back = vectors.cross(force, self.arms[1])
 
@@ -302,7 +305,7 @@ class Meeting:
 def _touch(
     samples: Samples, balls: Posed, body: Posed, width: Array
 ) -> tuple[Array, Array, Vec3, Vec3, tuple[Vec3, Vec3]]:
-    """Where balls are against one surface."""
+    """Depth, width, normal, rate and arms of balls against one surface."""
 
     def world(own: Vec3) -> Vec3:
         return vectors.add(balls.position, to_world(balls.frame, own))

@@ -1,15 +1,15 @@
-r"""Springs that pull a place and an orientation towards ones that may move.
+r"""Springs that pull a point and its orientation towards a target, which may move.
 
-With the place $x$ and the orientation $q$ of a point of a member, and those $x^*, q^*$
-where it is wanted,
+With the position $x$ and the orientation $q$ of a point of a member, and the target
+$x^*, q^*$,
 
 $$E = \tfrac12 k |x^* - x|^2 + \tfrac12 k_t |\phi|^2, \qquad
   \phi = \log(q^{*-1} q),$$
 
-with dashpots on what the point moves and turns relative to them. The force and the
-couple come from outside: what drives the point does the work
-$F\cdot\dot x^* + C\cdot\omega^*$, of which the dashpots take $c |\dot x^* - \dot x|^2$
-and $c_t |\omega^* - \omega|^2$ and the rest is energy of the system and the spring.
+with dashpots on the velocity and the angular velocity relative to the target. The force
+and the couple are external: the drive of the target has the power
+$F\cdot\dot x^* + C\cdot\omega^*$. The dashpots dissipate $c |\dot x^* - \dot x|^2$
+and $c_t |\omega^* - \omega|^2$ of it; the rest goes into the system and the spring.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_tra
 
 @pytree
 class PoseSpring(Coupling):
-    """A spring from a place on a member to a pose; see `pose_spring`."""
+    """A spring from a point of a member to a target pose; see `pose_spring`."""
 
     anchor: Anchors
-    """The place."""
+    """The point that is pulled."""
     place: Placed | Schedule
-    """Where it is wanted, and how that moves."""
+    """Target position and its velocity."""
     turn: Turned | Schedule
-    """The orientation that is wanted, and how that turns."""
+    """Target orientation and its angular velocity."""
     stiffness: Float[Array, ""]
     """Force per distance [N/m]."""
     damping: Float[Array, ""] | None = None
@@ -72,7 +72,7 @@ class PoseSpring(Coupling):
     """Couple per relative angular velocity [N m s]."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if the member is missing or smaller."""
+        """Raises ValueError if the member is missing or too small."""
         self.anchor.check(parts)
 
     @property
@@ -86,19 +86,19 @@ class PoseSpring(Coupling):
         return self.turn
 
     def _way(self, own: Seen) -> Vec3:
-        """From the place to where it is wanted [m]."""
+        """Vector from the point to its target [m]."""
         x, y, z = self.anchor.positions(own)
         a, b, c = self._placed.position
         return a - x, b - y, c - z
 
     def _angle(self, own: Seen) -> Vec3:
-        """Rotation vector from what is wanted, alike in both frames [rad]."""
+        """Rotation vector from the target; its components agree in both frames [rad]."""
         q = _one_quaternion(self._turned.orientation)
         here = orientation_at(own, self.anchor.points)
         return rotation_log(multiply_quaternions(conjugate(q), here))
 
     def _pull(self, own: Seen) -> Vec3:
-        """Force on the place [N]."""
+        """Force on the point [N]."""
         force = vectors.scale(self.stiffness, self._way(own))
         if self.damping is None:
             return force
@@ -148,7 +148,7 @@ class PoseSpring(Coupling):
         return stored + 0.5 * self.turning_stiffness * square
 
     def reaction(self, seen: AllSeen) -> Reaction:
-        """Force and couple on the member, and the power of what drives it."""
+        """Force and couple on the member, and the power of the drive."""
         own = seen[self.anchor.points.member]
         force = vectors.split(jnp.stack(self._pull(own))[:, 0])
         power = vectors.dot(force, vectors.split(self._placed.velocity))
@@ -160,14 +160,14 @@ class PoseSpring(Coupling):
         return Reaction.of(force, turn, power + vectors.dot(turn, spin))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on node and element."""
+        """Stiffness and damping on the node and the element."""
         points = self.anchor.points
         own = parts[points.member]
         ease = self.anchor.mobility(own)
         masses = own.node_masses[points.nodes.values]
         inertia = least_inertia(own, points)
         zero = jnp.zeros_like(ease)
-        # A node is not turned, so that an offset alone turns the element.
+        # A force at the node itself does not turn the element; an offset makes it turn.
         arm = vectors.split(self.anchor.offsets)
         lever = vectors.dot(arm, arm) > 0
 
@@ -197,7 +197,7 @@ class PoseSpring(Coupling):
 
 
 def _one(vector: Array) -> Vec3:
-    """A vector as a field of one entry."""
+    """Vector as a field of one entry."""
     return vector[0][None], vector[1][None], vector[2][None]
 
 
@@ -221,23 +221,24 @@ def pose_spring(
     angle: Timed = 0.0,
     at: Numbers | None = None,
 ) -> PoseSpring:
-    """Pulls a node of a rod, or a body, towards a place and an orientation.
+    """Pulls a node of a rod, or a body, towards a target position and orientation.
 
     Args:
         place: A place on a member, `("arm", "finish")` or `("ball",)`.
-        state: State of the system: where it has the place is where it is wanted, unless
-            `position` and `orientation` say otherwise.
+        state: State of the system. The target is the pose of the place in it, unless
+            `position` and `orientation` are given.
         stiffness: Force per distance [N/m].
-        damping: Force per speed relative to what is wanted [kg/s].
-        turning_stiffness: Couple per angle [N m]; by default it turns freely.
+        damping: Force per speed relative to the target [kg/s].
+        turning_stiffness: Couple per angle [N m]; by default the place turns freely.
         turning_damping: Couple per relative angular velocity [N m s].
-        position: Where it is wanted, world frame `(3,)` [m].
-        orientation: The orientation that is wanted, a quaternion (w, x, y, z).
-        displacement: From there, world frame: `(3,)` or a schedule of such [m].
-        axis: What the orientation turns about, world frame, of any length `(3,)`.
-        angle: By how much, or a schedule [rad].
-        at: The point of the element or body that is pulled, where `state` has it, world
-            frame `(3,)` [m]; by default the node, or the body's origin.
+        position: Target position, world frame `(3,)` [m].
+        orientation: Target orientation, a quaternion (w, x, y, z).
+        displacement: Displacement of the target from there, world frame: `(3,)` or a
+            schedule of such vectors [m].
+        axis: Axis about which the target turns, world frame, of any length `(3,)`.
+        angle: Angle by which the target turns, or a schedule [rad].
+        at: Position in `state` of the point of the element or body that is pulled,
+            world frame `(3,)` [m]; by default the node, or the body's origin.
 
     Returns:
         A coupling for `make_system`.
@@ -294,19 +295,19 @@ def pose_spring(
 def pose_spring_reactions(
     system: System, state: Mapping[str, Any]
 ) -> tuple[Reaction, ...]:
-    """What every pose spring of a system does: force, couple and power.
+    """Force, couple and power of every pose spring of a system.
 
-    The power is that of what drives the place and the orientation that are wanted.
+    The power is that of the drive, which moves and turns the target.
 
     Args:
         system: The system, at one moment: `system.at(time)` if it depends on time.
-        state: Its state.
+        state: State of the system.
 
     Returns:
-        One for each `pose_spring`, in the order in which they were given.
+        One reaction for each `pose_spring`, in the order in which they were given.
 
     Raises:
-        TypeError: If `system` is no system.
+        TypeError: If `system` is not a system.
         ValueError: If it depends on time.
     """
     check_kind("system", system, System)

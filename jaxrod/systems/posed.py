@@ -1,4 +1,4 @@
-"""Surfaces of rigid bodies where they are."""
+"""Surfaces of rigid bodies at their current poses."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from jaxrod.systems.parts import Seen
 
 @pytree
 class Posed:
-    """One rigid body at a moment; every number has an axis of length one."""
+    """One rigid body at one moment; every number has an axis of length one."""
 
     shape: Body
-    """Its surface in its own frame."""
+    """Surface of the body in its own frame."""
     position: Vec3
-    """Its origin [m]."""
+    """Origin of the body [m]."""
     frame: tuple[Vec3, Vec3, Vec3]
-    """Its axes."""
+    """Axes of the body, world frame."""
     velocity: Vec3
-    """Of its origin [m/s]."""
+    """Velocity of the origin [m/s]."""
     spin: Vec3
-    """Its angular velocity [rad/s]."""
+    """Angular velocity [rad/s]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Signed distance [m] and outward normal at points of the world."""
+        """Signed distance [m] and outward normal at points in the world frame."""
         own = to_material(self.frame, vectors.subtract(points, self.position))
         distance, normal = self.shape.surface(own)
         return distance, to_world(self.frame, normal)
 
     def velocity_at(self, points: Vec3) -> Vec3:
-        """Velocity of what is fixed to the body at points of the world [m/s]."""
+        """Velocity of the body's material at points in the world frame [m/s]."""
         arm = vectors.subtract(points, self.position)
         return vectors.add(self.velocity, vectors.cross(self.spin, arm))
 

@@ -1,4 +1,4 @@
-"""How members are placed in the state from which a coupling takes its rest shape."""
+"""Poses of places in the state from which a coupling takes its rest shape."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from jaxrod.validation import is_traced
 
 @pytree
 class Pose:
-    """A place in a state: where it is, how what turns with it is turned."""
+    """Position and orientation of a place in a state."""
 
     place: Any
-    """Position of the node, or origin of the body [m]."""
+    """Position of the node, or of the body's origin [m]."""
     orientation: Quaternion
-    """Of the element, or of the body."""
+    """Orientation of the element that turns with the place, or of the body."""
     spacing: Any
     """Distance to the next node; infinite for a body [m]."""
 
 
 def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
-    """A place's pose in a state.
+    """Pose of a place in a state.
 
     Args:
-        name: Of the argument, for messages.
+        name: Name of the argument, for messages.
         place: See `jaxrod.systems.places.Place`.
         state: State of a system.
     """
@@ -38,7 +38,7 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
     own, layout = state[member], layouts[member]
     positions, orientations = own.positions, own.orientations
     if not is_traced(positions, orientations):
-        # On the host: what is asked here is little, and compiling it is not.
+        # On the host: this is little work, and compiling it would take long.
         positions, orientations = map(np.asarray, (positions, orientations))
     node_of, element_of = node, element
     if layout.is_rod and positions.ndim == 3:

@@ -1,9 +1,11 @@
 r"""Stability bounds of contact between rigid bodies.
 
-A spring $k$ along $n$ between places of two bodies sees
-$n\cdot(u_a + \theta_a\times p_a - u_b - \theta_b\times p_b)$. By Cauchy and Schwarz its
-energy is at most half of $\omega^2 (m_a |u_a|^2 + I_a|\theta_a|^2 + \dots)$ with
-$\omega^2 = k (1/m_a + |p_a|^2/I_a + 1/m_b + |p_b|^2/I_b)$: sharp for two bodies.
+A spring $k$ along $n$ between places of two bodies changes its length by
+$n\cdot(u_a + \theta_a\times p_a - u_b - \theta_b\times p_b)$. By the Cauchy-Schwarz
+inequality its energy is at most half of
+$\omega^2 (m_a |u_a|^2 + I_a|\theta_a|^2 + \dots)$ with
+$\omega^2 = k (1/m_a + |p_a|^2/I_a + 1/m_b + |p_b|^2/I_b)$. This bound is sharp for two
+bodies.
 """
 
 from __future__ import annotations
@@ -27,16 +29,16 @@ def contact_bounds(
     rubs: bool,
     partners: int | None,
 ) -> dict[str, StabilityBound]:
-    """Bounds on all bodies, as if those of all pairs touched.
+    """Bounds on all bodies, as if the bodies of all pairs touched.
 
     Args:
-        moving: The members, first among the parties.
-        parties: All that meet.
+        moving: Parties that are members, the first of all parties.
+        parties: All parties.
         pairs: Numbers of two parties, and the most balls by which two bodies touch.
-        stiffness: Of a ball [N/m].
-        drag: Of a ball along the normal or along the surface [kg/s].
+        stiffness: Stiffness of a ball [N/m].
+        drag: Drag of a ball along the normal or along the surface [kg/s].
         rubs: Whether there is friction: it turns balls too.
-        partners: Bodies that may touch one at a time; `None` for all.
+        partners: Bodies that may touch one body at a time; `None` for all.
     """
     springs: list[list[Array]] = [[] for _ in moving]
     dashpots: list[list[Array]] = [[] for _ in moving]
@@ -68,7 +70,7 @@ def contact_bounds(
 
 
 def _turns(party: Party, rubs: bool) -> bool:
-    """Whether contact turns a body: a ball is turned by friction alone."""
+    """Whether contact turns a body: only friction turns a ball."""
     return rubs or not party.is_ball
 
 
@@ -81,7 +83,7 @@ def _ease(party: Party, rubs: bool) -> Array:
 
 
 def _worst(columns: list[Array], partners: int | None) -> Array:
-    """Sum over all other bodies, or over the most that touch at a time."""
+    """Sum over all other bodies, or a bound for the most that touch at a time."""
     every = jnp.concatenate(columns, axis=1)
     total = jnp.sum(every, axis=1)
     if partners is None:

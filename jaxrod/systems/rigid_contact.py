@@ -1,12 +1,12 @@
 r"""Contact of rigid bodies with one another and with bodies that stand still.
 
-Balls on the one body (`jaxrod.systems.samples`) against the signed distance of the
-other's surface, by the law of `jaxrod.contacts.contact_law` for every ball, with a
-stiffness in N/m. Where one of the two is round its own balls are enough; of two bodies
-with edges each looks with its corners at the other.
+Balls on one body (`jaxrod.systems.samples`) are tested against the signed distance of
+the other's surface. Every ball has the law of `jaxrod.contacts.contact_law`, with a
+stiffness in N/m. If one of the two bodies is round, its balls are enough. If both have
+edges, the corners of each are tested against the other.
 
 Force and reaction act at one point, midway between the two surfaces, with the
-velocities that both bodies have there: momentum and angular momentum are exact, with
+velocities of both bodies there. So momentum and angular momentum are exact, with
 damping and friction too, and friction makes bodies roll.
 """
 
@@ -46,23 +46,23 @@ class RigidContact(Coupling):
     friction: Float[Array, ""] | None = None
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """Largest friction per speed of slip [kg/s]."""
+    """Largest friction per slip speed [kg/s]."""
     fixed: tuple[Body, ...] = ()
     """Bodies that stand still."""
     points: dict[str, Array] | None = None
-    """Points on the surfaces of members, own frames `(3, points)` [m]."""
+    """Points on the surfaces of members by name, own frames `(3, points)` [m]."""
     parties: tuple[Party, ...] = ()
-    """All that meet, the members first, once prepared."""
+    """Members, then fixed bodies, with their balls, once prepared."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
     balls: tuple[int, ...] = static(default=())
-    """Balls along the axes of members and fixed bodies, once fitted."""
+    """Balls along the axis of each member and fixed body, once fitted."""
     balls_per_axis: int | None = static(default=None)
-    """The same, if it was given."""
+    """Given number of balls along an axis; `None` to derive it from the shape."""
     points_per_edge: int = static(default=2)
     """Points on every edge of a box, corners included."""
     partners: int | None = static(default=None)
-    """Bodies that may touch one at a time, for the bound; `None`: all."""
+    """Bodies that may touch one body at a time, for the bound; `None` for all."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if members are missing, are rods or have no shape."""
@@ -83,10 +83,10 @@ class RigidContact(Coupling):
                 )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RigidContact:
-        """With the number of balls along axes.
+        """The coupling with the number of balls along axes.
 
         Raises:
-            ValueError: If nothing can meet, or two bodies cannot look at each other.
+            ValueError: If nothing can meet, or two bodies cannot detect contact.
         """
         named = [(repr(name), parts[name].shape) for name in self.members]
         named += [(f"fixed[{k}]", body) for k, body in enumerate(self.fixed)]
@@ -113,7 +113,7 @@ class RigidContact(Coupling):
         return fitted
 
     def prepared(self, parts: AllParts) -> RigidContact:
-        """With the balls of all bodies."""
+        """The coupling with the balls of all bodies."""
         return replace(
             self,
             parties=parties_of(
@@ -126,7 +126,7 @@ class RigidContact(Coupling):
         )
 
     def _pairs(self, parties: Sequence[Party]) -> Iterator[tuple[int, int]]:
-        """Numbers of parties that may meet."""
+        """Numbers of the pairs of parties that may meet."""
         moving = len(self.members)
         for a in range(moving):
             for b in range(a, len(parties)):
@@ -134,7 +134,7 @@ class RigidContact(Coupling):
                     yield a, b
 
     def _meetings(self, seen: AllSeen) -> Iterator[tuple[int, int, Meeting]]:
-        """All balls against all surfaces."""
+        """Meetings of all balls with all surfaces, with the numbers of both parties."""
         for a, b in self._pairs(self.parties):
             one, two = self.parties[a], self.parties[b]
             for first, _, share in Meeting.between(one, two, same=a == b):
@@ -238,36 +238,36 @@ def rigid_contact(
 ) -> RigidContact:
     """Contact of rigid bodies with one another and with bodies that stand still.
 
-    Spheres touch everything exactly. Capsules are rows of balls a radius apart,
-    cylinders besides stand and roll on their rims, boxes touch with their corners: two
-    boxes whose edges cross, without a corner of one in the other, meet where
-    `points_per_edge` says.
+    Spheres touch everything exactly. Capsules are rows of balls a radius apart.
+    Cylinders are so too, and also stand and roll on their rims. Boxes touch with their
+    corners. If the edges of two boxes cross, with no corner of one in the other, they
+    meet at the points of `points_per_edge`.
 
     Args:
-        *members: Names of members that are rigid bodies: each touches all others, and
-            those of one member one another.
+        *members: Names of members that are rigid bodies. Every body touches all others,
+            including those of its own member.
         fixed: Bodies that stand still, such as `jaxrod.plane()` for the ground.
-        stiffness: Force per penetration, of every ball or corner that touches [N/m].
+        stiffness: Force per penetration of every ball or corner that touches [N/m].
         damping: Force per normal speed [kg/s].
         friction: Coefficient of Coulomb friction [1].
-        friction_drag: Largest friction per speed of slip [kg/s]; by default as much as
+        friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.
         onset: Width of the smooth onset of contact over the size of the smaller body
             (the radius of a sphere) [1].
-        points: Points on the surface by which a member looks for contact, in its own
-            frame `(3, k)` [m]: for what is made by `jaxrod.signed_distance`.
+        points: Points on the surfaces of members by name, tested for contact, in their
+            own frames `(3, k)` [m]. Bodies from `jaxrod.signed_distance` need them.
         points_per_edge: Points on every edge of a box, corners included.
         balls_per_axis: Balls along the axis of capsules and cylinders; by default so
-            many that they are a radius apart.
-        partners: Bodies that may touch one at the same time, for `stable_dt`: 12 for
-            equal spheres; by default all there are.
+            many that they are at most a radius apart.
+        partners: Bodies that may touch one body at the same time, for `stable_dt`: 12
+            for equal spheres; by default all bodies.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
-        TypeError: If a name or a body is none.
+        TypeError: If a name is not a string, or a fixed body is not a body.
     """
     for name in members:
         if not isinstance(name, str):

@@ -1,8 +1,8 @@
-r"""Steps of rigid bodies: free flight and exact turns between kicks.
+r"""Steps of rigid bodies: free flight and exact rotation between kicks.
 
-Nodes of rods that are attached to a body move with it: the body has their masses too,
-its centre of mass and its inertia are those of all together. Forces and positions are
-those of the body's own origin outside of this file.
+Nodes of rods that are attached to a body move with it. The body also has their masses:
+its centre of mass and its inertia are those of body and nodes together. Outside of this
+file forces and positions refer to the body's own origin.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Carried:
     """Point masses that bodies carry, summed per body."""
 
     mass: Array
-    """Total [kg]."""
+    """Total mass [kg]."""
     moment: Vec3
     """Sum of mass times place, own frame [kg m]."""
     second: Matrix
-    """Sum of mass times place times place, own frame [kg m^2]."""
+    """Sum of mass times the outer product of place and place, own frame [kg m^2]."""
 
 
 @pytree
@@ -52,16 +52,17 @@ class RigidStepper:
     dt: Array
     """Step size [s]."""
     parts: Parts
-    """Their constants, without what they carry."""
+    """Constants of the bodies, without carried masses."""
     mass: Array
-    """With what they carry [kg]."""
+    """Masses including carried masses [kg]."""
     centre: Vec3 | None
-    """Of the masses together, in the bodies' own frames [m]; `None` if they carry none.
-    """
+    """Centres of mass including carried masses, in the bodies' own frames [m]; `None`
+    if there are none."""
     inertia: Matrix | None
-    """About that centre, own frames [kg m^2]; `None` if they carry nothing."""
+    """Inertias about these centres, own frames [kg m^2]; `None` without carried masses.
+    """
     inverse_inertia: Matrix | None
-    """Its inverse."""
+    """Inverses of these inertias [1/(kg m^2)]."""
     velocity_kick: Kick
     """Kick of the velocities by forces."""
     spin_kick: Kick
@@ -69,7 +70,7 @@ class RigidStepper:
 
     @staticmethod
     def create(bodies: RigidBodies, carried: Carried | None, dt: Array) -> RigidStepper:
-        """Works out the constants once, outside the loop."""
+        """Computes the constants once, outside the loop."""
         parts = parts_of(bodies)
         mass, centre, inertia, inverse = bodies.masses, None, None, None
         if carried is not None:
@@ -91,7 +92,7 @@ class RigidStepper:
         )
 
     def enter(self, state: BodyState) -> Motion:
-        """Takes a state apart: centre of all masses, angular momentum."""
+        """Motion of a state: of the common centre of mass, with angular momentum."""
         orientation = split_quaternion(state.orientations)
         rate = vectors.split(state.angular_velocities)
         position, velocity = (
@@ -112,7 +113,7 @@ class RigidStepper:
         return Motion(position, orientation, velocity, to_world(frame, momentum))
 
     def leave(self, motion: Motion) -> BodyState:
-        """Puts the state together again."""
+        """State of a motion."""
         seen = self.seen(motion)
         return BodyState(
             positions=vectors.join(seen.motion.position),
@@ -122,7 +123,7 @@ class RigidStepper:
         )
 
     def seen(self, motion: Motion) -> Seen:
-        """The bodies at their own origins."""
+        """The bodies as couplings see them: motion of their own origins."""
         seen = Seen(self.parts, motion, self.inverse_inertia)
         if self.centre is None:
             return seen
@@ -155,16 +156,17 @@ class RigidStepper:
         return freely_turned(motion.orientation, motion.spin, None, parts, dt)
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes rates by the effects' loads and others over one step.
+        """Changes rates by the loads of effects and by others over one step.
 
         Args:
-            motion: The motion of this stepper.
-            loads: On the bodies' origins, couples in their own frames.
+            motion: Motion as this stepper has it.
+            loads: Other loads: forces at the bodies' origins, and couples in their own
+                frames.
         """
         forces, couples = loads.forces, loads.couples
         seen = self.seen(motion)
         for effect in self.bodies.effects:
-            # An effect on bodies asks for masses alone.
+            # An effect on bodies only asks for masses.
             member: object = self.bodies
             more = effect.loads(member, seen.motion)  # type: ignore[arg-type]
             forces = more.forces if forces is None else accumulate(forces, more.forces)
@@ -186,7 +188,7 @@ class RigidStepper:
         )
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Changes rates by impulses on the origins, all in the world frame."""
+        """Changes rates by impulses at the bodies' origins, all in the world frame."""
         none = mapped_zero(motion.position)
         push = none if impulses.forces is None else impulses.forces
         turn = none if impulses.couples is None else impulses.couples
@@ -201,7 +203,7 @@ class RigidStepper:
     def _about_centre(
         self, frame: tuple[Vec3, Vec3, Vec3], force: Vec3, couple: Vec3
     ) -> Vec3:
-        """A couple about the centre of mass, of a force and couple at the origin."""
+        """Couple about the centre of mass, from a force and a couple at the origin."""
         if self.centre is None:
             return couple
         arm = to_world(frame, self.centre)
@@ -209,7 +211,7 @@ class RigidStepper:
 
 
 def mapped_zero(vector: Vec3) -> Vec3:
-    """Zeros like a field."""
+    """Zeros of the shape of a field."""
     zero = jnp.zeros_like(vector[0])
     return zero, zero, zero
 
@@ -217,7 +219,7 @@ def mapped_zero(vector: Vec3) -> Vec3:
 def _damping(bodies: RigidBodies) -> tuple[Array | None, Array | None]:
     total: tuple[Array, Array] | None = None
     for effect in bodies.effects:
-        # As above: of what effects on bodies ask, bodies have all.
+        # As above: bodies have all that effects on bodies ask for.
         member: object = bodies
         rates = effect.damping_rates(member)  # type: ignore[arg-type]
         if rates is not None:
@@ -228,7 +230,7 @@ def _damping(bodies: RigidBodies) -> tuple[Array | None, Array | None]:
 
 
 def _together(principal: Array, carried: Carried, mass: Array, centre: Vec3) -> Matrix:
-    """Inertia of a body and what it carries about their centre of mass."""
+    """Inertia of bodies and carried masses about their common centre of mass."""
     a, b, c = principal
     zero = jnp.zeros_like(a)
     own = ((a, zero, zero), (zero, b, zero), (zero, zero, c))

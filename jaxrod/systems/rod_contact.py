@@ -1,18 +1,18 @@
 r"""Contact between rods, and of rods with themselves: the line law.
 
-Contact points of one rod against the segments of another and the other way round, each
-counting half. Over the segments $j$ of a rod and the nodes $v$ between them
+Contact points of each rod are tested against the segments of the other, and both ways
+count half. Over the segments $j$ of a rod and the nodes $v$ between them
 
 $$E = \tfrac12 \sum_a w_a \Big[\sum_j \psi(p_{aj}) - \sum_v \psi(p_{av})\Big]
   + (\text{the rods exchanged}),$$
 
-$p = r_a + r_b - d$ the penetration at the nearest point of a segment, or at a node,
-$\psi$ the energy per length of `jaxrod.contacts.contact_law` and $w_a$ the rest length
-of a point. Segments less the nodes between them count every contact once, also where
-the nearest point passes from one segment to the next: parallel rods press on each other
-with $k p$ per length, whatever their grids. Forces of a pair act at one common point
-between the two surfaces, so that momentum and angular momentum are exact with damping
-and friction too; friction makes both rods roll.
+with the penetration $p = r_a + r_b - d$ at the closest point of a segment or at a node,
+the energy per length $\psi$ of `jaxrod.contacts.contact_law`, and the rest length $w_a$
+of a point. By inclusion-exclusion over segments and the nodes between them every
+contact counts once, also where the closest point passes from one segment to the next.
+So parallel rods press on each other with $k p$ per length, whatever their grids. Forces
+of a pair act at one common point between the two surfaces. So momentum and angular
+momentum are exact, with damping and friction too, and friction makes both rods roll.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from jaxrod.systems.touching_rods import TouchingRods, same_rod
 from jaxrod.validation import Numbers, check_count
 
 SPACING = 1 / 3
-"""Largest distance of neighbouring contact points over the radius [1]."""
+"""Largest distance between neighbouring contact points over the radius [1]."""
 
 
 @pytree
@@ -67,7 +67,7 @@ class RodContact(TouchingRods):
     """Contact points per element of each member, once fitted; or one number for all."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
-        """With the number of points, and what is tied and so does not touch."""
+        """The coupling with the number of points, and with the tied nodes."""
         fitted: Any = self.with_ties(parts, tied)
         given = self.points_per_element * len(self.members)
         per = given or tuple(
@@ -77,7 +77,7 @@ class RodContact(TouchingRods):
         return replace(fitted, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
-        """With radii and lengths of points and segments."""
+        """The coupling with radii and lengths of points and segments."""
         made = tuple(
             strands(parts[name], per, last_but_continued(name, parts, self.tied))
             for name, per in zip(self.members, self.points_per_element, strict=True)
@@ -86,10 +86,10 @@ class RodContact(TouchingRods):
 
     dotted: ClassVar[bool] = True
 
-    # On lists of neighbours: pairs of elements.
+    # With lists of neighbours: pairs of elements.
 
     def views(self) -> list[tuple[int, int]]:
-        """Members whose points and segments meet."""
+        """Pairs of members; points of the first meet segments of the second."""
         count = len(self.members)
         return [
             (a, b)
@@ -103,7 +103,7 @@ class RodContact(TouchingRods):
         return jnp.maximum(self.strands[a].first_radii, self.strands[a].radii)
 
     def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
-        """What is not of one rod, or not near along it."""
+        """Whether pairs may touch: those of two rods, or far apart along one rod."""
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -115,9 +115,9 @@ class RodContact(TouchingRods):
         return may
 
     def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
-        """Of the points with the nearest places on segments, and with their next nodes.
+        """Touches of points with closest points on segments, and with their next nodes.
 
-        The second count negative, and only where another segment follows.
+        The latter count negative, and only where another segment follows.
         """
         own, other = lifted(pairs.own), lifted(pairs.other)
         points = points_on(lifted(pairs.own), self.strands[a].per_element)
@@ -143,7 +143,7 @@ class RodContact(TouchingRods):
         return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), first.added(second))
 
     def _weights(self, a: int, b: int, pairs: Pairs, points: ElementPoints) -> Array:
-        """Rest length for which points count, half with either of two rods [m]."""
+        """Rest length for which points count: half, since both ways are summed [m]."""
         own, other = lifted(pairs.own), lifted(pairs.other)
         assert pairs.listed is not None
         half = jnp.where(pairs.listed.there[None], 0.5 * points.lengths, 0)
@@ -179,7 +179,7 @@ class RodContact(TouchingRods):
         return row_loads(self, seen)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of all contacts [J]; not a number where lists have missed some."""
+        """Energy of all contacts [J]; NaN if lists have missed some."""
         if self.found is not None:
             return super().energy(seen)
         total = jnp.zeros((), self.stiffness.dtype)
@@ -201,9 +201,9 @@ class RodContact(TouchingRods):
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if all of every rod touched its partners.
 
-        The square of what a spring sees of both rods is at most twice the sum of the
-        squares of either. The four parts of a slip, both rods' moves and turns, are
-        shared by inertia.
+        A spring's change of length is the sum of the contributions of two rods. Its
+        square is at most twice the sum of their squares. Slip has four contributions,
+        from the velocities and spins of both rods, shared in proportion to inertia.
         """
         easiest = None
         if self.friction_drag is not None:
@@ -212,9 +212,9 @@ class RodContact(TouchingRods):
         return {name: self._bound(parts[name], easiest) for name in self.members}
 
     def _bound(self, own: Parts, easiest: Array | None) -> StabilityBound:
-        """Bounds on one member; the largest ease of all, if there is friction."""
+        """Bounds on one member; `easiest` is the largest ease of all with friction."""
         assert own.linear_density is not None
-        # A node stands for as much length as it has of the mass.
+        # Length for which a node stands, from its mass.
         lengths = self.partners * own.node_masses / jnp.min(own.linear_density)
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths
@@ -222,7 +222,7 @@ class RodContact(TouchingRods):
             return StabilityBound(nodes=stiffness, node_drag=drag)
         assert self.friction_drag is not None
         rate = self.partners * self.friction_drag * (_ease(own) + easiest)
-        # Dashpots act across the surfaces that slip drags along.
+        # Dashpots act across the surfaces, friction along them: the larger one counts.
         rub = rate * own.node_masses
         return StabilityBound(
             nodes=stiffness,
@@ -254,29 +254,29 @@ def rod_contact(
     """Contact between all rods of the named members.
 
     Args:
-        *members: Names of members, one rod each or equal rods together.
+        *members: Names of members; a member is one rod or several equal rods.
         stiffness: Force per length of contact and penetration [N/m^2].
         damping: Force per length and normal speed [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].
-        friction_drag: Largest friction per length and speed of slip [kg/(m s)]; by
-            default as much as `damping`.
-        itself: Whether each rod touches itself too. Of places nearer to each other
-            along the rod than pi times its radius nothing is seen.
+        friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
+            equal to `damping`.
+        itself: Whether each rod also touches itself. Places that are nearer to each
+            other along the rod than pi times its radius do not touch.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
         points_per_element: Contact points per element; by default so many that they
-            are a third of a radius apart, which makes the energy of rods that cross
-            the same to 3 % wherever they do.
+            are at most a third of a radius apart. Then the energy of crossing rods is
+            the same to 3 % wherever they cross.
         partners: Rods that may touch one place at the same time, for `stable_dt`: 2
             for a few rods, 6 in a bundle.
-        lists: Lists of neighbours, from `neighbour_lists`; by default all points and
-            all segments are looked at in every step.
+        lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
+            all points against all segments.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
-        TypeError: If a name is none.
+        TypeError: If a name is not a string.
     """
     if points_per_element is not None:
         check_count("points_per_element", points_per_element, 1, 1000)

@@ -1,11 +1,11 @@
-"""Entries of a row: picked out, replaced, added up, by indices that are structure.
+"""Gather, replacement and summation of entries of a row, by static indices.
 
-Without scatters: each entry of a row asks which values are for it. Sums are therefore
-the same in every run, on every device. Neighbours that go to neighbours are cut out and
-put in together, which costs no more than they are many. Of others a few are compared
-one by one, more are compared with all entries at once, which fuses with its
-surroundings and is the same kind of program when it is transposed; very many go by a
-table.
+There are no scatter operations: each entry of a row collects the values that go to it.
+So sums are the same in every run, on every device. Stretches of consecutive indices are
+sliced and inserted as a whole, at a cost in proportion to their length. A few other
+indices are compared one by one. More of them are compared with all entries at once,
+which fuses with the surrounding program and has the same form when it is transposed.
+Very many go through a table.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from jaxtyping import Array
 from jaxrod.systems.places import Indices
 
 FEW = 8
-"""Indices that are compared one by one."""
+"""Largest number of indices that are compared one by one."""
 MOST_STRETCHES = 16
-"""Stretches of consecutive indices that are cut out and put in one by one."""
+"""Largest number of stretches of consecutive indices that are sliced one by one."""
 MOST_COMPARED = 2**22
-"""Pairs of an index and an entry that are compared at once.
+"""Largest number of pairs of an index and an entry that are compared at once.
 
-As many as that: in reverse mode XLA's CPU compiler (0.10.1, with the fusion that
-`configure_cpu` asks for) gives up on some programs that look up entries."""
+It is this large because in reverse mode XLA's CPU compiler (0.10.1, with the fusion
+that `configure_cpu` asks for) gives up on some programs that gather entries."""
 
 
 def picked(row: Array, index: Indices) -> Array:
-    """Entries of a row."""
+    """Entries of a row at some indices (gather)."""
     size = row.shape[0]
     stretches = _stretches(index)
     if stretches is not None:
@@ -46,7 +46,7 @@ def picked(row: Array, index: Indices) -> Array:
 
 
 def replaced(row: Array, index: Indices, values: Array) -> Array:
-    """A row with other entries at some indices, each of them there once."""
+    """A row with new entries at some indices, which must be distinct."""
     size = row.shape[0]
     if _stretches(index) is None and len(index) <= FEW:
         numbers = np.arange(size)
@@ -59,7 +59,7 @@ def replaced(row: Array, index: Indices, values: Array) -> Array:
 
 
 def summed(values: Array, index: Indices, size: int) -> Array:
-    """A row of a size to which values are added at their indices."""
+    """A row of the given size with values summed at their indices (scatter-add)."""
     stretches = _stretches(index)
     if stretches is not None:
         zero = jnp.zeros((), values.dtype)
@@ -84,9 +84,9 @@ def summed(values: Array, index: Indices, size: int) -> Array:
 
 @functools.lru_cache(maxsize=256)
 def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
-    """Consecutive indices: the first of them, and from and to which they are listed.
+    """Stretches of consecutive indices: first index, begin and end in the list.
 
-    `None` if they are too many, or more than half as many as the indices.
+    `None` if there are too many stretches, or more than half as many as indices.
     """
     cuts = np.flatnonzero(np.diff(index.values) != 1) + 1
     bounds = [0, *cuts.tolist(), len(index)]
@@ -100,13 +100,16 @@ def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
 
 @functools.lru_cache(maxsize=256)
 def _same(index: Indices, size: int) -> np.ndarray:
-    """Whether each index is that of each entry, `(indices, size)`."""
+    """Whether each index equals the number of each entry, `(indices, size)`."""
     return index.values[:, None] == np.arange(size)[None, :]
 
 
 @functools.lru_cache(maxsize=256)
 def _table(index: Indices, size: int) -> np.ndarray:
-    """Numbers of the values for each entry, `(most, size)`; padded by their count."""
+    """Numbers of the values for each entry, `(most, size)`.
+
+    It is padded with the count of values, which is the number of an appended zero.
+    """
     counts = np.bincount(index.values, minlength=size)
     table = np.full((max(int(np.max(counts)), 1), size), len(index), np.int32)
     filled = np.zeros(size, np.int32)

@@ -1,4 +1,4 @@
-"""What a run of a system needs before it begins: checks, memory, a stepper."""
+"""Preparation of a run of a system: checks, memory and the stepper."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from jaxrod.validation import as_array
 
 
 def check_system_state(system: Assembly, state: Any) -> None:
-    """Checks that a state is one of a system's members.
+    """Checks that a state has a fitting state for every member of a system.
 
     Raises:
-        TypeError: If it is no mapping, or a member's state is of another kind.
+        TypeError: If it is not a mapping, or a member's state is of another kind.
         ValueError: If members are missing, unknown, or of another size or type.
     """
     if not isinstance(state, Mapping):
@@ -92,7 +92,7 @@ def _check_member(name: str, member: Any, state: Any, dtype: Any) -> None:
 
 
 def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:
-    """Checks the arguments of a run; gives the step the type of the system."""
+    """Checks the arguments of a run, and returns the step in the system's type."""
     check_system_state(system, state)
     return as_array("dt", dt, "s", positive=True, dtype=system.dtype)
 
@@ -100,7 +100,10 @@ def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:
 def system_stepper(
     system: Assembly, state: SystemState, dt: Array, first: Array | None
 ) -> Stepper:
-    """The integrator of a system; `first` counts where it depends on time."""
+    """The integrator of a system; `first` is the first step if time matters.
+
+    It is `None` for a system that neither depends on time nor remembers.
+    """
     own = _own_stepper(system, state, dt, first)
     every = refresh_every(own.couplings)
     return own if every is None else ListingSystem(own, every)
@@ -119,9 +122,9 @@ def _own_stepper(
 
 
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
-    """The state with the memories that effects begin with, where it has none.
+    """The state with the initial memories of effects, where it has none.
 
-    And with a record of what lists of neighbours miss, where there are any.
+    A system with lists of neighbours also gets a record of contacts that they miss.
     """
     own = {
         name: _with_memory(member, state[name])
@@ -148,7 +151,7 @@ def _with_memory(member: Any, state: Any) -> Any:
 
 
 def unstable_step(system: Assembly, dt: Array) -> str | None:
-    """Words about a concrete step above the stability bound; `None` below it."""
+    """Warning about a concrete step above the stability bound; `None` below it."""
     bound = stable_system_dt(system, safety=1.0)
     if not float(dt) > float(bound.dt):
         return None

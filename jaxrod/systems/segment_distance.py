@@ -1,17 +1,18 @@
-r"""Nearest places of two segments, and middles where they are parallel.
+r"""Closest points of two segments, and middles of parallel ones.
 
-Of segments $x_1 + s e_1$ and $x_2 + t e_2$ the squared distance is a quadratic form
-with the determinant $D = |e_1|^2 |e_2|^2 \sin^2\theta$. Its least value in the unit
-square lies where the form's gradient vanishes or on the border: three clips give the
-first, the four ends against the other segment the second, and the nearest of the five
-is right whatever rounding does to one of them (compare Eberly, Robust computation of
-distance between line segments, 2015).
+The squared distance of the segments $x_1 + s e_1$ and $x_2 + t e_2$ is a quadratic form
+with the determinant $D = |e_1|^2 |e_2|^2 \sin^2\theta$. Its minimum in the unit square
+is where its gradient vanishes, or on the border. Three clips give the former, the four
+ends against the other segment the latter. The nearest of these five candidates is right
+even if round-off spoils one of them (compare Eberly, Robust computation of distance
+between line segments, 2015).
 
-Where segments are parallel the nearest place is not unique, and a force there would
-jump from end to end. Below $\sin^2\theta = 10^{-5}$ contact at the nearest places gives
-way, linearly in $\sin^2\theta$, to contact at the middles of where the segments lie
-side by side, which is all there is below $10^{-6}$. No sooner: segments that touch at
-their nearest places only would not touch at their middles.
+Where segments are parallel the closest points are not unique, and a force there would
+jump from end to end. Below $\sin^2\theta = 10^{-5}$ contact at the closest points gives
+way, linearly in $\sin^2\theta$, to contact at the middles of the overlap of the
+segments; below $10^{-6}$ there is only the latter. The transition is no earlier,
+because segments that touch only at their closest points would not touch at their
+middles.
 """
 
 from __future__ import annotations
@@ -24,47 +25,50 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 PARALLEL = 1e-6
-"""Below this square of the sine of their angle segments count as parallel [1]."""
+"""Squared sine of the angle below which segments count as parallel [1]."""
 CROSSED = 1e-5
-"""Above this one they count as crossed [1]."""
+"""Squared sine of the angle above which segments count as crossed [1]."""
 _FLOOR = 1e-6
-"""Least determinant over its largest value, in divisions [1]."""
+"""Lower bound of the determinant in divisions, over its largest value [1]."""
 
 
 @pytree
 class Products:
-    """Scalar products of two edges and of the way between the segments' beginnings."""
+    """Scalar products of two edges and of the way between the segments' starts."""
 
     own: Array
-    """Square of the length of the one edge [m^2]."""
+    """Square of the length of the first edge [m^2]."""
     other: Array
-    """Square of the length of the other [m^2]."""
+    """Square of the length of the second edge [m^2]."""
     mixed: Array
-    """Product of both [m^2]."""
+    """Product of both edges [m^2]."""
     own_way: Array
-    """Product of the one edge and the way [m^2]."""
+    """Product of the first edge and the way [m^2]."""
     other_way: Array
-    """Product of the other and the way [m^2]."""
+    """Product of the second edge and the way [m^2]."""
 
     def on_own(self, fraction: Array | float) -> Array:
-        """Place on the one segment nearest to a place on the other [1]."""
+        """Point on the first segment closest to a place on the second [1]."""
         return jnp.clip((self.mixed * fraction - self.own_way) / self.own, 0, 1)
 
     def on_other(self, fraction: Array | float) -> Array:
-        """Place on the other segment nearest to a place on the one [1]."""
+        """Point on the second segment closest to a place on the first [1]."""
         return jnp.clip((self.mixed * fraction + self.other_way) / self.other, 0, 1)
 
 
 def from_products(
     slopes: Products, way: Vec3, own: Vec3, other: Vec3
 ) -> tuple[Vec3, Vec3, Vec3]:
-    """What slopes with regard to the products are with regard to the vectors.
+    """Derivatives by the vectors, from derivatives by their products (chain rule).
 
     Args:
-        slopes: Derivatives of something by each of the products.
-        way: From the beginning of the other segment to that of the one [m].
-        own: Edge of the one segment [m].
-        other: Edge of the other [m].
+        slopes: Derivatives of a quantity by each of the products.
+        way: Vector from the start of the second segment to the start of the first [m].
+        own: Edge of the first segment [m].
+        other: Edge of the second segment [m].
+
+    Returns:
+        Derivatives by the way, the first edge and the second edge.
     """
 
     def sums(*terms: tuple[Array, Vec3]) -> Vec3:
@@ -79,12 +83,12 @@ def from_products(
 
 
 def products(way: Vec3, own: Vec3, other: Vec3) -> Products:
-    """The scalar products.
+    """Scalar products of two segments.
 
     Args:
-        way: From the beginning of the other segment to that of the one [m].
-        own: Edge of the one segment [m].
-        other: Edge of the other [m].
+        way: Vector from the start of the second segment to the start of the first [m].
+        own: Edge of the first segment [m].
+        other: Edge of the second segment [m].
     """
     return Products(
         own=vectors.dot(own, own),
@@ -98,7 +102,7 @@ def products(way: Vec3, own: Vec3, other: Vec3) -> Products:
 def between(
     way: Vec3, own: Vec3, other: Vec3, at: tuple[Array | float, Array | float]
 ) -> Vec3:
-    """From a place on the other segment to one on the one [m]."""
+    """Vector from a place on the second segment to a place on the first [m]."""
     x, y, z = (
         w + at[0] * e - at[1] * f for w, e, f in zip(way, own, other, strict=True)
     )
@@ -106,12 +110,12 @@ def between(
 
 
 def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Array]:
-    """Nearest places on both segments [1], and the square of their distance [m^2].
+    """Closest points of both segments [1], and the square of their distance [m^2].
 
     Args:
-        way: From the beginning of the other segment to that of the one [m].
-        own: Edge of the one segment [m].
-        other: Edge of the other [m].
+        way: Vector from the start of the second segment to the start of the first [m].
+        own: Edge of the first segment [m].
+        other: Edge of the second segment [m].
     """
     have = products(way, own, other)
     s, t = first_guess(have)
@@ -131,7 +135,7 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
 
 
 def first_guess(have: Products) -> tuple[Array, Array]:
-    """Place in the unit square where the form is least, but for rounding [1]."""
+    """Minimum of the form in the unit square, up to round-off [1]."""
     largest = have.own * have.other
     determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
     across = have.mixed * have.other_way - have.other * have.own_way
@@ -140,15 +144,16 @@ def first_guess(have: Products) -> tuple[Array, Array]:
 
 
 def crossedness(have: Products) -> Array:
-    """Zero for parallel segments, one for crossed ones [1]."""
+    """Degree of crossing: zero for parallel segments, one for crossed ones [1]."""
     sine = 1 - have.mixed * have.mixed / (have.own * have.other)
     return jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0, 1)
 
 
 def middles(have: Products) -> tuple[Array, Array]:
-    """Middles of where segments that are parallel lie side by side [1].
+    """Middles of the overlap of parallel segments [1].
 
-    Of each what the other covers; where it covers nothing, the end next to it.
+    On each segment it is the middle of the part that the other covers, or, if that
+    covers nothing, the end nearest to it.
     """
     return (
         0.5 * (have.on_own(0.0) + have.on_own(1.0)),

@@ -1,23 +1,24 @@
 r"""Smooth axes: curves along rods that are as smooth at nodes as between them.
 
-A polyline is nearer to the far lines of a bent rod in the middle of an element than at
-a node, so that a load that slides along it goes up and down, and rests at nodes. A
-curve through the nodes still does. On each element here is the cubic with places $y_i$
-and tangents $m_i$ at both its nodes (Hermite's), where with the nodes' central
-differences $\mu\delta, \delta^2, \ldots$ along the rod
+On a bent polyline the middle of an element is nearer than a node to the lines of the
+rod far away. So a load that slides along the polyline goes up and down, and rests at
+nodes. A curve through the nodes still has this fault. Here each element has the cubic
+Hermite curve with places $y_i$ and tangents $m_i$ at its nodes. With the central
+differences $\mu\delta, \delta^2, \ldots$ of the nodes along the rod they are
 
 $$y = x + \tfrac1{24} \delta^2 x - 0.041\, \delta^4 x, \qquad
   m = \mu\delta x - 0.136\, \mu\delta^3 x.$$
 
-The first number sets how far the curve is inside the nodes of a bend: so much that the
-work of a load on a limp rope is that on a smooth one. The others were fitted so that
-the work of a load on a straight rope under tension, where it has slid to, is the same
-all along an element: to 4e-5 of load, angle and length of an element for a limp one,
-where a polyline has 6e-2, and less for a stiff one. Straight rods stay as they are,
-and places of a rod that turns turn with it: a force on the curve has the same moment on
-the nodes.
+The first number sets how far the curve runs inside the nodes of a bend: so far that a
+load on a limp rope does the same work as on a smooth rope. The other two were fitted so
+that the work of a load on a straight rope under tension is the same wherever along an
+element the load has slid to. For a limp rope it varies by 4e-5 of the load times the
+angle times the length of an element, where a polyline has 6e-2; for a stiff one it
+varies less. Straight rods stay straight. The curve of a rod that turns turns with it,
+so a force on the curve has the same moment as its forces on the nodes.
 
-Ends are continued as in a mirror, and those of closed rods by the other end.
+Rods are continued beyond their ends by point reflection, closed rods by their other
+end.
 """
 
 from __future__ import annotations
@@ -30,19 +31,20 @@ import numpy as np
 from jaxtyping import Array
 
 INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
-"""Factors of second and fourth differences in places, and of third ones in tangents."""
+"""Factors of second and fourth differences in places, and of third differences in
+tangents."""
 FARTHEST = 1.165
-"""Most that a place on a curve moves by where no node moves by more than one."""
+"""Largest displacement of a place on a curve if no node moves by more than one."""
 _ALIKE = 12
-"""Elements of a rod that has all kinds of neighbourhoods."""
+"""Number of elements of a rod in which all kinds of neighbourhoods of nodes occur."""
 
 
 def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
-    """Places and tangents at nodes, from a field on them; all of one shape.
+    """Places and tangents at nodes, from a field on nodes; all of one shape.
 
     Args:
-        nodes: Positions or velocities, a row for each rod.
-        closed: Whether each rod is, `(rods, 1)`.
+        nodes: One component of positions or velocities, a row for each rod.
+        closed: Whether each rod is closed, `(rods, 1)`.
     """
     tangent, second = _differences(nodes, closed)
     third, fourth = _differences(second, closed)
@@ -50,7 +52,7 @@ def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 
 def from_smooth_nodes(places: Array, tangents: Array, closed: np.ndarray) -> Array:
-    """Forces on nodes, from those on places and on tangents at them."""
+    """Forces on nodes, from forces on the places and the tangents at them."""
     back = jax.linear_transpose(lambda nodes: smooth_nodes(nodes, closed), places)
     (nodes,) = back((places, tangents))
     return nodes
@@ -75,15 +77,16 @@ def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 @functools.cache
 def stiffest(n_elements: int) -> np.ndarray:
-    """Largest stiffness at each node of springs of one, of which each element has one.
+    """Largest stiffness at each node if each element has one spring of stiffness one.
 
-    Of the rows of the stiffness, sums of what is in them, each spring at its worst.
+    These are the sums of the absolute entries in each row of the stiffness matrix, with
+    each spring at its worst place.
     """
     n = min(n_elements, _ALIKE)
     with jax.ensure_compile_time_eval():
         open_rods = np.zeros((n + 1, 1), bool)
         both = smooth_nodes(jnp.eye(n + 1), open_rods)
-    # Of a node that moves by one, what all nodes do: a column of the weights.
+    # Response of all places and tangents to a unit displacement of each node.
     place, tangent = (np.asarray(field, float).T for field in both)
     s = np.linspace(0, 1, 101)[:, None, None]
     weights = np.abs(

@@ -1,8 +1,8 @@
-"""Steps of a system: its members drift and are kicked side by side.
+"""Steps of a system: its members drift and are kicked together.
 
-One step is position Verlet, as of a single rod: half a drift of every member, what
-follows is put in place, loads of all members and couplings at that configuration,
-kicks, exchanges between what is tied, half a drift.
+One step is position Verlet, as for a single rod: half a drift of every member;
+attached and tied nodes are put in place; loads of all members and couplings at this
+configuration; kicks; exchange of impulses between attached members; half a drift.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class SystemStepper:
         return {k: m.seen(motions[k]) for k, m in self.members.items()}
 
     def enter(self, state: Mapping[str, Any]) -> Motions:
-        """Takes a state apart and makes it respect all ties."""
+        """Motions of a state, with all ties and attachments enforced."""
         motions = {k: m.enter(state[k]) for k, m in self.members.items()}
         return self._rates_tied(self._placed(motions))
 
     def leave(self, motions: Motions) -> dict[str, Any]:
-        """Puts the state together again."""
+        """State of the motions."""
         return {k: m.leave(motions[k]) for k, m in self.members.items()}
 
     def drift(self, motions: Motions, dt: Array) -> Motions:
@@ -77,20 +77,20 @@ class SystemStepper:
         return self.drift(self.enter(state), 0.5 * self.dt)
 
     def cycle(self, motions: Motions) -> Motions:
-        """From the middle of a step to the middle of the next."""
+        """Moves from the middle of a step to the middle of the next."""
         return self.drift(self.kick(motions), self.dt)
 
     def end(self, motions: Motions) -> dict[str, Any]:
-        """From the middle of the last step to its end."""
+        """Moves from the middle of the last step to its end."""
         return self.leave(self.drift(self.kick(motions), 0.5 * self.dt))
 
     def supported(self, motions: Motions) -> Motions:
-        """With the rates that supports and ties give now."""
+        """Motions with the rates that supports and ties impose now."""
         held = {k: m.supported(motions[k]) for k, m in self.members.items()}
         return self._rates_tied(self._placed(held))
 
     def _exchanged(self, before: Mapping[str, Seen], kicked: Motions) -> Motions:
-        """With the impulses that pass between members in a kick."""
+        """Kicked motions with the impulses that pass between members in a kick."""
         impulses: dict[str, Loads] = {}
         after: dict[str, Seen] | None = None
         for coupling in self.couplings:
@@ -103,14 +103,14 @@ class SystemStepper:
         return {**kicked, **pushed}
 
     def _placed(self, motions: Motions) -> Motions:
-        """With what follows other members in its place."""
+        """Motions with the nodes that follow other members put in place."""
         for coupling in self.couplings:
             if type(coupling).constrain is not Coupling.constrain:
                 motions = self._with(motions, coupling.constrain(self.seen(motions)))
         return motions
 
     def _rates_tied(self, motions: Motions) -> Motions:
-        """With equal rates of what is tied."""
+        """Motions with equal rates of tied nodes."""
         for coupling in self.couplings:
             if type(coupling).constrain_rates is not Coupling.constrain_rates:
                 changed = coupling.constrain_rates(self.seen(motions))
@@ -125,7 +125,7 @@ class SystemStepper:
 
 
 def added(a: Loads, b: Loads) -> Loads:
-    """Sum of loads, of which some may be missing."""
+    """Sum of two loads; either may lack forces or couples."""
     return Loads(_added(a.forces, b.forces), _added(a.couples, b.couples))
 
 

@@ -1,7 +1,8 @@
-"""Places where two elements touch, what they do there, and sums over them.
+"""Places where two elements touch, the loads there, and sums over them.
 
-Force and reaction act at one common point of both, half a penetration deep: momentum
-and angular momentum are exact, with damping and friction too, and friction turns both.
+Force and reaction act at one common point of both elements, half a penetration deep. So
+momentum and angular momentum are exact, with damping and friction too, and friction
+turns both elements.
 """
 
 from __future__ import annotations
@@ -16,34 +17,34 @@ from jaxrod.structure import pytree
 from jaxrod.systems.element_pairs import Elements, bulge_shares
 
 ROUNDED = 1e-7
-"""Share of the radii within which distances are rounded off [1]."""
+"""Width within which distances are smoothed, over the sum of the radii [1]."""
 
 
 @pytree
 class Touch:
-    """Places on pairs of elements, and how deep they are in each other there."""
+    """Places on pairs of elements, and the penetration there."""
 
     own_fraction: Array
-    """Where on the one element, over its length [1]."""
+    """Place on the first element, over its length [1]."""
     other_fraction: Array
-    """Where on the other [1]."""
+    """Place on the second element, over its length [1]."""
     normal: Vec3
-    """Unit vectors from the other to the one."""
+    """Unit vectors from the second element to the first."""
     weight: Array
-    """What the touch counts: a length in the line law [m], else a number [1]; negative
-    for what is taken away."""
+    """Weight of the touch: a length in the line law [m], else a number [1]; negative
+    for touches that are subtracted."""
     depth: Array
     """Penetration [m]."""
     width: Array
     """Width of the onset of contact [m]."""
     own_radius: Array
-    """Of the one [m]."""
+    """Radius of the first element [m]."""
     other_radius: Array
-    """Of the other [m]."""
+    """Radius of the second element [m]."""
 
     @property
     def arms(self) -> tuple[Vec3, Vec3]:
-        """From both axes to their common point [m]."""
+        """Vectors from both axes to their common point [m]."""
         overlap = 0.5 * self.depth
         return (
             vectors.scale(overlap - self.own_radius, self.normal),
@@ -53,7 +54,7 @@ class Touch:
 
 @pytree
 class Law:
-    """Numbers of the law of contact: per length of contact, or per crossing."""
+    """Numbers of the law of contact, per length of contact or per crossing."""
 
     stiffness: Array
     """Force per penetration [N/m^2] or [N/m]."""
@@ -62,10 +63,10 @@ class Law:
     friction: Array | None
     """Coefficient of friction [1]."""
     friction_drag: Array | None
-    """Largest friction per speed of slip [kg/(m s)] or [kg/s]."""
+    """Largest friction per slip speed [kg/(m s)] or [kg/s]."""
 
     def energy(self, touch: Touch) -> Array:
-        """Of each touch [J]."""
+        """Energy of each touch [J]."""
         density = energy_density(touch.depth, touch.width, self.stiffness)
         return touch.weight * density
 
@@ -76,29 +77,29 @@ OnElements = tuple[Vec3, Vec3, Vec3 | None, tuple[Vec3, Vec3] | None]
 
 @pytree
 class PairLoads:
-    """What elements of pairs do to each other, by what they differ in.
+    """Loads of pairs of elements on each other.
 
-    Conjugate to the way between the first nodes and to both edges: the one gets the
-    force at its first node, the other the opposite.
+    Forces are conjugate to the way between the elements' first nodes and to both edges.
+    The first element gets the force `way`, the second its opposite.
     """
 
     way: Vec3
-    """Force on the one, at its first node [N]."""
+    """Total force on the first element [N]."""
     own_edge: Vec3
-    """What of it is at the next node instead [N]."""
+    """Part of this force that acts at the next node of the first element [N]."""
     other_edge: Vec3
-    """What the other gets at its next node [N]."""
+    """Force at the next node of the second element, part of its total [N]."""
     own_turn: Vec3 | None = None
-    """Couple on the one [N m]."""
+    """Couple on the first element [N m]."""
     other_turn: Vec3 | None = None
-    """Couple on the other [N m]."""
+    """Couple on the second element [N m]."""
     own_bulges: tuple[Vec3, Vec3] | None = None
     """Part of the force on the first that acts on the bulges of a smooth axis [N]."""
     other_bulges: tuple[Vec3, Vec3] | None = None
     """The same part of the force on the second [N]."""
 
     def added(self, more: PairLoads) -> PairLoads:
-        """Sum of both."""
+        """Sum of both loads."""
         return PairLoads(
             vectors.add(self.way, more.way),
             vectors.add(self.own_edge, more.own_edge),
@@ -111,14 +112,14 @@ class PairLoads:
 
     @property
     def on_own(self) -> OnElements:
-        """On first nodes, next nodes, sections and tangents of the one."""
+        """Loads on both nodes, sections and tangents of the first elements."""
         edge = _less(self.own_edge, self.own_bulges)
         first = vectors.subtract(self.way, edge)
         return first, edge, self.own_turn, self.own_bulges
 
     @property
     def on_other(self) -> OnElements:
-        """On first nodes, next nodes, sections and tangents of the other."""
+        """Loads on both nodes, sections and tangents of the second elements."""
         edge = _less(self.other_edge, self.other_bulges)
         first = vectors.scale(-1.0, vectors.add(self.way, edge))
         return first, edge, self.other_turn, self.other_bulges
@@ -134,10 +135,10 @@ def touch_at(
     """The touch of two places.
 
     Args:
-        way: From the place on the other element to that on the one [m].
-        fractions: Where they are on both, own first [1].
-        weight: What it counts.
-        radii: Of both, own first [m].
+        way: Vector from the place on the second element to that on the first [m].
+        fractions: Places on the first and on the second element [1].
+        weight: Weight of the touch.
+        radii: Radii of the first and of the second element [m].
         onset: Width of the onset over the mean of the radii [1].
     """
     together = radii[0] + radii[1]
@@ -162,14 +163,14 @@ def loads_of(
     law: Law,
     share: Array | None = None,
 ) -> PairLoads:
-    """Normal force, dashpot and friction at a touch, times what it counts.
+    """Normal force, dashpot and friction at a touch, times its weight.
 
     Args:
         touch: The touch.
-        own: The one elements.
-        other: The other elements.
+        own: First elements.
+        other: Second elements.
         law: Numbers of the law.
-        share: Of the dashpot and of friction, what is there; all of it by default.
+        share: Fraction of the dashpot and of friction that counts; all by default [1].
     """
     rate: Vec3 | None = None
     leaving = jnp.zeros_like(touch.depth)
@@ -214,7 +215,7 @@ def loads_of(
 def on_bulges(
     elements: Elements, fraction: Array, force: Vec3
 ) -> tuple[Vec3, Vec3] | None:
-    """Part of a force at a place that acts on the bulges; `None` without any [N]."""
+    """Parts of a force at a place that act on the bulges [N]; `None` without bulges."""
     if elements.bulges is None:
         return None
     first, second = bulge_shares(fraction)
@@ -222,7 +223,7 @@ def on_bulges(
 
 
 def elastic_push(touch: Touch, law: Law) -> Array:
-    """What the spring of a touch pushes with, per what it counts."""
+    """Force of the spring of a touch, per weight of the touch."""
     still = jnp.zeros_like(touch.depth)
     return normal_force(touch.depth, still, touch.width, law.stiffness)
 
@@ -248,7 +249,7 @@ def _both_added(
 
 
 def _less(edge: Vec3, bulges: tuple[Vec3, Vec3] | None) -> Vec3:
-    """A force on the edge, where tangents count from it."""
+    """Force on the edge, with tangents as variables in place of the bulges [N]."""
     if bulges is None:
         return edge
     return vectors.subtract(edge, vectors.add(*bulges))

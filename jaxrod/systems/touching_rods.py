@@ -1,7 +1,7 @@
-"""What laws of contact between rods have in common: pairs of elements, and their sums.
+"""Common part of laws of contact between rods: pairs of elements, and sums over them.
 
-A law says which touches a pair of elements has. Pairs are all of two members, or those
-on lists of neighbours (`jaxrod.systems.neighbour_lists`).
+A law defines the touches of a pair of elements. Pairs are all pairs of two members, or
+those on lists of neighbours (`jaxrod.systems.neighbour_lists`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from jaxrod.systems.touches import Law, PairLoads, Touch
 from jaxrod.validation import is_traced
 
 FEW_PAIRS = 40_000
-"""Pairs of elements that are all looked at, where nothing else is said."""
+"""Largest number of pairs of elements for which a search tests all by default."""
 
 
 @pytree
@@ -51,11 +51,11 @@ class TouchingRods(Coupling):
     friction: Float[Array, ""] | None = None
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """Largest friction per speed of slip: [kg/(m s)] per length, or [kg/s]."""
+    """Largest friction per slip speed: [kg/(m s)] per length, or [kg/s]."""
     strands: tuple[Strands, ...] = ()
     """Points and segments of each member, once prepared."""
     lists: NeighbourLists | None = None
-    """How lists of neighbours are made; `None`: all pairs are looked at."""
+    """Settings of lists of neighbours; `None` to test all pairs in every step."""
     found: Found | None = None
     """The lists, once made."""
     members: tuple[str, ...] = static(default=())
@@ -63,7 +63,7 @@ class TouchingRods(Coupling):
     itself: bool = static(default=False)
     """Whether rods touch themselves."""
     tied: tuple[TiedPair, ...] = static(default=())
-    """Pairs of nodes that are tied together, near which nothing touches."""
+    """Pairs of nodes that are tied together; near them nothing touches."""
     partners: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
 
@@ -71,23 +71,23 @@ class TouchingRods(Coupling):
     """Whether the law has contact points on elements."""
 
     once: ClassVar[bool] = False
-    """Whether two elements of one member are one pair to the law, not two."""
+    """Whether the law counts two elements of one member as one pair, not two."""
 
     smooth: ClassVar[bool] = False
     """Whether the law has smooth axes, not polylines."""
 
-    # What a law says.
+    # Hooks of a law.
 
     def views(self) -> list[tuple[int, int]]:
-        """Pairs of members whose elements meet, by their numbers."""
+        """Numbers of pairs of members whose elements meet."""
         raise _without(self, "views")
 
     def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
-        """Which pairs of elements may touch; `None`: any."""
+        """Mask of the pairs of elements that may touch; `None` for all."""
         raise _without(self, "allowed")
 
     def bounding_radii(self, a: int) -> Array:
-        """Largest radius that the law gives each element of a member [m]."""
+        """Largest radius of each element of a member under the law [m]."""
         raise _without(self, "bounding_radii")
 
     def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
@@ -98,37 +98,37 @@ class TouchingRods(Coupling):
         """Loads of all touches of pairs of elements."""
         raise _without(self, "pair_loads")
 
-    # What follows from it.
+    # Methods that use these hooks.
 
     @property
     def law(self) -> Law:
-        """Its numbers."""
+        """Numbers of the law."""
         return Law(self.stiffness, self.damping, self.friction, self.friction_drag)
 
     @property
     def refresh_every(self) -> int | None:
-        """Steps between lists; `None` without."""
+        """Steps between searches; `None` without lists."""
         return None if self.lists is None else self.lists.refresh_every
 
     @property
     def is_sized(self) -> bool:
-        """Whether numbers of entries are known."""
+        """Whether the sizes of lists are known."""
         return self.lists is None or self.lists.is_sized
 
     @property
     def places_matter(self) -> bool:
-        """Whether places along rods say which pairs touch."""
+        """Whether it depends on rods and places along them which pairs touch."""
         return self.itself or bool(self.tied) or any(s.count > 1 for s in self.strands)
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or is no rod."""
+        """Raises ValueError if a member is missing or is not a rod."""
         for name in self.members:
             check_named(name, parts)
             if not parts[name].is_rod:
                 raise ValueError(f"rods touch rods here, and {name!r} is rigid")
 
     def with_ties(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> TouchingRods:
-        """With what is tied and so does not touch.
+        """The coupling with the tied nodes, near which nothing touches.
 
         Raises:
             ValueError: If there is nothing to touch.
@@ -151,7 +151,7 @@ class TouchingRods(Coupling):
     def all_pairs(
         self, seen: AllSeen, *, moves: bool
     ) -> Iterator[tuple[int, int, Pairs]]:
-        """Pairs of elements of all members that meet, from lists where there are."""
+        """Pairs of elements of all members that meet, from lists if there are any."""
         rows = self._rows(seen, moves=moves)
         for number, (a, b) in enumerate(self.views()):
             listed = None if self.found is None else self.found.lists[number]
@@ -197,7 +197,7 @@ class TouchingRods(Coupling):
         }
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of all contacts [J]; not a number where lists have missed some."""
+        """Energy of all contacts [J]; NaN if lists have missed some."""
         total = jnp.zeros((), self.stiffness.dtype)
         for a, b, pairs in self.all_pairs(seen, moves=False):
             for touch in self.touches(a, b, pairs):
@@ -219,7 +219,7 @@ class TouchingRods(Coupling):
     # Lists.
 
     def search(self, seen: AllSeen) -> Found:
-        """Neighbours of all elements where members are; never differentiated."""
+        """Neighbours of all elements in the given state; never differentiated."""
         assert self.lists is not None
         seen = jax.lax.stop_gradient(seen)
         every = [self._stretches(a, seen) for a in range(len(self.members))]
@@ -229,7 +229,10 @@ class TouchingRods(Coupling):
         )
 
     def moved(self, seen: AllSeen) -> Array:
-        """Farthest that a node is from where lists were made, over half the skin."""
+        """Largest displacement of a node since the search, over half the skin [1].
+
+        For smooth axes it is the bound for places on the axes.
+        """
         assert self.found is not None
         worst = jnp.zeros((), self.stiffness.dtype)
         for name, there in zip(self.members, self.found.places, strict=True):
@@ -240,7 +243,7 @@ class TouchingRods(Coupling):
         return farthest * jnp.sqrt(worst) / (0.5 * self._skin())
 
     def sized(self, seen: AllSeen) -> TouchingRods:
-        """With as many entries as a concrete state needs, and some to spare.
+        """The coupling with lists sized for a concrete state, with spare entries.
 
         Raises:
             ValueError: If the state is traced.
@@ -259,12 +262,12 @@ class TouchingRods(Coupling):
         """Lists with as many entries as a concrete state needs, and some to spare.
 
         Args:
-            seen: The state.
-            spare: Entries for what was counted.
+            seen: Members in this state.
+            spare: Function from a count to the number of entries for it.
         """
         assert self.lists is not None
         lists, given = self.lists, self.lists
-        # Counts are right as far as there was room for what they are counted among.
+        # A count is right only if the stage before had enough room.
         for _ in range(3):
             trial = replace(
                 lists,
@@ -291,7 +294,7 @@ class TouchingRods(Coupling):
         elements = elements_at(
             strand, seen[self.members[a]], placed=placed, smooth=self.smooth
         )
-        # Forces begin half a width of the onset before surfaces touch.
+        # Forces begin half an onset width before surfaces touch.
         radii = (1 + 0.25 * self.onset) * self.bounding_radii(a)
         if elements.bulges is not None:
             radii = radii + farthest_from_chord(elements.bulges)
@@ -300,7 +303,7 @@ class TouchingRods(Coupling):
         return Stretches(elements, radii + 0.5 * self._skin(), numbers)
 
     def _skin(self) -> Array:
-        """Gap of surfaces up to which elements are listed [m]."""
+        """Gap between surfaces up to which elements are listed [m]."""
         assert self.lists is not None
         largest = [jnp.max(strand.radii) for strand in self.strands]
         return self.lists.skin * jnp.max(jnp.stack(largest))
@@ -314,7 +317,7 @@ def _without(law: TouchingRods, hook: str) -> NotImplementedError:
 
 
 def same_rod(own: Elements, other: Elements) -> Array:
-    """Whether elements of one member are of one rod."""
+    """Whether two elements of one member belong to the same rod."""
     assert own.rods is not None and other.rods is not None
     return own.rods == other.rods
 
