@@ -57,7 +57,7 @@ def braid(
         joined: "pinned" or "free".
         plate_density: Density of the plates [kg/m^3].
         effects: Effects on every strand.
-        **rod: Material, passed to `jaxrod.straight_rod`.
+        **rod: Material, passed to `jaxrod.rod_along`.
 
     Returns:
         The system and its state at rest; the strands are naturally curved.

@@ -1,9 +1,9 @@
-"""Anchors: points fixed in elements of rods and in rigid bodies, to which forces go.
+"""Anchors: points fixed in elements of rods and in rigid bodies, which take forces.
 
 An anchor on a rod is a node and an offset in the frame of an element there; on a body
-an offset in the body's frame. A force at a point near it goes to the node, with the
-couple of its lever arm to the element, so that pairs of forces at one point have no
-moment.
+it is an offset in the body's frame. A force at a point near the anchor acts on the
+node, and the couple of its lever arm on the element. So pairs of forces at one point
+have no moment.
 """
 
 from __future__ import annotations
@@ -32,16 +32,17 @@ class Anchors:
     """Points fixed on one member."""
 
     points: Points
-    """Node and element of each."""
+    """Node and element of each anchor."""
     offsets: Float[Array, "3 anchors"]
-    """From the node or the body's origin, in the frame of the element or body [m]."""
+    """Offsets from the node or the body's origin, in the element's or body's frame [m].
+    """
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if the member is missing or smaller."""
+        """Raises ValueError if the member is missing or too small."""
         self.points.check(parts)
 
     def arms(self, seen: Seen) -> Vec3:
-        """From the nodes to the anchors, world frame [m]."""
+        """Vectors from the nodes to the anchors, world frame [m]."""
         frame = directors(orientation_at(seen, self.points))
         return to_world(frame, vectors.split(self.offsets))
 
@@ -55,13 +56,13 @@ class Anchors:
         return vectors.add(self.nodes(seen), self.arms(seen))
 
     def velocities(self, seen: Seen, point: Vec3) -> Vec3:
-        """Velocities of what is fixed to the elements at some points [m/s]."""
+        """Velocities of the elements' material at some points [m/s]."""
         x, y, z = (picked(c, self.points.nodes) for c in seen.motion.velocity)
         arm = vectors.subtract(point, self.nodes(seen))
         return vectors.add((x, y, z), vectors.cross(spin_at(seen, self.points), arm))
 
     def loads(self, seen: Seen, force: Vec3, point: Vec3) -> Loads:
-        """Loads of forces at some points, on the nodes and elements of the anchors."""
+        """Loads on the anchors' nodes and elements, from forces at some points."""
         arm = vectors.subtract(point, self.nodes(seen))
         frame = directors(orientation_at(seen, self.points))
         return Loads(force, to_material(frame, vectors.cross(arm, force)))
@@ -71,7 +72,7 @@ class Anchors:
 
         Args:
             parts: Constants of the member.
-            reach: By how much forces may act beyond the anchors [m].
+            reach: Distance by which forces may act beyond the anchors [m].
         """
         masses = parts.node_masses[self.points.nodes.values]
         arm = vectors.safe_norm(vectors.split(self.offsets)) + reach
@@ -87,9 +88,9 @@ def anchors(
     """Anchors at places of one member.
 
     Args:
-        name: Of the argument, for messages.
-        places: Places on it.
-        at: Where each anchor is in `state`, world frame [m]; `None` for the node.
+        name: Name of the argument, for messages.
+        places: Places on the member.
+        at: Position of each anchor in `state`, world frame [m]; `None` for the node.
         state: State of the system.
     """
     layouts = layouts_of(state)

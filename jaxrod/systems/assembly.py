@@ -38,21 +38,21 @@ from jaxrod.systems.rigid_stepper import Carried, RigidStepper
 from jaxrod.systems.stepper import SystemStepper
 
 Member = Scene | RigidBodies
-"""A rod with its effects, equal ones with a leading axis, or rigid bodies."""
+"""A rod with its effects, equal rods with a leading axis, or rigid bodies."""
 SystemState = Mapping[str, Any]
 """States of the members, by name: `RodState` or `BodyState`."""
 
 
 @pytree
 class Assembly:
-    """Rods and rigid bodies by name, and what they do to each other."""
+    """Rods and rigid bodies by name, and the couplings between them."""
 
     members: dict[str, Member]
     """The members, by name."""
     couplings: tuple[Coupling, ...] = ()
     """Couplings between them."""
     shapes: tuple[tuple[int, ...], ...] = static(default=())
-    """Of each member's elements or bodies, as it was made."""
+    """Shapes of each member's elements or bodies, as the system was made."""
 
     @property
     def dtype(self) -> Any:
@@ -69,12 +69,12 @@ class Assembly:
 
     @property
     def remembers(self) -> bool:
-        """Whether an effect on a rod has something that it remembers."""
+        """Whether an effect on a rod has memory."""
         return any(m.remembers for m in self.members.values() if isinstance(m, Scene))
 
     @property
     def evolves(self) -> bool:
-        """Whether it depends on time or remembers."""
+        """Whether the system depends on time or has memory."""
         return self.depends_on_time or self.remembers
 
     def at(self, time: ArrayLike | Clock) -> Self:
@@ -90,7 +90,10 @@ class Assembly:
         return self._replaced(at_largest) if self.depends_on_time else self
 
     def _replaced(self, function: Callable[[Any], Any]) -> Self:
-        """With a function of every member, rod by rod, and of the couplings."""
+        """The system with a function applied to every member and to the couplings.
+
+        It is applied to equal rods one by one.
+        """
         members = {
             name: jax.vmap(function)(member) if is_group(member) else function(member)
             for name, member in self.members.items()
@@ -98,7 +101,7 @@ class Assembly:
         return replace(self, members=members, couplings=function(self.couplings))
 
     def recalling(self, state: SystemState) -> Assembly:
-        """The system with what its effects remember as it is in a state."""
+        """The system whose effects have the memories of a state."""
         if not self.remembers:
             return self
         members = {
@@ -108,14 +111,14 @@ class Assembly:
         return replace(self, members=members)
 
     def parts(self) -> dict[str, Parts]:
-        """Constants of all members as couplings see them, without what holds them."""
+        """Constants of all members as couplings see them, without supports."""
         return {
             name: parts_of(m if isinstance(m, RigidBodies) else m.rod)
             for name, m in self.members.items()
         }
 
     def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
-        """The integrator, its constants worked out for one call."""
+        """The integrator, with constants computed for one call."""
         parts = held_parts(self, state)
         couplings = tuple(coupling.prepared(parts) for coupling in self.couplings)
         carried: dict[str, Carried] = {}
@@ -135,7 +138,7 @@ class Assembly:
 
 
 def is_group(member: Member) -> bool:
-    """Whether a member is equal rods with a leading axis."""
+    """Whether a member consists of equal rods with a leading axis."""
     return isinstance(member, Scene) and member.rod.rest_lengths.ndim > 1
 
 
@@ -147,7 +150,7 @@ def member_shapes(members: Mapping[str, Member]) -> tuple[tuple[int, ...], ...]:
             return jnp.shape(member.masses)
         return jnp.shape(member.rod.rest_lengths)
 
-    # JAX puts a dict in the order of its keys: names, not as they were given.
+    # JAX sorts a dict by its keys, here the names: the given order is lost.
     return tuple(shape(members[name]) for name in sorted(members))
 
 
@@ -183,9 +186,9 @@ def _verlet(
 
 
 def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
-    """Constants of all members, with what supports hold of their nodes at time 0."""
+    """Constants of all members, with the nodes that supports hold (at time zero)."""
     parts = system.parts()
-    # What is held does not depend on where it is driven to.
+    # The held nodes do not depend on where supports drive them.
     for name, member in system.at(0.0).members.items():
         if isinstance(member, RigidBodies) or not member.effects:
             continue

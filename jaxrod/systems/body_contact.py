@@ -1,10 +1,11 @@
 r"""Contact of rods with rigid bodies that move.
 
-The law is that of `jaxrod.contacts.contact`, at points along the rod against the signed
-distance of a body's surface where the body is, with the velocity of its surface. Force
-and reaction act at one point, $c = x - r n$ on the rod's surface: on the rod's section
-with the lever $-r n$, on the body with the lever $c - X$. Momentum and angular momentum
-are exact, with damping and friction too, and friction makes both roll.
+The law is that of `jaxrod.contacts.contact`: points along the rod against the signed
+distance of the surface of a body at its current pose, with the velocity of this
+surface. Force and reaction act at one point, $c = x - r n$ on the rod's surface: on the
+rod's section with the lever arm $-r n$, on the body with the lever arm $c - X$. So
+momentum and angular momentum are exact, with damping and friction too, and friction
+makes both roll.
 """
 
 from __future__ import annotations
@@ -58,11 +59,11 @@ class BodyContact(Coupling):
     friction: Float[Array, ""] | None = None
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """Largest friction per length and speed of slip [kg/(m s)]."""
+    """Largest friction per length and slip speed [kg/(m s)]."""
     touching: Float[Array, ""] | None = None
     """Length of rod that touches a body at a time, for the stability bound [m]."""
     free_ends: Float[Array, "rods 2"] | None = None
-    """One for each end of the rods that is free, zero where it goes on in another."""
+    """One for each free end of the rods, zero for an end that is tied or attached."""
     strand: Strands | None = None
     """Points of the rods, once prepared; their lengths are zero at ends."""
     ends: Ends | None = None
@@ -75,7 +76,7 @@ class BodyContact(Coupling):
     """Contact points per element; `None`: as many as the radii need."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if members are missing, of other kinds or without shape."""
+        """Raises ValueError if members are missing, of a wrong kind or have no shape."""
         for name, rods in ((self.rod, True), (self.body, False)):
             check_named(name, parts)
             if parts[name].is_rod != rods:
@@ -89,19 +90,19 @@ class BodyContact(Coupling):
             )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
-        """With the number of points."""
+        """The coupling with the number of points."""
         if self.points_per_element is not None:
             return self
-        # A radius apart at most.
+        # At most a radius apart.
         needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
         return replace(self, points_per_element=needed)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
-        """An end that goes on in another rod or in a body has no face."""
+        """The coupling with these free ends: other ends have no face."""
         return replace(self, free_ends=free[self.rod])
 
     def prepared(self, parts: AllParts) -> BodyContact:
-        """With lengths and radii of the points."""
+        """The coupling with lengths and radii of the points."""
         per, free = self.points_per_element, self.free_ends
         assert per is not None and free is not None
         made, ends = strands_and_ends(parts[self.rod], per, free)
@@ -124,7 +125,7 @@ class BodyContact(Coupling):
                 assert turning is not None
                 turning = vectors.add(turning, turn)
             couple = vectors.cross(force, vectors.subtract(place, body.position))
-            # Along the normal, so that any point of its line will do.
+            # These forces are along the normal, so any point on its line will do.
             arm = vectors.subtract(self._ends().beside(points.position), body.position)
             more = vectors.cross(beside, arm)
             reactions.append(
@@ -149,7 +150,7 @@ class BodyContact(Coupling):
         return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
 
     def _on_bodies(self, seen: AllSeen, reactions: list[tuple[Vec3, Vec3]]) -> Loads:
-        """The sums of reactions on each body, couples in the bodies' frames."""
+        """Sums of reactions on each body, with couples in the bodies' frames."""
 
         def row(which: int) -> Vec3:
             x, y, z = (
@@ -164,9 +165,11 @@ class BodyContact(Coupling):
     def _force(
         self, points: ContactPoints, body: Posed
     ) -> tuple[Vec3, Vec3 | None, Vec3, Vec3]:
-        """Forces on the points, couples on their sections, and where they act.
+        """Forces on the points with their couples and places, and forces beside ends.
 
-        And forces at the places beside the ends.
+        Returns:
+            Forces on the points, couples on their sections, the places where the forces
+            act, and forces at the places beside the ends.
         """
         strand, ends = self._strand(), self._ends()
         distance, normal = body.surface(points.position)
@@ -198,7 +201,7 @@ class BodyContact(Coupling):
         return vectors.add(force, rub), vectors.cross(arm, rub), place, pull
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
-        """Penetration by the distance, positive; see `Ends.counted`."""
+        """Function from distance to penetration, positive; see `Ends.counted`."""
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
@@ -233,11 +236,12 @@ class BodyContact(Coupling):
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if all of every rod touched every body.
 
-        Or as much of it as `touching` says. A spring sees the sum of what node and body
-        move; by Cauchy and Schwarz its energy is at most that of all masses together at
-        the square rate `k` times the sum of what each gives way per force: for a node
-        its length over its mass, for a body the length that touches it over its mass,
-        and as much again times the square of the lever over its inertia.
+        With `touching` it is only this length of rod. A spring's change of length is
+        the sum of the contributions of node and body. By the Cauchy-Schwarz inequality
+        its energy is at most that of all masses together at the squared frequency `k`
+        times the sum of the compliances. The compliance of a node is its length over
+        its mass. That of a body is the length touching it over its mass, plus this
+        length times the square of the lever arm over the body's inertia.
         """
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
@@ -260,7 +264,7 @@ class BodyContact(Coupling):
         rate = self.stiffness * (nodes + jnp.max(moving + turning(lever)))
         drag, sections = self.damping, jnp.zeros_like(rate)
         if self.friction_drag is not None:
-            # The section's turning besides, and the ball's about its centre.
+            # Friction also turns the section, and a ball about its centre.
             drag = (
                 self.friction_drag
                 if drag is None
@@ -300,7 +304,7 @@ def _sum(field: Array) -> Array:
 def _bound(
     parts: Parts, rate: Array, slow: Array | None, drags: bool, turns: bool
 ) -> StabilityBound:
-    """Of all masses at a square rate [1/s^2] and a rate of drag [1/s]."""
+    """Bound for all masses at a squared frequency [1/s^2] and a rate of drag [1/s]."""
     inertia = jnp.min(parts.inertias, axis=0)
     return StabilityBound(
         nodes=rate * parts.node_masses,
@@ -311,7 +315,7 @@ def _bound(
 
 
 def _lever(bodies: Parts) -> Array:
-    """Largest lever of a force along the normal about the centre of mass [m]."""
+    """Largest lever arm of a force along the normal about the centre of mass [m]."""
     if isinstance(bodies.shape, Sphere):
         # All normals go through the centre of the ball.
         return jnp.sqrt(jnp.sum(bodies.shape.centre**2))
@@ -319,7 +323,10 @@ def _lever(bodies: Parts) -> Array:
 
 
 def _size(bodies: Parts) -> Array:
-    """Largest distance of a surface from the centre, of what is filled evenly [m]."""
+    """Largest distance of a surface from the centre, from the inertia [m].
+
+    Computed for bodies of uniform density.
+    """
     largest = jnp.max(bodies.inertias, axis=0)
     return jnp.sqrt(5 * largest / bodies.node_masses)
 
@@ -338,7 +345,7 @@ def body_contact(
 ) -> BodyContact:
     """Contact of the rods of one member with the rigid bodies of another.
 
-    With fixed bodies a rod's own `contact` is cheaper.
+    For fixed bodies a rod's own effect `contact` is cheaper.
 
     Args:
         rod: Name of a rod, or of equal rods.
@@ -346,13 +353,13 @@ def body_contact(
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length and normal speed [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].
-        friction_drag: Largest friction per length and speed of slip [kg/(m s)]; by
-            default as much as `damping`.
+        friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
+            equal to `damping`.
         onset: Width of the smooth onset of contact over the rod's radius [1].
         points_per_element: Contact points per element; by default so many that they
-            are a radius apart.
-        touching: Length of rod that touches a body at a time, for `stable_dt`; all of
-            it by default [m].
+            are at most a radius apart.
+        touching: Length of rod that touches a body at a time, for `stable_dt`; by
+            default all of it [m].
 
     Returns:
         A coupling for `make_system`.

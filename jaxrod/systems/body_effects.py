@@ -1,8 +1,8 @@
-"""Effects on rigid bodies: which there may be, checked before the first step.
+"""Effects on rigid bodies: a check, before the first step, of which ones are possible.
 
-A body is one node and one element. Of the hooks of an effect, bodies have `loads`,
-`energy` and `damping_rates`, and they have masses alone: what asks for more, such as
-lengths or radii, or gives loads for the nodes of a rod, does not act on them.
+A body is one node and one element. Bodies support three hooks of an effect, `loads`,
+`energy` and `damping_rates`, and only have masses. An effect that asks for more, such
+as lengths or radii, or returns loads for the nodes of a rod, does not act on them.
 """
 
 from __future__ import annotations
@@ -31,19 +31,20 @@ _OF_RODS = (
     "drag",
     "stability_bound",
 )
-"""Hooks that do something to a rod, and would do nothing to a body."""
+"""Hooks that act on a rod but would do nothing to a body."""
 
 
 def check_body_effects(name: str, bodies: RigidBodies) -> None:
     """Checks that bodies have what their effects ask for.
 
     Args:
-        name: Of the member, for messages.
+        name: Name of the member, for messages.
         bodies: The bodies.
 
     Raises:
-        ValueError: Naming member and effect.
-        TypeError: If an effect is none.
+        ValueError: If an effect does not act on bodies; the message names member and
+            effect.
+        TypeError: If an effect is not an effect of jaxrod.
     """
     for effect in bodies.effects:
         if not isinstance(effect, Effect):
@@ -81,7 +82,7 @@ def _try(name: str, effect: Effect, bodies: RigidBodies) -> None:
     try:
         loads, energy, rates = jax.eval_shape(asked, bodies)
     except Exception as error:
-        # Whatever it is: an effect may ask for anything that a rod has.
+        # Any exception: an effect may ask for anything that a rod has.
         raise _unfit(name, effect, f"{type(error).__name__}: {error}") from error
     for what, found in (("forces", loads.forces), ("couples", loads.couples)):
         shapes = {jnp.shape(component) for component in found or ()}
@@ -106,7 +107,7 @@ def _unfit(name: str, effect: Effect, why: str) -> ValueError:
 
 
 def in_type(dtype: Any) -> Any:
-    """A function that gives floating-point numbers a type and leaves others."""
+    """Function that converts floating-point numbers to a type and leaves others."""
 
     def cast(leaf: Any) -> Array:
         array = jnp.asarray(leaf)

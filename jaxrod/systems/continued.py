@@ -1,12 +1,12 @@
-"""Ends of rods that go on in other rods.
+"""Ends of rods that continue in other rods.
 
 A free end has a face; an end that is tied to another node has none.
 
-Contact of rods with rods counts segments less the nodes between two of them, so that
-every place counts once. Where the ends of rods are tied, a node is between segments
-that are neighbours in no row: of a group of tied nodes all but one are taken off too.
-This can be done for last nodes, which are enough for rods welded end to end and for
-closed ones.
+Contact of rods with rods counts segments minus the nodes between them
+(inclusion-exclusion), so that every place counts once. Where ends of rods are tied, a
+node is between segments that are neighbours in no row. So all nodes but one of a group
+of tied nodes are subtracted too. This is possible for last nodes, which is enough for
+rods welded end to end and for closed rods.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from jaxrod.systems.coupling import AllParts, TiedPair
 def last_but_continued(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Last segments of rods of a member after which another rod goes on.
+    """Last segments of rods of a member after which another rod continues.
 
     Args:
         member: Name of the member.
-        parts: Of all members.
+        parts: Constants of all members.
         tied: Pairs of nodes that are tied together, in both orders.
     """
 
@@ -43,7 +43,8 @@ def last_but_continued(
     for rod in range(parts[member].count):
         here = (member, rod * (n + 1) + n)
         others = fellows.get(here, [])
-        # One of a group stays: one that is no last node, or else the first by name.
+        # One node of a group stays: one that is not a last node, else the first by
+        # name.
         stays = others and all(map(is_last, others)) and here < min(others)
         if others and not stays:
             found.append(rod * n + n - 1)
@@ -53,15 +54,15 @@ def last_but_continued(
 def free_ends(
     member: str, parts: AllParts, held: Iterable[tuple[str, int]]
 ) -> np.ndarray:
-    """One for each first and last end of a member's rods that is free, else zero.
+    """One for each free first or last end of a member's rods, zero for other ends.
 
     Args:
         member: Name of the member.
-        parts: Of all members.
+        parts: Constants of all members.
         held: Nodes of members that are tied to other nodes or attached to bodies.
 
     Returns:
-        `(rods, 2)`.
+        Ones and zeros `(rods, 2)`.
     """
     own = parts[member]
     last = own.n_elements
@@ -80,7 +81,7 @@ def closed_rods(
 
     Args:
         member: Name of the member.
-        parts: Of all members.
+        parts: Constants of all members.
         tied: Pairs of nodes that are tied together, in both orders.
     """
     n, found = parts[member].n_elements, []

@@ -1,4 +1,4 @@
-"""The base of all that members of a system do to each other, and its hooks."""
+"""The base of all couplings between members of a system, and its hooks."""
 
 from __future__ import annotations
 
@@ -12,28 +12,31 @@ from jaxrod.rods.motion import Loads, Motion
 from jaxrod.systems.parts import Parts, Seen
 
 AllSeen = Mapping[str, Seen]
-"""Members of a system at a moment, by name."""
+"""Members of a system at one moment, by name."""
 AllParts = Mapping[str, Parts]
 """Constants of the members of a system, by name."""
 TiedPair = tuple[str, int, str, int]
-"""Member and node of the one and of the other."""
+"""Two tied nodes: member and node of the first, member and node of the second."""
 
 
 class Coupling:
-    """Base of all couplings: every hook does nothing. A subclass is a pytree.
+    """Base of all couplings, whose hooks do nothing by default. A subclass is a pytree.
 
-    Hooks are pure. Members are named; a member that a hook does not return is left as
-    it is. Nodes and elements of a member lie in one row (`jaxrod.systems.parts`).
+    Hooks are pure. Members are identified by name; a member that a hook does not return
+    is unchanged. Nodes and elements of a member are in one row
+    (`jaxrod.systems.parts`).
 
     Forces come in pairs: all loads of a coupling together have no force, and no couple
     about any point. Ties (`constrain`, `exchange`, `constrain_rates`) hold exactly.
     """
 
     def check(self, parts: AllParts) -> None:
-        """Raises a `ValueError` where the coupling does not fit the members."""
+        """Raises a `ValueError` if the coupling does not fit the members."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> Coupling:
-        """Itself with structure that follows from the members; for `make_system`.
+        """The coupling with structure that follows from the members.
+
+        `make_system` calls it.
 
         Args:
             parts: Constants of the members.
@@ -42,55 +45,58 @@ class Coupling:
         return self
 
     def joined_nodes(self) -> Iterable[tuple[str, int]]:
-        """Nodes of members that are one with other nodes, or part of a body."""
+        """Nodes of members that are tied to other nodes, or part of a body."""
         return ()
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
-        """The same coupling of rods with ends that may go on in other members.
+        """The coupling, told which ends of rods are free and which continue.
 
         Args:
-            free: By member, one for the first and the last end of each of its rods that
-                is free, zero where it is tied to a node or attached to a body,
-                `(rods, 2)`.
+            free: For each member, numbers for the first and the last end of each of its
+                rods: one if the end is free, zero if it is tied to a node or attached
+                to a body, `(rods, 2)`.
         """
         return self
 
     def prepared(self, parts: AllParts) -> Coupling:
-        """Itself with constants worked out once, before the first step."""
+        """The coupling with constants computed once, before the first step."""
         return self
 
     @property
     def refresh_every(self) -> int | None:
-        """Steps after which what `search` found is looked for anew; `None`: nothing."""
+        """Steps between calls of `search`; `None` if there is nothing to search."""
         return None
 
     @property
     def is_sized(self) -> bool:
-        """Whether there is room for what `search` finds."""
+        """Whether the room for the results of `search` is known."""
         return True
 
     def sized(self, seen: AllSeen) -> Coupling:
-        """Itself with room for what `search` finds in a state; for `make_system`."""
+        """The coupling with room for the results of `search` in a state.
+
+        `make_system` calls it.
+        """
         return self
 
     def search(self, seen: AllSeen) -> Any:
-        """What it looks for once in a while, as arrays; with `refresh_every`.
+        """Result of an occasional search, as a pytree of arrays; for `refresh_every`.
 
-        With fields `missed`, `used` and the coupling's field `found`, in which it is
+        It has fields `missed` and `used`, and stays in the coupling's field `found`
         until the next search: see `jaxrod.systems.neighbour_lists`.
         """
         # Not abstract: couplings without `refresh_every` are never asked.
         raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def moved(self, seen: AllSeen) -> Array:
-        """How far members are from where `search` was, over how far they may be."""
+        """Displacement of members since the last search, over the allowed one [1]."""
         # As above.
         raise NotImplementedError(f"{type(self).__name__} has no moved")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces on nodes, world frame [N], and couples on elements, own frames [N m].
 
-        Called where the loads of effects are.
+        They are computed at the same moment as the loads of effects.
         """
         return {}
 
@@ -99,15 +105,15 @@ class Coupling:
         return 0.0
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Motions with what follows another member where that one has it."""
+        """Motions of members whose nodes follow others, with these put in place."""
         return {}
 
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
         """Impulses that pass from member to member in a kick.
 
         Args:
-            before: Before the kick.
-            after: After it; every member was kicked by its own loads.
+            before: Members before the kick.
+            after: Members after the kick; each was kicked by its own loads.
 
         Returns:
             Forces times time on nodes, world frame [N s], and couples times time on
@@ -116,17 +122,20 @@ class Coupling:
         return {}
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
-        """Motions with the rates of what is tied, after kicks and exchanges."""
+        """Motions with tied rates made equal, after kicks and exchanges."""
         return {}
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on how steeply `loads` change, member by member.
+        """Bounds on the stiffness and drag of `loads`, member by member.
 
-        For a spring of stiffness `k` on an elongation that changes by `g_i . u_i`,
-        `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough: see `shared_bound`.
+        For a spring of stiffness `k` on an elongation that changes by the sum of
+        `g_i . u_i`, the bound `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
         """
         return {}
 
     def violation(self, seen: AllSeen) -> Array | None:
-        """How far a state is from what is tied [1]; above one `health` flags it."""
+        """Violation of the coupling in a state [1]; `health` flags it above a limit.
+
+        The limit is one by default.
+        """
         return None

@@ -1,18 +1,21 @@
 r"""Contact per pair of elements: PyElastica's law, for comparisons.
 
-Of every two elements, one spring and one dashpot between their nearest places, as
-`RodRodContact` and `RodSelfContact` of PyElastica 1.0 have them. With $n$ from the one
-to the other, $\gamma = r_1 + r_2 - d$ and mean velocities of the nodes of each,
+Every pair of elements has one spring and one dashpot between their closest points, as
+in `RodRodContact` and `RodSelfContact` of PyElastica 1.0. With $n$ from the first
+element to the second, $\gamma = r_1 + r_2 - d$ and the mean velocity of the nodes of
+each element,
 
 $$F = \tfrac12\,(k \gamma + \nu\,(v_1 - v_2)\cdot n)\,n \quad (\gamma > 0)$$
 
-acts on each of the four nodes; of an end element two thirds on the node at the end and
-four thirds on the other. Sections thin out as they are stretched.
+acts on each of the four nodes. For an element at the end of a rod, two thirds of it act
+on the end node and four thirds on the other. Sections become thinner as elements
+stretch.
 
-The law changes with the elements: rods side by side have several springs for each, a
-crossing near a node up to four. Forces act at middles of elements wherever they touch,
-so that angular momentum is lost and there is no energy; the dashpot pulls; the force
-jumps at first touch. `rod_contact` and `crossing_contact` are without these faults.
+The law depends on the discretisation: rods side by side have several springs for each
+element, and a crossing near a node has up to four. Forces act at the middles of
+elements wherever they touch, so angular momentum is lost and there is no energy. The
+dashpot pulls, and the force jumps at first touch. `rod_contact` and `crossing_contact`
+are without these faults.
 """
 
 from __future__ import annotations
@@ -35,9 +38,9 @@ from jaxrod.systems.segment_distance import Products, between, products
 from jaxrod.validation import Numbers, as_array, check_count
 
 _PARALLEL = 1e-6
-"""Below this square of the sine of their angle theirs takes elements for parallel."""
+"""Squared sine of the angle below which PyElastica takes elements for parallel [1]."""
 _NEAR = 0.8 * math.pi
-"""Of one rod, elements nearer than this many radii do not touch."""
+"""Distance along a rod within which its elements do not touch, over the radius [1]."""
 
 
 @pytree
@@ -45,11 +48,11 @@ class ElementContact(Coupling):
     """PyElastica's contact of two rods, or of one with itself."""
 
     stiffness: Float[Array, ""]
-    """Of every pair of elements [N/m]."""
+    """Stiffness of every pair of elements [N/m]."""
     damping: Float[Array, ""]
-    """Of every pair of elements [kg/s]."""
+    """Damping of every pair of elements [kg/s]."""
     members: tuple[str, ...] = static(default=())
-    """Two rods, or one that touches itself."""
+    """Names of two rods, or of one that touches itself."""
     pairs: int = static(default=4)
     """Elements that touch one element at a time, for the stability bound."""
 
@@ -84,10 +87,10 @@ class ElementContact(Coupling):
         return jnp.max(jnp.where(near.touch, 2 * near.depth / near.radii, 0))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """As if every element touched as many others as `pairs` says.
+        """Stiffness and drag as if every element touched `pairs` others.
 
-        A node has two elements, each with up to four thirds of half a spring's force,
-        which both rods' displacements change.
+        A node has two elements. Each brings up to four thirds of half a spring's force,
+        which changes with the displacements of both rods.
         """
         share = 2 * (4 / 3) * self.pairs
         return {
@@ -99,7 +102,7 @@ class ElementContact(Coupling):
 
 
 class _Row:
-    """Elements of a rod where it is, as they are stretched."""
+    """Elements of a rod in its current state, with radii thinned by stretch."""
 
     def __init__(self, seen: Seen) -> None:
         motion, parts = seen.motion, seen.parts
@@ -113,7 +116,7 @@ class _Row:
         self.velocity: Vec3 = (u, v, w)
 
     def on_nodes(self, forces: Vec3) -> Vec3:
-        """Forces on nodes, from what each element hands to its two."""
+        """Forces on nodes, from the forces of elements on each of their two nodes."""
         n = self.lengths.shape[0]
         earlier, later = np.ones(n), np.ones(n)
         earlier[-1], later[-1] = 4 / 3, 2 / 3
@@ -126,10 +129,10 @@ class _Row:
 
 
 class _Near:
-    """Where every element of one rod is nearest to every one of another."""
+    """Normals and penetrations of all pairs of elements at their closest points."""
 
     touch: Bool[Array, "one two"]
-    """Whether they touch."""
+    """Whether pairs touch."""
 
     def __init__(self, one: _Row, two: _Row, *, itself: bool) -> None:
         way = vectors.subtract(_upright(one.first), _beside(two.first))
@@ -147,9 +150,10 @@ class _Near:
 
 
 def _places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array]:
-    """Nearest places on both elements as PyElastica finds them [1].
+    """Closest points of both elements as PyElastica finds them [1].
 
-    Of parallel elements one of many: that of the other's beginning, if it is there.
+    Parallel elements have many. The one taken on the first element is closest to the
+    start of the second.
     """
     have = products(way, own, other)
     beginning = have.on_own(0.0)
@@ -172,7 +176,7 @@ def _at_border(
     outside: Array,
     inside: tuple[Array, Array],
 ) -> tuple[Array, Array]:
-    """The nearest of the four ends, where what is nearest of all lies outside."""
+    """Closest points at one of the four ends, if those of the lines are outside."""
     zero, one = jnp.zeros_like(inside[0]), jnp.ones_like(inside[0])
     s, t = have.on_own(0.0), zero
     least = _square(between(way, own, other, (s, t)))
@@ -212,9 +216,9 @@ def element_contact(
 ) -> ElementContact:
     """PyElastica's contact of two rods, or of one with itself, for comparisons.
 
-    `RodRodContact` but for what answers the force that presses the rods together, and
-    `RodSelfContact`. It depends on the number of elements, and angular momentum is
-    lost: `rod_contact` and `crossing_contact` are for everything else.
+    It is `RodRodContact`, without the part that responds to the force pressing the rods
+    together, and `RodSelfContact`. It depends on the number of elements, and angular
+    momentum is lost: use `rod_contact` and `crossing_contact` for everything else.
 
     Args:
         *members: Names of two rods, or of one that touches itself.
@@ -227,7 +231,7 @@ def element_contact(
 
     Raises:
         ValueError: If a number is out of range, or there are not one or two members.
-        TypeError: If a name is none.
+        TypeError: If a name is not a string.
     """
     for name in members:
         if not isinstance(name, str):

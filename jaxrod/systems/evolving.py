@@ -1,4 +1,4 @@
-"""Steps of a system that depends on time or remembers."""
+"""Steps of a system that depends on time or has memory."""
 
 from __future__ import annotations
 
@@ -31,34 +31,34 @@ Memories = dict[str, Any]
 
 @pytree
 class SystemNow:
-    """How far a system has come in time."""
+    """Step number and memories of a system during a run."""
 
     step: Int[Array, ""]
     """Whole steps since time zero."""
     memories: Memories
-    """What the effects of its rods remember."""
+    """Memories of the effects of its rods."""
 
 
 @pytree
 class EvolvingSystem:
-    """Position Verlet of a system that depends on time or remembers.
+    """Position Verlet of a system that depends on time or has memory.
 
-    As of a scene: loads and rates are those of the middle of a step, what is held is
-    where it is at the end of a drift.
+    As for a scene, loads and rates are those of the middle of a step, and supports are
+    where they are at the end of a drift.
     """
 
     steps_of_end: ClassVar[int] = 1
     stepper: SystemStepper
-    """The stepper of the system as it is when it begins."""
+    """The stepper of the system at the beginning of the run."""
     system: Assembly
     """The system with its schedules."""
     couplings: tuple[Coupling, ...]
     """Couplings, prepared, with their schedules."""
     first: Int[Array, ""]
-    """Steps since time zero when it begins."""
+    """Steps since time zero at the beginning of the run."""
 
     def begin(self, state: Mapping[str, Any]) -> tuple[Motions, SystemNow]:
-        """To the middle of the first step."""
+        """Carry in the middle of the first step."""
         memories = {
             name: _memory(member, state[name])
             for name, member in self.system.members.items()
@@ -68,12 +68,12 @@ class EvolvingSystem:
         return self._at(now, 0.5).begin(state), now
 
     def cycle(self, carry: tuple[Motions, SystemNow]) -> tuple[Motions, SystemNow]:
-        """From the middle of a step to the middle of the next."""
+        """Moves from the middle of a step to the middle of the next."""
         kicked, now = self._kick(carry)
         return self._at(now, 0.5).drift(kicked, self.stepper.dt), now
 
     def end(self, carry: tuple[Motions, SystemNow]) -> dict[str, Any]:
-        """From the middle of the last step to its end."""
+        """Moves from the middle of the last step to its end."""
         kicked, now = self._kick(carry)
         last = self._at(now, 0.0)
         moved = last.drift(kicked, 0.5 * self.stepper.dt)
@@ -96,7 +96,7 @@ class EvolvingSystem:
         return kicked, SystemNow(now.step + 1, after)
 
     def _remembered(self, member: MemberStepper, motion: Any, memory: Any) -> Any:
-        """What a rod's effects remember one step later."""
+        """Memory of a rod's effects one step later."""
         if not any(memory):
             return memory
         dt, none = self.stepper.dt, jnp.zeros((), jnp.int32)
@@ -110,7 +110,7 @@ class EvolvingSystem:
         return one(member.verlet.scene, motion, memory)
 
     def _at(self, now: SystemNow, fraction: float) -> SystemStepper:
-        """The stepper with the system as it is a part of a step later."""
+        """The stepper with the system as it is a fraction of a step later."""
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
         members: dict[str, MemberStepper] = {}

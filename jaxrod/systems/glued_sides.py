@@ -27,12 +27,12 @@ class GluedSide:
     points: Points
     """The elements, with their first nodes."""
     offsets: Float[Array, "3 pairs"]
-    """From the middles of the elements to the glue, in their frames [m]."""
+    """Vectors from the middles of the elements to the glue, in their frames [m]."""
     nexts: Indices = static()
-    """Their other nodes."""
+    """Next nodes of the elements."""
 
     def middles(self, seen: Seen, field: Vec3) -> Vec3:
-        """A field on nodes, at the middles of the elements."""
+        """Values of a field on nodes at the middles of the elements."""
         x, y, z = (
             0.5 * (picked(c, self.points.nodes) + picked(c, self.nexts)) for c in field
         )
@@ -45,13 +45,13 @@ class GluedSide:
         return vectors.add(self.middles(seen, seen.motion.position), arms)
 
     def velocities(self, seen: Seen, place: Vec3) -> Vec3:
-        """Velocities of what is fixed to the elements at some places [m/s]."""
+        """Velocities of the elements' material at some places [m/s]."""
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         swing = vectors.cross(spin_at(seen, self.points), arm)
         return vectors.add(self.middles(seen, seen.motion.velocity), swing)
 
     def loads(self, seen: Seen, force: Vec3, place: Vec3) -> tuple[Any, Any]:
-        """Loads of forces at some places: on the first nodes, and on the others."""
+        """Loads of forces at some places: on the first nodes, and on the next nodes."""
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         frame = directors(orientation_at(seen, self.points))
         couple = to_material(frame, vectors.cross(arm, force))
@@ -68,12 +68,12 @@ class GluedSide:
         return 0.25 / first + 0.25 / following + turning
 
     def bound(self, parts: Parts, rate: Array, slow: Array | None) -> StabilityBound:
-        """Shares of a side, by inertia, in squared frequencies and rates of drag.
+        """Bound on one side: squared frequency and rate of drag, times inertia.
 
         Args:
             parts: Constants of the member.
             rate: Stiffness times the mobility of both sides [1/s^2].
-            slow: Drag times it [1/s].
+            slow: Drag times the mobility of both sides [1/s].
         """
         first = parts.node_masses[self.points.nodes.values]
         following = parts.node_masses[self.nexts.values]
@@ -98,15 +98,15 @@ class GluedSide:
 def between_surfaces(
     a: GluedSide, b: GluedSide, thicker: Array
 ) -> tuple[GluedSide, GluedSide]:
-    """Glue midway between the middles of elements moved to between their surfaces.
+    """Glue moved from midway between the axes of rods to midway between their surfaces.
 
     Args:
-        a: The one rod.
-        b: The other.
-        thicker: Radii of `a` less those of `b` [m].
+        a: Elements of the first rod.
+        b: Elements of the second rod.
+        thicker: Radii of `a` minus radii of `b` [m].
     """
     half = vectors.safe_norm(vectors.split(a.offsets))
-    # Of two rods in one place neither surface is nearer.
+    # If both axes coincide there is no direction in which to move it.
     apart = half > 0
     more = jnp.clip(0.5 * thicker / jnp.where(apart, half, 1), -1, 1)
     share = jnp.where(apart, more, 0)

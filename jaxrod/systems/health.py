@@ -1,4 +1,4 @@
-"""Numerical health of a system's state: of every member, and of what ties them."""
+"""Numerical health of a system's state: of its members and of its couplings."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
 
 @pytree
 class BodyHealth:
-    """Flags and the measured values behind them, of the rigid bodies of one member."""
+    """Flags and the measured values behind them, for rigid bodies of one member."""
 
     finite: Bool[Array, ""]
-    """Every number of the state is finite, and so are their squares."""
+    """Whether every number of the state is finite, and so are their squares."""
     spin: Bool[Array, ""]
     """Flag: a body turns more than a radian per step."""
     norm: Bool[Array, ""]
@@ -45,17 +45,18 @@ class SystemHealth:
     """Health of a system's state."""
 
     members: dict[str, Health | BodyHealth]
-    """Of each member; of equal rods with a leading axis."""
+    """Health of each member, with a leading axis for equal rods."""
     violation: Bool[Array, ""]
-    """Flag: what is tied or attached has come apart, or contact is missed."""
+    """Flag: tied or attached nodes have come apart, or a contact is too deep."""
     largest_violation: Float[Array, ""]
-    """Largest violation of what couplings tie [1]."""
+    """Largest violation of a coupling [1]."""
     overflow: Bool[Array, ""]
     """Flag: lists of neighbours had too few entries, now or in a run that led here."""
     stale: Bool[Array, ""]
-    """Flag: lists were used in a run after a node had moved by half their skin."""
+    """Flag: lists were used in a run after a node had moved by more than half their
+    skin."""
     neighbours: NeighbourRecord
-    """What is behind both; zero without lists."""
+    """Record behind both flags; zero without lists."""
 
     @property
     def flagged(self) -> Bool[Array, ""]:

@@ -1,7 +1,8 @@
 r"""Hinges and rigid joints of finite stiffness between members.
 
-A hinge adds to a ball joint the energy $k_t (1 - a\cdot b)$ of its axis as one member
-and as the other has it; motors and dashpots act about the mean of both.
+A hinge adds the energy $k_t (1 - a\cdot b)$ to a ball joint, where $a$ and $b$ are the
+directions of its axis as fixed in the first and in the second member. Motors act about
+the mean of both, dashpots about any axis.
 """
 
 from __future__ import annotations
@@ -42,22 +43,22 @@ class AxisSprings(Coupling):
     """Axes of elements of two members, pulled towards each other; see `hinge`."""
 
     a: Points
-    """Elements of the one member."""
+    """Elements of the first member."""
     b: Points
-    """As many of the other."""
+    """Elements of the second member, as many."""
     axes_a: Float[Array, "3 hinges"]
     """Unit vectors along the hinges, in the frames of `a`."""
     axes_b: Float[Array, "3 hinges"]
-    """Likewise, in the frames of `b`."""
+    """Unit vectors along the hinges, in the frames of `b`."""
     stiffness: Float[Array, ""]
-    """Couple per angle between the two [N m]."""
+    """Couple per angle between both axes [N m]."""
     damping: Float[Array, ""] | None = None
     """Couple per relative angular velocity, about any axis [N m s]."""
     motor: Float[Array, ""] | None = None
     """Couple on `b`, and its opposite on `a`, about the mean axis [N m]."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or smaller."""
+        """Raises ValueError if a member is missing or too small."""
         self.a.check(parts)
         self.b.check(parts)
 
@@ -71,7 +72,7 @@ class AxisSprings(Coupling):
         )
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Couples on both."""
+        """Couples on both elements of each hinge."""
         one, two = self._axes(seen)
         pull = vectors.scale(self.stiffness, vectors.cross(two, one))
         if self.damping is not None:
@@ -93,7 +94,7 @@ class AxisSprings(Coupling):
         )
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of the axes' angle [J]."""
+        """Energy of the angle between both axes [J]."""
         one, two = self._axes(seen)
         apart = vectors.subtract(two, one)
         return 0.5 * self.stiffness * jnp.sum(vectors.dot(apart, apart))
@@ -120,16 +121,16 @@ def hinge_joint(
     """A hinge between two members: they turn about one axis that both carry.
 
     Args:
-        a: A place on the one member.
-        b: A place on the other.
+        a: A place on the first member.
+        b: A place on the second member.
         state: State of the system at rest.
         axis: Direction of the hinge in `state`, world frame `(3,)`.
         stiffness: Force per distance between the two points [N/m].
-        axis_stiffness: Couple per angle between the axis of one and of the other [N m].
+        axis_stiffness: Couple per angle between the axes of both members [N m].
         damping: Force per relative speed [kg/s].
         axis_damping: Couple per relative angular velocity [N m s].
         motor: Couple on `b` about the axis, opposite on `a`; may be a schedule [N m].
-        at: Where the hinge is in `state` `(3,)` [m]; by default at `a`.
+        at: Position of the hinge in `state` `(3,)` [m]; by default at `a`.
 
     Returns:
         Couplings for `make_system`.
@@ -167,19 +168,19 @@ def rigid_joint(
     turning_damping: Numbers | None = None,
     at: Numbers | None = None,
 ) -> tuple[Coupling, ...]:
-    """Members held together at a point and at the angle that `state` has.
+    """Members held together at a point and at their angle in `state`, by springs.
 
-    `weld` and `attach` do so without compliance; this one has a stiffness.
+    `weld` and `attach` join without compliance; this joint has a stiffness.
 
     Args:
-        a: A place on the one member, or several.
-        b: As many on the other.
+        a: A place on the first member, or several.
+        b: A place on the second member, or as many.
         state: State of the system at rest.
         stiffness: Force per distance between the two points [N/m].
         turning_stiffness: Couple per angle from rest [N m].
         damping: Force per relative speed [kg/s].
         turning_damping: Couple per relative angular velocity [N m s].
-        at: Where the joint is in `state` `(3,)` [m]; by default at `a`.
+        at: Position of the joint in `state` `(3,)` [m]; by default at `a`.
 
     Returns:
         Couplings for `make_system`.

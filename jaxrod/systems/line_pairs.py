@@ -1,8 +1,8 @@
-"""The line law on pairs of elements: points of the one against the other segment.
+"""The line law on pairs of elements: points of the first against the second segment.
 
-As `jaxrod.systems.near_segments` has it for rows of all points: here each element of a
-pair has its own points along the axis before, `(points, pairs)`, the next node being
-one more that counts only at the end of a rod.
+`jaxrod.systems.near_segments` has the same law for rows of all points. Here each
+element of a pair has its own points along a leading axis, `(points, pairs)`. The next
+node is one more point, which counts only at the end of a rod.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ class ElementPoints:
     """Contact points of the elements of pairs."""
 
     fractions: Array
-    """Where they are on their element [1]."""
+    """Places of the points on their element, over its length [1]."""
     lengths: Array
-    """Rest length that each stands for [m]."""
+    """Rest length that each point stands for [m]."""
     radii: Array
-    """Radius at each [m]."""
+    """Radius at each point [m]."""
     places: Array
-    """Rest arc length of each along its rod [m]."""
+    """Rest arc length of each point along its rod [m]."""
 
 
 def points_on(own: Elements, per_element: int) -> ElementPoints:
-    """The points of elements with an axis for points before."""
+    """Contact points of elements that have a leading axis of length one for points."""
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
     assert own.last is not None

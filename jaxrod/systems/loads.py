@@ -1,4 +1,4 @@
-"""Loads at places, added up on all nodes and elements of their members."""
+"""Loads at places, summed on all nodes and elements of their members."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxrod.systems.rows import summed
 
 
 def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads]:
-    """Loads on places, as loads on whole members."""
+    """Loads on whole members, from loads at places."""
     total: dict[str, Loads] = {}
     for points, loads in given:
         parts = seen[points.member].parts

@@ -1,4 +1,4 @@
-"""Steppers of a system's members: rods, equal rods in one leaf, rigid bodies."""
+"""Steppers of a system's members: one rod, equal rods with a leading axis, bodies."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from jaxrod.systems.rigid_stepper import RigidStepper
 
 
 class MemberStepper(Protocol):
-    """One member's part of a step; `Motion` is as the member's own stepper has it."""
+    """One member's part of a step; a `Motion` is as the member's own stepper has it."""
 
     def enter(self, state: Any) -> Motion:
-        """Takes a state apart."""
+        """Motion of a state."""
 
     def leave(self, motion: Motion) -> Any:
-        """Puts the state together again."""
+        """State of a motion."""
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
         """Moves at unchanged rates for a time `dt` [s]."""
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes the rates by all of its own loads and by others, over one step."""
+        """Changes the rates by the member's own loads and by others, over one step."""
 
     def supported(self, motion: Motion) -> Motion:
-        """With the rates that supports give now."""
+        """The motion with the rates that supports impose now."""
 
     def seen(self, motion: Motion) -> Seen:
         """The member as couplings see it."""
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The member's motion with what was changed in a view of it."""
+        """The member's motion with the changes made in a couplings' view of it."""
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Changes rates by impulses, forces and couples in the world frame."""
+        """Changes rates by impulses, with forces and couples in the world frame."""
 
 
 @pytree
 class RodStepper:
-    """Of a scene: one rod and its effects."""
+    """Stepper of a scene: one rod and its effects."""
 
     verlet: ConsistentStepper | PyElasticaStepper
     """The stepper of the scene."""
@@ -53,11 +53,11 @@ class RodStepper:
     """Constants of the rod."""
 
     def enter(self, state: Any) -> Motion:
-        """Takes a state apart."""
+        """Motion of a state."""
         return self.verlet.enter(state)
 
     def leave(self, motion: Motion) -> Any:
-        """Puts the state together again."""
+        """State of a motion."""
         return self.verlet.leave(motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
@@ -65,15 +65,15 @@ class RodStepper:
         return self.verlet.drift(motion, dt)
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes the rates by internal loads, effects and others."""
+        """Changes the rates by internal loads, effects and other loads."""
         return self.verlet.kick(motion, loads)
 
     def supported(self, motion: Motion) -> Motion:
-        """With the rates that supports give now."""
+        """The motion with the rates that supports impose now."""
         return self.verlet.constrain_rates(motion)
 
     def seen(self, motion: Motion) -> Seen:
-        """The rod, as it is."""
+        """The rod with its unchanged motion."""
         return Seen(self.parts, motion)
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
@@ -81,14 +81,14 @@ class RodStepper:
         return seen
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Nodes of rods pass impulses on and take none."""
-        # Only attachments push, and their check lets no rod be the body.
+        """Not possible: nodes of rods pass impulses on and take none."""
+        # Only attachments push, and they check that no rod is the body.
         raise NotImplementedError("impulses act on rigid bodies")
 
 
 @pytree
 class RodsStepper:
-    """Of a scene whose leaves have a leading axis: equal rods with their effects."""
+    """Stepper of equal rods: a scene whose leaves have a leading axis."""
 
     verlet: ConsistentStepper | PyElasticaStepper
     """The steppers of the scenes, with a leading axis."""
@@ -98,26 +98,26 @@ class RodsStepper:
     """Number of rods."""
 
     def enter(self, state: Any) -> Motion:
-        """Takes the states apart."""
+        """Motions of the states."""
         return jax.vmap(lambda one, s: one.enter(s))(self.verlet, state)
 
     def leave(self, motion: Motion) -> Any:
-        """Puts the states together again."""
+        """States of the motions."""
         return jax.vmap(lambda one, m: one.leave(m))(self.verlet, motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves all at unchanged rates."""
+        """Moves all rods at unchanged rates."""
         return jax.vmap(lambda one, m: one.drift(m, dt))(self.verlet, motion)
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes the rates of all."""
+        """Changes the rates of all rods by internal loads, effects and other loads."""
         each = in_rows(loads, self.count)
         return jax.vmap(lambda one, m, more: one.kick(m, more))(
             self.verlet, motion, each
         )
 
     def supported(self, motion: Motion) -> Motion:
-        """With the rates that supports give now."""
+        """The motions with the rates that supports impose now."""
         return jax.vmap(lambda one, m: one.constrain_rates(m))(self.verlet, motion)
 
     def seen(self, motion: Motion) -> Seen:
@@ -125,28 +125,28 @@ class RodsStepper:
         return Seen(self.parts, in_one_row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The changed motions, rod by rod."""
+        """The changed motions, split by rod."""
         return in_rows(seen, self.count)
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Nodes of rods pass impulses on and take none."""
-        # Only attachments push, and their check lets no rod be the body.
+        """Not possible: nodes of rods pass impulses on and take none."""
+        # Only attachments push, and they check that no rod is the body.
         raise NotImplementedError("impulses act on rigid bodies")
 
 
 @pytree
 class BodiesStepper:
-    """Of rigid bodies."""
+    """Stepper of rigid bodies."""
 
     rigid: RigidStepper
-    """Their stepper."""
+    """Stepper that does the work."""
 
     def enter(self, state: Any) -> Motion:
-        """Takes a state apart."""
+        """Motion of a state."""
         return self.rigid.enter(state)
 
     def leave(self, motion: Motion) -> Any:
-        """Puts the state together again."""
+        """State of a motion."""
         return self.rigid.leave(motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
@@ -158,7 +158,7 @@ class BodiesStepper:
         return self.rigid.kick(motion, loads)
 
     def supported(self, motion: Motion) -> Motion:
-        """As it is: supports hold rods."""
+        """The unchanged motion: supports hold only rods."""
         return motion
 
     def seen(self, motion: Motion) -> Seen:
@@ -166,10 +166,10 @@ class BodiesStepper:
         return self.rigid.seen(motion)
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """Bodies follow nothing."""
-        # Ties and attachments check that what follows is a node of a rod.
+        """Not possible: bodies follow nothing."""
+        # Ties and attachments check that only nodes of rods follow.
         raise NotImplementedError("nothing ties a rigid body to follow another member")
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Changes rates by impulses on the origins."""
+        """Changes rates by impulses at the bodies' origins."""
         return self.rigid.pushed(motion, impulses)

@@ -1,17 +1,18 @@
-"""Which elements are near to each other: in a grid of cells, or among all.
+"""Search for elements that are near to each other: in a grid of cells, or among all.
 
-The grid has cells of an edge no pair within reach is longer apart by, about the mean of
-all middles; farther than 512 cells from there all is in the outermost ones, so that
-neighbours are still in neighbouring cells and only their number grows. Elements are
-sorted by cell, and three cells in a row are one stretch of that order: nine stretches
-hold all that may be near, five where each pair of one member is looked for once.
+The edge of a cell is longer than the largest distance between the middles of a pair
+within reach. The grid is centred at the mean of the middles of the second elements.
+Everything beyond 512 cells from there is in the outermost cells: neighbours are then
+still in neighbouring cells, and only their number grows. Elements are sorted by cell,
+and three cells in a row are one stretch of this order. Nine stretches hold all elements
+that may be near, five if each pair of one member is searched once.
 
-Of those, pairs are candidates whose middles are near enough for their lengths, and of
-the candidates the exact distance is worked out. The k-th candidate of an element is
-where its running count gets to k, found by halving; candidates are worked through in
-blocks, and what is left of a block is put behind what is left of those before. No
-scatter, no sort but that by cells, and no more rows and blocks than there is something
-in.
+Pairs from these stretches are candidates if their middles are near enough for their
+lengths. The exact distance is computed for candidates only. The k-th candidate of an
+element is where its running count reaches k, found by bisection. Candidates are
+processed in blocks, and the pairs that remain of a block are written behind those of
+the blocks before. There is no scatter, no sort except that by cells, and no loop over
+empty rows or blocks.
 """
 
 from __future__ import annotations
@@ -31,23 +32,25 @@ from jaxrod.systems.neighbour_lists import Found, NeighbourLists
 from jaxrod.systems.segment_distance import nearest_places
 
 CELLS = 1024
-"""Cells along each axis: three times ten bits are one key."""
+"""Number of cells along each axis; three times ten bits are one key."""
 BLOCK = 16_384
-"""Candidates that are worked through at once."""
+"""Number of candidates that are processed at once."""
 _ROUNDING = 1e-3
-"""Of a cell, what its edge is longer, so that rounding puts nothing a cell farther."""
+"""Relative margin of the cell size, so that round-off cannot move an element into a
+non-adjacent cell."""
 
 
 @pytree
 class Stretches:
-    """Straight elements to look for neighbours of."""
+    """Straight elements whose neighbours are searched."""
 
     elements: Elements
-    """Where they are, and where on their rods."""
+    """Elements with their places along their rods."""
     reach: Float[Array, " elements"]
-    """Farthest from the axis that the surface, its onset and half the skin are [m]."""
+    """Distance from the axis that includes the surface, the onset of contact and half
+    the skin [m]."""
     numbers: Float[Array, " elements"]
-    """Their numbers in their member."""
+    """Numbers of the elements in their member."""
 
     @property
     def middle(self) -> Vec3:
@@ -56,36 +59,40 @@ class Stretches:
 
 
 Allowed = Callable[[Stretches, Stretches], Array | None]
-"""Which pairs of stretches may touch at all; `None`: any."""
+"""Function from pairs of elements to a mask of those that may touch; `None` for all."""
 
 
 @pytree
 class Rows:
-    """Others to look at for each element, one after the other."""
+    """Second elements to test against each first element, one row after the other.
+
+    Each first element has several stretches of the sorted second elements. A row is one
+    slot of one stretch, for all first elements.
+    """
 
     begin: Int[Array, "stretches own"]
-    """Where stretches of the others begin, in their order."""
+    """Begin of each stretch in the order of the second elements."""
     held: Int[Array, "stretches own"]
-    """How many others are in them."""
+    """Number of second elements in each stretch."""
     order: Int[Array, " other"]
-    """The others, in order."""
+    """Numbers of the second elements, in order."""
     wide: Int[Array, ""]
-    """Rows of each stretch: the most that one holds, as far as there is room."""
+    """Rows of each stretch: the largest number that one holds, at most `slots`."""
     slots: int = static()
-    """How many of a stretch there is room for."""
+    """Room in a stretch."""
 
     @property
     def room(self) -> int:
-        """Rows that there may be."""
+        """Largest possible number of rows."""
         return self.begin.shape[0] * self.slots
 
     @property
     def count(self) -> Array:
-        """Rows that there are."""
+        """Number of rows."""
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Places in the order of the others of a row, and whether there are such."""
+        """Places of a row's elements in the order, and whether they exist."""
         stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1
@@ -93,7 +100,7 @@ class Rows:
 
 
 def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array:
-    """Whether pairs of stretches may touch and are within reach."""
+    """Whether pairs of elements may touch and are within reach."""
     way = vectors.subtract(own.elements.first, other.elements.first)
     square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
     reach = own.reach + other.reach
@@ -113,11 +120,11 @@ def found_by(
     """Lists of all pairs of members.
 
     Args:
-        how: How they are made, with numbers of entries.
+        how: Settings of the lists, with their sizes.
         every: Elements of each member.
-        views: The pairs of members.
-        allowed: Which elements of two members may touch.
-        places: Nodes of the members, to be kept with the lists [m].
+        views: Pairs of members.
+        allowed: Function for the mask of elements of two members that may touch.
+        places: Positions of the members' nodes, to be kept with the lists [m].
         once: Whether two elements of one member are one pair, not two.
     """
     assert how.cell_slots is not None
@@ -153,13 +160,13 @@ def found_by(
 
 
 def _room(given: int | tuple[int, ...] | None, number: int) -> int:
-    """Entries of a list."""
+    """Number of entries of a list."""
     assert given is not None
     return given[number] if isinstance(given, tuple) else given
 
 
 def all_rows(own: Stretches, other: Stretches) -> Rows:
-    """All others, for each element."""
+    """Rows of all second elements, for each first element."""
     count, size = other.reach.shape[0], own.reach.shape[0]
     return Rows(
         begin=jnp.zeros((1, size), jnp.int32),
@@ -173,15 +180,18 @@ def all_rows(own: Stretches, other: Stretches) -> Rows:
 def rows_of_cells(
     own: Stretches, other: Stretches, slots: int, *, once: bool
 ) -> tuple[Rows, Array]:
-    """Others in the cells around each element, and the most in three of them.
+    """Rows of second elements in the cells around each first element.
 
     Args:
-        own: Of the one member.
-        other: Of the other.
-        slots: Elements that three neighbouring cells may hold.
-        once: Whether of two elements of one member only one is to find the other: then
-            only the cells on one side are looked into, and an element's own column,
+        own: Elements of the first member.
+        other: Elements of the second member.
+        slots: Room for elements in three neighbouring cells.
+        once: Whether only one of two elements of one member is to find the other. Then
+            only the cells on one side are searched, and the element's own column,
             which is the first stretch.
+
+    Returns:
+        The rows, and the largest number of elements in three neighbouring cells.
     """
     edge = _cell_edge(own, other)
     centre = tuple(jnp.mean(component) for component in other.middle)
@@ -207,23 +217,23 @@ class Candidates:
     """Pairs whose middles are near, as running counts."""
 
     rows: Rows
-    """Which others were looked at."""
+    """Second elements that were tested."""
     running: Int[Array, "rows own"]
-    """Of an element, as far as a row."""
+    """Running count of each element's candidates, over the rows."""
     until: Int[Array, " own"]
-    """Of all elements as far as one."""
+    """Running count of all candidates, over the elements."""
     size: int = static()
-    """How many may be named."""
+    """Largest number of candidates that can be listed."""
     once: bool = static()
-    """Whether the lower of two numbers is to be the first."""
+    """Whether a pair starts with the lower of its two numbers."""
 
     @property
     def count(self) -> Array:
-        """How many there are."""
+        """Number of candidates."""
         return self.until[-1]
 
     def named(self, number: Array) -> IndexList:
-        """Those of some numbers."""
+        """List of the candidates with some numbers."""
         until, rows = self.until, self.rows
         column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
         column = jnp.minimum(column, until.shape[0] - 1)
@@ -243,12 +253,12 @@ def candidates(
     """Pairs whose middles are near.
 
     Args:
-        own: Of the one member.
-        other: Of the other.
-        rows: Which others to look at.
-        size: How many may be named.
-        once: Whether of two elements of one member only one has the other: in the
-            first stretch, where both are, the first.
+        own: Elements of the first member.
+        other: Elements of the second member.
+        rows: Second elements to test.
+        size: Largest number of candidates that can be listed.
+        once: Whether only one of two elements of one member finds the other. The first
+            stretch has both, and there the one with the lower number does.
     """
     x, y, z = own.middle
     reach = _half_length(own) + own.reach
@@ -275,14 +285,14 @@ def candidates(
 def near_ones(
     own: Stretches, other: Stretches, some: Candidates, allowed: Allowed, size: int
 ) -> tuple[IndexList, Array]:
-    """Those of some candidates that are within reach, and how many there are.
+    """List of the candidates that are within reach, and their number.
 
     Args:
-        own: Of the one member.
-        other: Of the other.
+        own: Elements of the first member.
+        other: Elements of the second member.
         some: The candidates.
-        allowed: Which pairs may touch.
-        size: Entries of the list that is made.
+        allowed: Function for the mask of pairs that may touch.
+        size: Number of entries of the list.
     """
     block = min(BLOCK, some.size)
     within = jnp.arange(block, dtype=jnp.int32)
@@ -299,11 +309,11 @@ def near_ones(
         running = jnp.cumsum(near.astype(jnp.int32))
         place = jnp.searchsorted(running, within, side="right").astype(jnp.int32)
         place = jnp.minimum(place, block - 1)
-        # Both numbers as one row: XLA's CPU compiler aborts the process over two
-        # updates of a batch by the same index.
+        # Both numbers are in one row: XLA's CPU compiler aborts the process for two
+        # updates of a batch at the same index.
         pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
-        # What follows the last that is near is written over by the next block. Once the
-        # list is full, all goes into what is cut off in the end.
+        # Entries after the last near pair are overwritten by the next block. Once the
+        # list is full, all goes into the part that is cut off at the end.
         behind = (jnp.minimum(taken, size), jnp.zeros_like(taken))
         kept = lax.dynamic_update_slice(kept, pairs, behind)
         return begin + block, taken + running[-1], kept
@@ -319,13 +329,13 @@ def near_ones(
 def _reached(
     running: Callable[[Array], Array], rank: Array, size: Array, room: int
 ) -> Array:
-    """First place at which a running count is above a rank, by halving.
+    """First place at which a running count is above a rank, by bisection.
 
     Args:
-        running: The count at a place.
+        running: Function from a place to the count there.
         rank: The rank.
-        size: Places that there are.
-        room: The most that there may be.
+        size: Number of places.
+        room: Largest possible number of places.
     """
     place, step = jnp.zeros_like(rank), 1 << (room.bit_length() - 1)
     while step:
@@ -342,7 +352,7 @@ def _half_length(stretches: Stretches) -> Array:
 
 
 def _cell_edge(own: Stretches, other: Stretches) -> Array:
-    """Longest way between middles of a pair within reach, and a little [m]."""
+    """Largest distance between middles of a pair within reach, plus a margin [m]."""
 
     def half(stretches: Stretches) -> Array:
         return jnp.max(_half_length(stretches)) + jnp.max(stretches.reach)
@@ -353,7 +363,7 @@ def _cell_edge(own: Stretches, other: Stretches) -> Array:
 def _cells(
     stretches: Stretches, centre: tuple[Array, ...], edge: Array
 ) -> tuple[Array, Array, Array]:
-    """Cells of the middles along each axis."""
+    """Cell numbers of the middles along each axis."""
 
     def along(component: Array, middle: Array) -> Array:
         cell = jnp.floor((component - middle) / edge) + CELLS // 2

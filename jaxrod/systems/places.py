@@ -16,13 +16,13 @@ from jaxrod.systems.rigid_bodies import BodyState
 from jaxrod.validation import check_count
 
 Place = Sequence[Any]
-"""`("arm", "finish")`, `("arm", 7)`, `("arms", 2, "start")` of equal rods, `("ball",)`
-or `("balls", 3)` of bodies. What turns with a place within a rod turns with the element
-after the node."""
+"""Place on a member: `("arm", "finish")` or `("arm", 7)` on a rod, `("arms", 2,
+"start")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies. The orientation
+at a place within a rod is that of the element after the node."""
 
 
 class Indices:
-    """Integers that are structure: hashable, and compared by value."""
+    """Static integers: hashable, and compared by value."""
 
     def __init__(self, values: Any) -> None:
         """Keeps a copy."""
@@ -31,7 +31,7 @@ class Indices:
         self._hash = hash((self.values.shape, self.values.tobytes()))
 
     def __hash__(self) -> int:
-        """Worked out once."""
+        """Hash, computed once."""
         return self._hash
 
     def __eq__(self, other: object) -> bool:
@@ -43,7 +43,7 @@ class Indices:
         )
 
     def __len__(self) -> int:
-        """How many."""
+        """Number of integers."""
         return len(self.values)
 
     def __repr__(self) -> str:
@@ -63,7 +63,7 @@ class Points:
     """Elements that turn with them, or bodies."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises a `ValueError` if the member is missing or smaller."""
+        """Raises a `ValueError` if the member is missing or too small."""
         check_named(self.member, parts)
         largest = parts[self.member].n_nodes
         if np.any(self.nodes.values >= largest):
@@ -78,18 +78,18 @@ class Layout:
     """Numbers of nodes and elements of a member."""
 
     count: int
-    """Rods or bodies."""
+    """Number of rods or bodies."""
     n_elements: int
     """Elements of each rod; 1 for bodies."""
     is_rod: bool
-    """Whether they are rods."""
+    """Whether the member consists of rods."""
 
 
 def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
     """Layouts of the members of a system, from its state.
 
     Raises:
-        TypeError: If it is no mapping from names to states of rods and bodies.
+        TypeError: If it is not a mapping from names to states of rods and bodies.
     """
     if not isinstance(state, Mapping):
         raise TypeError(
@@ -117,13 +117,13 @@ def resolved(
     """Member, node and element of a place.
 
     Args:
-        name: Of the argument, for messages.
-        place: See `Place`.
-        layouts: The members there are.
+        name: Name of the argument, for messages.
+        place: The place; see `Place`.
+        layouts: Layouts of all members.
 
     Raises:
         ValueError: If there is no such place.
-        TypeError: If it is no place.
+        TypeError: If `place` is not of the form of a place.
     """
     if isinstance(place, str) or not isinstance(place, Sequence) or not place:
         raise TypeError(
@@ -173,10 +173,10 @@ def _node(name: str, member: str, node: Any, layout: Layout) -> int:
 
 
 def points_of(name: str, places: Sequence[tuple[str, int, int]]) -> Points:
-    """Resolved places of one member together.
+    """Points from resolved places of one member.
 
     Raises:
-        ValueError: If they are of several.
+        ValueError: If the places are of several members.
     """
     members = {member for member, _, _ in places}
     if len(members) != 1:

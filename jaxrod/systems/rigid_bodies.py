@@ -1,4 +1,4 @@
-"""Rigid bodies: members of a system beside rods."""
+"""Rigid bodies: members of a system, in addition to rods."""
 
 from __future__ import annotations
 
@@ -34,22 +34,23 @@ from jaxrod.validation import (
 
 @pytree
 class RigidBodies:
-    """Parameters of one or more rigid bodies of a kind. Every number is traced.
+    """Parameters of one or more rigid bodies of one shape. Every number is traced.
 
-    The origin of a body's own frame is its centre of mass, the frame's axes are its
-    principal axes of inertia.
+    The origin of a body's own frame is its centre of mass, and the axes of the frame
+    are its principal axes of inertia.
     """
 
     masses: Float[Array, " k"]
-    """Mass of each [kg]."""
+    """Mass of each body [kg]."""
     principal_inertias: Float[Array, "3 k"]
     """Moments of inertia about the body's axes [kg m^2]."""
     shape: Body | None = None
-    """Surface in the body's own frame, the same for all; `None` for none."""
+    """Surface in the body's own frame, the same for all; `None` for no surface."""
     effects: tuple[Effect, ...] = ()
-    """Effects on the bodies: those that ask for masses and rates alone."""
+    """Effects on the bodies: only those that ask for nothing but masses and rates."""
 
-    # What effects ask of that on which they act: a body is one node and one element.
+    # Effects ask for these of the member on which they act: a body is one node and one
+    # element.
     @property
     def n_elements(self) -> int:
         """Number of bodies."""
@@ -57,7 +58,7 @@ class RigidBodies:
 
     @property
     def node_masses(self) -> Float[Array, " k"]:
-        """Mass of each [kg]."""
+        """Mass of each body [kg]."""
         return self.masses
 
 
@@ -95,7 +96,7 @@ def rigid_body(
 ) -> tuple[RigidBodies, BodyState]:
     """A rigid body and its state.
 
-    Its place is that of the shape, unless `position` and `orientation` say otherwise.
+    Its pose is that of the shape, unless `position` and `orientation` are given.
 
     Args:
         shape: A `jaxrod.sphere`, `capsule`, `cylinder` or `box`; or another body with
@@ -103,21 +104,21 @@ def rigid_body(
         density: Mass density of the shape [kg/m^3].
         mass: Mass [kg], in place of a density.
         inertia: Principal moments of inertia `(3,)` [kg m^2]; by default those of the
-            shape filled evenly.
-        effects: Effects on it: `gravity()`, `damping(...)`.
+            shape at uniform density.
+        effects: Effects on the body, such as `gravity()` or `exponential_damping`.
         position: Centre of mass `(3,)` [m].
-        orientation: Of its principal axes, a quaternion (w, x, y, z).
-        velocity: Of the centre of mass `(3,)` [m/s].
-        angular_velocity: World frame `(3,)` [rad/s].
+        orientation: Orientation of the principal axes, a quaternion (w, x, y, z).
+        velocity: Velocity of the centre of mass `(3,)` [m/s].
+        angular_velocity: Angular velocity, world frame `(3,)` [rad/s].
         dtype: float32 or float64; by default JAX's default.
 
     Returns:
-        The body, as one of `RigidBodies` with one entry, and its state.
+        The body, as `RigidBodies` with one entry, and its state.
 
     Raises:
-        ValueError: If mass or inertia are missing, given twice, not positive or not
-            those of a body (no moment is above the sum of the two others).
-        TypeError: If the shape is no body, or an effect is none.
+        ValueError: If mass or inertia are missing, not positive or impossible (a moment
+            above the sum of the two others), or if both mass and density are given.
+        TypeError: If the shape is not a body, or an effect is not an effect.
     """
     dtype = check_dtype(dtype)
     if shape is not None:
@@ -147,7 +148,7 @@ def rigid_body(
 
 
 def _in_type(shape: Body, dtype: Any) -> Body:
-    """A shape with its numbers in a type."""
+    """A shape with its numbers converted to a type."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), shape)
 
 
@@ -212,7 +213,7 @@ def _place(
     if not is_traced(given) and not np.any(given):
         raise ValueError("orientation must not be zero, got (0, 0, 0, 0)")
     if not is_traced(given):
-        # Squares of large numbers are none of a narrow type.
+        # Squares of large numbers would overflow in a narrow type.
         given = given / np.max(np.abs(given))
     quaternion = jnp.asarray(given, dtype)
     return centre, quaternion / jnp.sqrt(jnp.sum(quaternion**2))
@@ -227,7 +228,7 @@ def body_kinetic_energy(bodies: RigidBodies, state: BodyState) -> Float[Array, "
 
 
 def body_angular_momenta(bodies: RigidBodies, state: BodyState) -> Float[Array, "3 k"]:
-    """Angular momentum of each about its centre of mass, world frame [kg m^2/s]."""
+    """Angular momentum of each body about its centre, world frame [kg m^2/s]."""
     frame = directors(split_quaternion(state.orientations))
     own = to_material(frame, vectors.split(state.angular_velocities))
     moments = vectors.split(bodies.principal_inertias)
@@ -240,7 +241,7 @@ def stacked_bodies(
     """Several bodies of equal shape as one member.
 
     Args:
-        *bodies: What `rigid_body` returns, at least one.
+        *bodies: Pairs of a body and its state from `rigid_body`, at least one.
 
     Raises:
         ValueError: If there are none.

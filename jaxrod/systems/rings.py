@@ -1,7 +1,8 @@
 r"""Closed rods: a rod whose last node is its first, and the joint that closes it.
 
-A closed rod is an open one whose ends are tied, with one more elastic joint from its
-last element to its first, like those between all others. No place on it is special.
+A closed rod is an open rod whose ends are tied, with one more elastic joint from its
+last element to its first, like the joints between all other elements. No place on it is
+special.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from jaxrod.validation import (
 )
 
 FEWEST_ELEMENTS = 3
-"""A ring of fewer is no ring."""
+"""Smallest number of elements of a ring."""
 
 
 def ring(
@@ -49,10 +50,10 @@ def ring(
     dtype: Any = None,
     **rod: Any,
 ) -> tuple[Rod, RodState, tuple[Coupling, ...]]:
-    """A closed rod in the shape of a circle, and what closes it.
+    """A closed rod in the shape of a circle, and the couplings that close it.
 
-    The rod alone is open, with both ends at one place: as a member of a system, under
-    the `name` given here, with the couplings, it is a ring:
+    The rod alone is open, with both ends at one place. As a member of a system, under
+    the `name` given here and with the couplings, it is a ring:
 
         rod, state, closure = jaxrod.ring(40, length=1.0, radius=0.01, ...)
         system = jaxrod.make_system({"ring": jaxrod.make_scene(rod)}, closure)
@@ -61,23 +62,24 @@ def ring(
         n_elements: Number of elements, at least 3.
         length: Rest length of the rod, once around [m]: the sum of the edges of a
             regular polygon.
-        centre: Of the circle `(3,)` [m].
-        normal: Of its plane, of any length `(3,)`; the rod runs around it to the left.
-        turns: By how many turns one end was twisted about the rod before it was joined
-            to the other, evenly spread: its link. Need not be whole [1].
+        centre: Centre of the circle `(3,)` [m].
+        normal: Normal of its plane, of any length `(3,)`; the rod runs around it
+            counterclockwise.
+        turns: Turns by which one end was twisted about the rod before it was joined to
+            the other, evenly spread (the link of the ring). Need not be whole [1].
         straight_at_rest: Whether the rod was straight before it was bent to the ring;
-            else the circle is its shape without stress.
-        name: Of the member in the system.
+            else the circle is its stress-free shape.
+        name: Name of the member in the system.
         dtype: float32 or float64; by default JAX's default.
-        **rod: Section and material, as of `jaxrod.straight_rod`: `radius` or `section`,
-            `density`, `youngs_modulus` and the others.
+        **rod: Section and material, passed to `jaxrod.rod_along`: `radius` or
+            `section`, `density`, `youngs_modulus` and others.
 
     Returns:
         The rod, its state, and couplings for `make_system`.
 
     Raises:
         ValueError: If an argument is out of range or does not fit.
-        TypeError: If the name is none.
+        TypeError: If the name is not a string.
     """
     if not isinstance(name, str):
         raise TypeError(f"name must be a string, got {name!r}")
@@ -97,11 +99,11 @@ def ring(
     along, beside, up = frame[0][:, None], frame[1][:, None], frame[2][:, None]
     outwards = np.cos(angles) * along + np.sin(angles) * beside
     places = middle[:, None] + around / (2 * n * np.sin(np.pi / n)) * outwards
-    # Exactly one place: rounding would be a gap.
+    # Exactly one place: round-off would leave a gap.
     places[:, -1] = places[:, 0]
     tangents = np.diff(places, axis=1)
     tangents /= np.linalg.norm(tangents, axis=0)
-    # d2 along the normal: curvature is about d2 alone, and the frames close up.
+    # With d2 along the normal, curvature is only about d2 and the frames close up.
     normals = np.repeat(up, n, axis=1)
     inwards = np.cross(normals, tangents, axis=0)
     directors = np.stack([inwards, normals, tangents])
@@ -121,10 +123,10 @@ def _closure(
     """The tie and the joint of a ring's ends.
 
     Args:
-        name: Of the member.
-        state: The ring.
+        name: Name of the member.
+        state: State of the ring.
         bend: Rotation vector of the joint at rest [rad].
-        turn: By how much the end was twisted before it was joined [rad].
+        turn: Angle by which the end was twisted before it was joined [rad].
     """
     rest = {name: state}
     last, first = (name, "finish"), (name, "start")
@@ -133,7 +135,7 @@ def _closure(
     joint = ElasticJoint(
         points_of("a", [resolved("a", last, layouts)]),
         points_of("b", [resolved("b", first, layouts)]),
-        # The last element turned back by that goes on evenly in the first.
+        # Turned back by the twist, the last element continues evenly in the first.
         join_quaternion(_about_axis(np.array([-turn]), dtype)),
         jnp.asarray(bend, dtype)[:, None],
     )
@@ -141,14 +143,14 @@ def _closure(
 
 
 def _twisted(state: RodState, angles: np.ndarray) -> RodState:
-    """A state whose elements are turned about themselves [rad]."""
+    """The state with its elements turned about their own axes by angles [rad]."""
     own = split_quaternion(state.orientations)
     turned = multiply_quaternions(own, _about_axis(angles, own[0].dtype))
     return replace(state, orientations=join_quaternion(turned))
 
 
 def _about_axis(angles: np.ndarray, dtype: Any) -> Quaternion:
-    """Turns about the third axis [rad]."""
+    """Rotations about the third axis by angles [rad]."""
     zero = jnp.zeros(angles.shape, dtype)
     half = np.cos(0.5 * angles), np.sin(0.5 * angles)
     return jnp.asarray(half[0], dtype), zero, zero, jnp.asarray(half[1], dtype)

@@ -1,18 +1,19 @@
-r"""Where a scene or a system comes to rest, by adaptive dynamic relaxation.
+r"""Rest states of a scene or a system, by adaptive dynamic relaxation.
 
-The motion itself is followed, with the inertia there is, and damped at the rate
-$2\omega$ that is critical for the frequency at which it moves just now. That is
-Rayleigh's quotient of the velocities $u$ with the change of the accelerations $a$ that
-all loads give at rest, over some steps of duration $t$ together:
+The motion itself is followed, with its true inertia, and damped at the rate $2\omega$.
+This is the critical rate for the current frequency of the motion. The frequency is a
+Rayleigh quotient of the velocities $u$ and the change $\Delta a$, over a block of steps
+of total duration $t$, of the accelerations that all loads give at rest:
 
 $$\omega^2 = -\frac{u\cdot M\,\Delta a}{t\; u\cdot M u}.$$
 
-Fast modes die first, and the damping follows what is left down to the slowest one;
-where motion gains speed, as in a fall, there is none (Underwood, Dynamic relaxation, in
-Computational Methods for Transient Analysis, North-Holland 1983).
+Fast modes die first, and the damping follows the remaining motion down to the slowest
+mode. Where motion gains speed, as in a fall, there is no damping (Underwood, Dynamic
+relaxation, in Computational Methods for Transient Analysis, North-Holland 1983).
 
-How far it is from rest is measured too: one kick from rest, in a time so short that
-nothing moves, gives every node mass times acceleration, what is held and tied included.
+The distance from rest is measured too. One kick from rest, so short that nothing moves,
+gives the mass times acceleration of every node, with supports and ties taken into
+account.
 """
 
 from __future__ import annotations
@@ -40,11 +41,13 @@ from jaxrod.systems.rigid_bodies import BodyState, RigidBodies, body_angular_mom
 from jaxrod.validation import as_array, check_count
 
 SHARE = 1e-8
-"""Of the load that bends a rod by its own size, what may be out of balance [1]."""
+"""Tolerated force out of balance, over the force that bends a rod by its own size [1].
+"""
 ROUNDING = 8
-"""Units of round-off of the stiffness of stretch that are no load."""
+"""Tolerated force out of balance, in units of round-off of the stretching stiffness
+[1]."""
 INSTANT = 1e-3
-"""Of a step, the time of the kick that measures loads [1]."""
+"""Duration of the kick that measures loads, over a step [1]."""
 
 
 @pytree
@@ -52,15 +55,16 @@ class Settled:
     """A scene or a system at rest, if `converged`."""
 
     state: Any
-    """State at the end, without velocities."""
+    """State at the end, with zero velocities."""
     converged: Bool[Array, ""]
-    """Whether loads balance there, to the tolerances."""
+    """Whether loads balance in this state, to the tolerances."""
     steps: Int[Array, ""]
-    """Steps taken."""
+    """Number of steps taken."""
     force_residual: Float[Array, ""]
-    """Largest mass times acceleration of a node or a body at rest there [N]."""
+    """Largest mass times acceleration of a node or a body, when at rest there [N]."""
     couple_residual: Float[Array, ""]
-    """Largest rate of the angular momentum of an element or a body [N m]."""
+    """Largest rate of angular momentum of an element or a body, when at rest there [N m].
+    """
 
 
 def settled(
@@ -75,25 +79,26 @@ def settled(
 ) -> Settled:
     """Follows a scene or a system until it rests: see the module.
 
-    For all that can be stepped, contact and bodies included, where `equilibrium` takes
-    one rod. Works inside jit and vmap. It cannot be differentiated in reverse mode, and
-    nothing here knows the implicit function theorem; forward mode follows all steps.
+    It works for all models that can be stepped, including contact and bodies, while
+    `equilibrium` takes one rod. It works inside jit and vmap. It cannot be
+    differentiated in reverse mode, and does not use the implicit function theorem;
+    forward mode follows all steps.
 
-    It finds places of rest that are reached by falling. What stands exactly on the top
-    of a hill, as a straight column, stays there and has converged; what nothing holds
-    never does. Friction of contacts is a drag, which is zero at rest: things come to
-    lie where they would without it.
+    It finds rest states that are reached by falling. A model that stands exactly on the
+    top of a hill, such as a straight column, stays there and has converged. A model
+    that nothing holds never converges. Friction of contacts is a drag, which is zero at
+    rest: things come to lie where they would without it.
 
     Args:
         scene: The scene or system, without schedules (`.at(time)`).
-        state: Where to start; its velocities are set to zero.
+        state: State to start from; its velocities are set to zero.
         dt: Step size [s]; by default `stable_dt(scene).dt`.
-        force_tolerance: Largest force out of balance [N]; by default, of the rod of
-            which that is least, 1e-8 of its bending stiffness over its length squared,
-            and eight units of round-off of its stiffness of stretch.
+        force_tolerance: Largest force out of balance [N]. By default it is 1e-8 of a
+            rod's bending stiffness over its length squared, plus eight units of
+            round-off of its stretching stiffness, for the rod for which this is least.
         couple_tolerance: Largest couple out of balance [N m]; by default the same times
-            the length.
-        every: Steps between looks at the kinetic energy and at the residual.
+            the length of the rod.
+        every: Steps between checks of the kinetic energy and of the residual.
         max_steps: Largest number of steps, rounded up to a multiple of `every`.
 
     Returns:
@@ -141,20 +146,20 @@ def settled(
 
 @pytree
 class Way:
-    """How far it has come."""
+    """Carry of the loop over blocks of steps."""
 
     state: Any
-    """The state, moving."""
+    """Current state, in motion."""
     pushes: Any
-    """Rates after the kick from rest there."""
+    """Rates after the kick from rest in this state."""
     rate: Array
-    """Of damping [1/s]."""
+    """Rate of damping [1/s]."""
     blocks: Array
-    """Blocks of steps taken."""
+    """Number of blocks of steps taken."""
     residuals: tuple[Array, Array]
     """Largest force [N] and couple [N m] out of balance."""
     finite: Array
-    """Whether it has not blown up."""
+    """Whether the kinetic energy is finite."""
 
 
 @functools.partial(jax.jit, static_argnames="every")
@@ -186,7 +191,7 @@ def _settled(
 
 
 def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
-    """Some steps more, and the damping for those that follow."""
+    """One more block of steps, and the damping for the next."""
     damped = _damped(scene, way.rate)
     padded = _each(way.state, lambda own: _with_memories(own, 1))
     moved = _each(
@@ -194,7 +199,7 @@ def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
     )
     pushes = _pushes(scene, moved, dt)
     mean = jax.tree.map(lambda a, b: 0.5 * (a + b), _rates(way.state), _rates(moved))
-    # Changes of accelerations times the duration of the block: of the unit of rates.
+    # Changes of accelerations times the duration of the block, in units of rates.
     change = jax.tree.map(lambda a, b: every / INSTANT * (b - a), way.pushes, pushes)
 
     def energy(share: float) -> Array:
@@ -203,7 +208,7 @@ def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
 
     moving = energy(0.0)
     stopped = moving == 0
-    # By the square of the duration, and no faster than steps can follow.
+    # Squared frequency times the squared duration, bounded by what steps can resolve.
     squared = (energy(-1.0) - energy(1.0)) / (4 * jnp.where(stopped, 1, moving))
     rate = 2 * jnp.sqrt(jnp.clip(squared, 0, (0.5 * every) ** 2)) / (every * dt)
     return Way(
@@ -217,16 +222,16 @@ def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
 
 
 def _each(state: Any, function: Callable[[Any], Any]) -> Any:
-    """The state with a function of every member's."""
+    """The state with a function applied to the state of every member."""
     if not isinstance(state, dict):
         return function(state)
-    # The record of lists of neighbours is no member's.
+    # The record of lists of neighbours belongs to no member.
     known = (RodState, BodyState)
     return {k: function(v) if isinstance(v, known) else v for k, v in state.items()}
 
 
 def _rates(state: Any) -> Any:
-    """Velocities and angular momenta (of bodies, angular velocities) of all members."""
+    """Velocities and angular momenta (angular velocities of bodies) of all members."""
     if isinstance(state, dict):
         known = (RodState, BodyState)
         return {k: _rates(v) for k, v in state.items() if isinstance(v, known)}
@@ -236,7 +241,7 @@ def _rates(state: Any) -> Any:
 
 
 def _with_rates(state: Any, rates: Any) -> Any:
-    """The state moving as given."""
+    """The state with the given rates."""
     if isinstance(state, dict):
         moving = {name: _with_rates(state[name], own) for name, own in rates.items()}
         return {**state, **moving}
@@ -246,7 +251,7 @@ def _with_rates(state: Any, rates: Any) -> Any:
 
 
 def _pushes(scene: Model, state: Any, dt: Array) -> Any:
-    """Rates that all loads give what is at rest in an instant."""
+    """Rates that all loads give in an instant to the state at rest."""
     still = _with_rates(state, jax.tree.map(jnp.zeros_like, _rates(state)))
     return _rates(step(scene, still, INSTANT * dt))
 
@@ -259,7 +264,7 @@ def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array,
             masses, spins = member.masses, body_angular_momenta(member, own)
         else:
             masses, spins = member.rod.node_masses, own.angular_momenta
-        # Of equal rods with a leading axis the components are next to last.
+        # With a leading axis for equal rods, components are next to last.
         for k, push in enumerate((masses[..., None, :] * own.velocities, spins)):
             size = jnp.max(jnp.sum(push * push, axis=-2))
             largest[k] = jnp.maximum(largest[k], size)
@@ -268,19 +273,19 @@ def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array,
 
 
 def _damped(scene: Any, rate: Array) -> Any:
-    """The model with all members damped at a rate besides [1/s]."""
+    """The model with all members damped in addition, at a rate [1/s]."""
     if isinstance(scene, Composite):
         system: Any = scene
         damped = {name: _damped(own, rate) for name, own in system.members.items()}
         return replace(system, members=damped)
     if isinstance(scene, Scene):
-        # Of equal rods every number has a leading axis.
+        # Every number of equal rods has a leading axis.
         rate = jnp.broadcast_to(rate, scene.rod.rest_lengths.shape[:-1])
     return replace(scene, effects=(*scene.effects, ExponentialDamping(rate, rate)))
 
 
 def _with_memories(state: Any, more: int) -> Any:
-    """A state with room for one more effect's memory, or one less."""
+    """State with room for the memory of one more effect, or of one less."""
     if isinstance(state, BodyState) or state.memory is None:
         return state
     memory = (*state.memory, {}) if more > 0 else state.memory[:more]
@@ -308,7 +313,7 @@ def _check_moment(scene: Model) -> None:
 
 
 def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
-    """Of the rod of which they are least; none without rods."""
+    """Smallest tolerances of all rods; `None` without rods."""
     if isinstance(scene, Scene):
         rods = [scene.rod]
     else:
@@ -321,7 +326,7 @@ def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
 
 
 def _tolerances_of(rod: Rod) -> tuple[Array, Array]:
-    """Of a rod, or the least of equal ones."""
+    """Tolerances of a rod, or the smallest of equal rods."""
     length = jnp.sum(rod.rest_lengths, axis=-1)
     bending = jnp.min(rod.bend_twist_stiffness[..., :2, :], axis=(-2, -1))
     stretch = jnp.max(rod.shear_stretch_stiffness[..., 2, :], axis=-1)

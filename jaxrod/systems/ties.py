@@ -1,10 +1,10 @@
 r"""Ties: nodes of rods that share one place for ever, exactly.
 
-Nodes with masses $m_i$ that are tied have one velocity, $\sum m_i v_i / \sum m_i$
-after every kick. The constraint is linear in the positions, so this projection is the
-constrained Verlet step itself: it keeps momentum, angular momentum and energy, and does
-not limit the time step, for inertia that is added only lowers frequencies. Along axes
-that a support holds, the support's velocity counts alone.
+Tied nodes with masses $m_i$ have one velocity, $\sum m_i v_i / \sum m_i$ after every
+kick. The constraint is linear in the positions, so this projection is the constrained
+Verlet step itself. It keeps momentum, angular momentum and energy. It does not limit
+the time step, because added inertia only lowers frequencies. Along axes that a support
+holds, only the support's velocity counts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxrod.systems.rows import picked, replaced, summed
 from jaxrod.validation import is_traced
 
 _APART = 1e-3
-"""Share of the distance to the next node that tied nodes may be apart at first."""
+"""Largest initial distance of tied nodes, over the distance to the next node [1]."""
 
 
 @pytree
@@ -36,12 +36,12 @@ class Tie(Coupling):
     points: tuple[Points, ...]
     """Tied nodes, member by member."""
     groups: tuple[Indices, ...] = static()
-    """Number of the group that each belongs to."""
+    """Number of the group of each tied node, member by member."""
     n_groups: int = static(default=1)
     """Number of groups."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or smaller, or is a body."""
+        """Raises ValueError if a member is missing, too small or a rigid body."""
         for points in self.points:
             points.check(parts)
             if not parts[points.member].is_rod:
@@ -51,7 +51,7 @@ class Tie(Coupling):
                 )
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Puts each group at one place: equal velocities alone leave rounding."""
+        """Puts each group at one place: equal velocities alone leave round-off."""
         return self._together(seen, "position")
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
@@ -94,7 +94,7 @@ class Tie(Coupling):
         )
 
     def joined_nodes(self) -> list[tuple[str, int]]:
-        """The nodes that are tied."""
+        """Nodes that are tied."""
         return [
             (points.member, int(i))
             for points in self.points
@@ -104,7 +104,8 @@ class Tie(Coupling):
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
         """A component of a field of each tied node's group, member by member.
 
-        The mean by mass; where a support holds some of them, the mean of those.
+        It is the mean weighted by mass or, if a support holds some of the nodes, the
+        mean of these.
         """
         masses, speeds, held = [], [], []
         for points in self.points:
@@ -156,20 +157,20 @@ def tie(
 ) -> Tie:
     """Ties nodes of rods together exactly: a ball joint without compliance.
 
-    Elements turn freely about the shared place; see `weld` for a joint that bends.
+    Elements turn freely about the shared place; see `weld` for an elastic joint.
 
     Args:
         a: A place, `("arm", "finish")`, `("arm", 7)` or `("arms", 2, "start")`; or
             several.
-        b: As many others, each tied to one of `a`.
-        state: State of the system: tied nodes are at one place in it.
+        b: Another place, or as many, each tied to one of `a`.
+        state: State of the system, in which tied nodes are at one place.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
         ValueError: If there is no such place, or two tied nodes are apart.
-        TypeError: If a place is none.
+        TypeError: If a place is not of the form of a place.
     """
     first, second = pairs(a, b)
     layouts = layouts_of(state)
@@ -198,7 +199,7 @@ def tie(
 
 
 def merged(ties: Sequence[Tie]) -> Tie | None:
-    """One tie for several, in which nodes that share a tied node are one group."""
+    """One tie for several, in which groups that share a node become one."""
     if len(ties) < 2:
         return ties[0] if ties else None
     found: dict[tuple[str, int], int] = {}
@@ -231,7 +232,7 @@ def _tie_of(
     elements: Mapping[tuple[str, int], int],
     roots: Sequence[int],
 ) -> Tie:
-    """The tie of numbered nodes, given the root of each one's group."""
+    """The tie of numbered nodes, from the root of each node's group."""
     _, group = np.unique(roots, return_inverse=True)
     points, groups = [], []
     for member in dict.fromkeys(member for member, _ in found):

@@ -23,15 +23,15 @@ from jaxrod.systems.ties import pairs, tie
 def weld(
     a: Place | Sequence[Place], b: Place | Sequence[Place], state: Mapping[str, Any]
 ) -> tuple[Coupling, ...]:
-    """Joins rods: their nodes are one, and between their elements is an elastic joint.
+    """Joins rods: nodes become one, and an elastic joint connects their elements.
 
-    The joint is half an element of each rod, as two springs in series at rest as in
-    `state`, each about the axes of its own section. Two halves of a rod welded end to
-    end are the whole rod, and the order of `a` and `b` does not matter.
+    The joint is half an element of each rod, as two springs in series that are at rest
+    in `state`, each about the axes of its own section. Two halves of a rod welded end
+    to end make the whole rod, and the order of `a` and `b` does not matter.
 
     Args:
         a: A place, `("trunk", "finish")` or `("arms", 2, 7)`; or several.
-        b: As many others, each joined to one of `a`.
+        b: Another place, or as many, each joined to one of `a`.
         state: State of the system at rest.
 
     Returns:
@@ -39,7 +39,7 @@ def weld(
 
     Raises:
         ValueError: If there is no such place, or two joined nodes are apart.
-        TypeError: If a place is none.
+        TypeError: If a place is not of the form of a place.
     """
     first, second = pairs(a, b)
     joints = elastic_joints(first, second, state)
@@ -53,14 +53,15 @@ def attach(
     *,
     turning: bool = False,
 ) -> tuple[Coupling, ...]:
-    """Makes nodes of rods part of a rigid body, where `state` has both.
+    """Makes nodes of rods part of a rigid body, at their places in `state`.
 
-    Exact, and free in the time step: the body has the nodes' masses. The element is
-    held at its angle to the body as by a clamp, unless it may turn.
+    The attachment is exact and does not limit the time step: the body has the nodes'
+    masses. The element is held at its angle to the body as by a clamp, unless it may
+    turn.
 
     Args:
         a: A place on a rod, `("arm", "start")`; or several of one member.
-        b: A body, `("head",)`; or as many as places.
+        b: A body, `("head",)`; or as many bodies as places.
         state: State of the system at rest.
         turning: Whether the elements turn freely about their nodes.
 
@@ -69,7 +70,7 @@ def attach(
 
     Raises:
         ValueError: If there is no such place.
-        TypeError: If a place is none.
+        TypeError: If a place is not of the form of a place.
     """
     first = pairs(a, a)[0]
     second = pairs(b, b)[0]
@@ -85,7 +86,7 @@ def attach(
 def elastic_joints(
     a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
 ) -> list[ElasticJoint]:
-    """Elastic joints at rest as in a state, one for each pair of members."""
+    """Elastic joints that are at rest in a state, one row for each pair of members."""
     layouts = layouts_of(state)
     sorted_pairs: dict[tuple[str, str], list[int]] = {}
     ends = [
