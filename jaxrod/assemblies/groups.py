@@ -1,4 +1,4 @@
-"""Equal rods in one leaf, each with the same effects: the members of assemblies."""
+"""Members of assemblies: equal rods with the same effects, with a leading axis."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ class Plane(Body):
 
     @property
     def inradius(self) -> Array:
-        """Infinite."""
+        """Radius of the largest ball inside: infinite [m]."""
         return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
 

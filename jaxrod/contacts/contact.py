@@ -154,8 +154,8 @@ class Contact(Effect):
     def violation(self, rod: Rod, state: RodState) -> Array:
         """Deepest penetration of a node over the radius.
 
-        It is one where the centreline reaches a surface. With contact forces on the
-        scale of the rod's other forces it never gets that far.
+        It is one where the centreline reaches a surface. Contact whose stiffness suits
+        the rest of the rod never lets it come that far.
         """
         position = motion_of(state).position
         nodes, bodies = self._in_view(rod)[0]

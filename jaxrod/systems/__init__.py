@@ -1,1 +1,1 @@
-"""Several rods and rigid bodies, and what ties and couples them."""
+"""Systems of rods and rigid bodies, with the couplings between them."""

@@ -166,7 +166,7 @@ def attachment(
 
     Args:
         places: Nodes of one member.
-        bodies: As many bodies of one member.
+        bodies: Bodies of one member, one for each place.
         state: State of the system.
     """
     layouts = layouts_of(state)

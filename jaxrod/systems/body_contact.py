@@ -73,10 +73,10 @@ class BodyContact(Coupling):
     body: str = static(default="")
     """Name of the bodies."""
     points_per_element: int | None = static(default=None)
-    """Contact points per element; `None`: as many as the radii need."""
+    """Contact points per element; `None` to derive the number from the radii."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if members are missing, of a wrong kind or have no shape."""
+        """Raises ValueError if members are missing, of a wrong kind or lack a shape."""
         for name, rods in ((self.rod, True), (self.body, False)):
             check_named(name, parts)
             if parts[name].is_rod != rods:

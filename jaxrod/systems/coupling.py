@@ -49,7 +49,7 @@ class Coupling:
         return ()
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
-        """The coupling, told which ends of rods are free and which continue.
+        """The coupling with the given free ends of rods; other ends continue.
 
         Args:
             free: For each member, numbers for the first and the last end of each of its

@@ -100,7 +100,7 @@ class CrossingContact(TouchingRods):
         return replace(self, strands=made)
 
     def views(self) -> list[tuple[int, int]]:
-        """Pairs of members, each once."""
+        """Numbers of pairs of members whose elements meet, each pair once."""
         count = len(self.members)
         return [
             (a, b)

@@ -1,10 +1,10 @@
 """Pairs of elements of rods that may touch: gather of elements, scatter of loads.
 
 All pairs of two members are `(others, own)`; the pairs of a list are in one row. Gather
-reads from one table with a row for each element, and scatter adds to one. The reason is
-XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for): it aborts
-the process if each number is gathered separately and the program is transposed. It
-compiles a table of rows, forward and in reverse, in loops and under `vmap`.
+reads from one table with a row for each element, and scatter adds to such a table. The
+reason is XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for): it
+aborts the process if each number is gathered separately and the program is transposed.
+It compiles a table of rows, forward and in reverse, in loops and under `vmap`.
 """
 
 from __future__ import annotations

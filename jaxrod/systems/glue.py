@@ -175,7 +175,7 @@ def glue(
     Args:
         a: Name of a rod, or name and number of one of equal rods such as `("rods", 2)`.
             Or several rods of one member, each glued to one of `b`.
-        b: The other rod, or as many.
+        b: The other rod, or one for each rod of `a`.
         state: State of the system at rest.
         stiffness: Force per length of glue and distance, in all directions [N/m^2].
             This and the next three are a number, or one for each pair of glued

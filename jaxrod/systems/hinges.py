@@ -40,12 +40,12 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class AxisSprings(Coupling):
-    """Axes of elements of two members, pulled towards each other; see `hinge`."""
+    """Axes of elements of two members, pulled towards each other; see `hinge_joint`."""
 
     a: Points
     """Elements of the first member."""
     b: Points
-    """Elements of the second member, as many."""
+    """Elements of the second member, one for each of the first."""
     axes_a: Float[Array, "3 hinges"]
     """Unit vectors along the hinges, in the frames of `a`."""
     axes_b: Float[Array, "3 hinges"]
@@ -174,7 +174,7 @@ def rigid_joint(
 
     Args:
         a: A place on the first member, or several.
-        b: A place on the second member, or as many.
+        b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
         stiffness: Force per distance between the two points [N/m].
         turning_stiffness: Couple per angle from rest [N m].

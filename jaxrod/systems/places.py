@@ -25,7 +25,7 @@ class Indices:
     """Static integers: hashable, and compared by value."""
 
     def __init__(self, values: Any) -> None:
-        """Keeps a copy."""
+        """Keeps a copy of the integers."""
         self.values = np.array(values, np.int32, ndmin=1)
         self.values.flags.writeable = False
         self._hash = hash((self.values.shape, self.values.tobytes()))
@@ -47,7 +47,7 @@ class Indices:
         return len(self.values)
 
     def __repr__(self) -> str:
-        """The integers."""
+        """Text with the integers."""
         return f"Indices({self.values.tolist()})"
 
 

@@ -238,10 +238,10 @@ def rigid_contact(
 ) -> RigidContact:
     """Contact of rigid bodies with one another and with bodies that stand still.
 
-    Spheres touch everything exactly. Capsules are rows of balls a radius apart.
-    Cylinders are so too, and also stand and roll on their rims. Boxes touch with their
-    corners. If the edges of two boxes cross, with no corner of one in the other, they
-    meet at the points of `points_per_edge`.
+    Spheres touch everything exactly. Capsules and cylinders are rows of balls a radius
+    apart; cylinders also stand and roll on their rims. Boxes touch with their corners.
+    If the edges of two boxes cross, with no corner of one in the other, they meet at
+    the points of `points_per_edge`.
 
     Args:
         *members: Names of members that are rigid bodies. Every body touches all others,

@@ -63,7 +63,7 @@ class Settled:
     force_residual: Float[Array, ""]
     """Largest mass times acceleration of a node or a body, when at rest there [N]."""
     couple_residual: Float[Array, ""]
-    """Largest rate of angular momentum of an element or a body, when at rest there [N m].
+    """Largest rate of angular momentum of an element or body, when at rest there [N m].
     """
 
 

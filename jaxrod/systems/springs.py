@@ -39,7 +39,7 @@ class Springs(Coupling):
     a: Anchors
     """Anchors on the first member."""
     b: Anchors
-    """Anchors on the second member, as many."""
+    """Anchors on the second member, one for each on the first."""
     stiffness: Float[Array, ""]
     """Force per distance [N/m]."""
     damping: Float[Array, ""] | None = None
@@ -135,7 +135,7 @@ def spring(
 
     Args:
         a: A place on the first member, or several.
-        b: A place on the second member, or as many.
+        b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
         stiffness: Force per change of distance [N/m].
         damping: Force per relative speed of the two points [kg/s].
@@ -184,7 +184,7 @@ def ball_joint(
 
     Args:
         a: A place on the first member, or several.
-        b: A place on the second member, or as many.
+        b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
         stiffness: Force per distance between the two points [N/m].
         damping: Force per relative speed [kg/s].

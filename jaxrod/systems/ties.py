@@ -162,7 +162,7 @@ def tie(
     Args:
         a: A place, `("arm", "finish")`, `("arm", 7)` or `("arms", 2, "start")`; or
             several.
-        b: Another place, or as many, each tied to one of `a`.
+        b: Another place, or one for each place of `a`, to which it is tied.
         state: State of the system, in which tied nodes are at one place.
 
     Returns:

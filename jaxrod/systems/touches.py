@@ -94,9 +94,9 @@ class PairLoads:
     other_turn: Vec3 | None = None
     """Couple on the second element [N m]."""
     own_bulges: tuple[Vec3, Vec3] | None = None
-    """Part of the force on the first that acts on the bulges of a smooth axis [N]."""
+    """Forces on both bulges of the first element, for smooth axes [N]."""
     other_bulges: tuple[Vec3, Vec3] | None = None
-    """The same part of the force on the second [N]."""
+    """Forces on both bulges of the second element, for smooth axes [N]."""
 
     def added(self, more: PairLoads) -> PairLoads:
         """Sum of both loads."""

@@ -31,7 +31,7 @@ def weld(
 
     Args:
         a: A place, `("trunk", "finish")` or `("arms", 2, 7)`; or several.
-        b: Another place, or as many, each joined to one of `a`.
+        b: Another place, or one for each place of `a`, to which it is joined.
         state: State of the system at rest.
 
     Returns:
@@ -61,7 +61,7 @@ def attach(
 
     Args:
         a: A place on a rod, `("arm", "start")`; or several of one member.
-        b: A body, `("head",)`; or as many bodies as places.
+        b: A body, `("head",)`; or one for each place of `a`.
         state: State of the system at rest.
         turning: Whether the elements turn freely about their nodes.
 
