@@ -2,7 +2,7 @@ r"""Contact between rods by the crossing law: each crossing counts once.
 
 Over the segments $i$, $j$ of two rods and the nodes between segments
 
-$$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big],$$
+$$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big].$$
 
 The penetration $p$ is taken at the closest points of two segments, of the next node $v$
 or $w$ of one segment and the other segment, and of both nodes. Segments are pieces of

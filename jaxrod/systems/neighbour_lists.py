@@ -31,8 +31,8 @@ class NeighbourLists:
     """Settings of lists of neighbours; see `neighbour_lists`."""
 
     skin: Float[Array, ""]
-    """Gap between surfaces up to which elements are listed, over the largest radius [1].
-    """
+    """Gap between surfaces up to which elements are listed, over the largest radius
+    [1]."""
     refresh_every: int = static(default=32)
     """Steps between searches."""
     pairs: int | tuple[int, ...] | None = static(default=None)
