@@ -182,8 +182,8 @@ def glue(
             elements, starting with those of the first rods.
         turning_stiffness: Couple per length and angle between the elements [N].
         damping: Force per length and relative speed [kg/(m s)].
-        turning_damping: Couple per length and relative angular velocity [N s]; acts
-            only with a `turning_stiffness`.
+        turning_damping: Couple per length and relative angular velocity [N s]; needs a
+            `turning_stiffness`.
         elements: Numbers of elements of `a`, and as many of the elements of `b` glued
             to them; by default each element is glued to the one of the same number.
             With several rods, one such pair of lists for all, or a list of such pairs,
@@ -193,10 +193,15 @@ def glue(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If there are no such rods or elements, their numbers differ, or a
-            number is out of range.
+        ValueError: If there are no such rods or elements, their numbers differ, a
+            number is out of range, or there is a turning damping alone.
         TypeError: If a rod is not given by its name.
     """
+    if turning_damping is not None and turning_stiffness is None:
+        raise ValueError(
+            "turning_stiffness [N] is needed beside turning_damping: without it glued "
+            "elements turn freely"
+        )
     layouts = layouts_of(state)
     names = [_rods("a", a), _rods("b", b)]
     if len(names[0]) != len(names[1]):

@@ -71,7 +71,9 @@ def test_samples_are_drawn_and_weighed_as_the_method_says(name):
     @jax.jit
     @jax.vmap
     def valued(knots):
-        return control.trajectories.problem.cost(own, control.trajectories.problem.over_time(knots, COUNT))
+        return control.trajectories.problem.cost(
+            own, control.trajectories.problem.over_time(knots, COUNT)
+        )
 
     for k, key in enumerate(jax.random.split(jax.random.key(0), iterations)):
         noise = np.asarray(jax.random.normal(key, (samples, 2, 1)))

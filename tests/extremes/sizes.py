@@ -79,7 +79,7 @@ def in_own_units(radius: float, method: str, dtype: Any) -> dict[str, Any]:
     after = jaxrod.advance(scene, state, dt, STEPS)
     found["positions"] = np.asarray(after.positions) / radius
     found["energy"] = np.asarray(jaxrod.potential_energy(scene, after)) / radius**3
-    found["health"] = np.asarray(jaxrod.health(scene, after, dt).ok)
+    found["health"] = np.asarray(jaxrod.health(scene, after, dt).flagged)
     if method == "consistent":
         still = jaxrod.equilibrium(scene, state)
         found["equilibrium"] = np.asarray(still.state.positions) / radius

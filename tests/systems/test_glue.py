@@ -334,6 +334,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
             r"stiffness must be positive, got 0 N/m\^2",
         ),
         (("low", "high"), {"damping": [1.0, 2.0]}, "damping must"),
+        (("low", "high"), {"turning_damping": 1.0}, "turning_stiffness .* is needed"),
         (
             (["low"], ["high"]),
             {"elements": [([0], [0]), ([1], [1])]},
