@@ -735,7 +735,7 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
     close(pulled.power, 0)
 
 
-TOUCHING = ("rods", "crossing", "elements", "body", "bodies")
+TOUCHING = ("rods", "crossing", "body", "bodies")
 
 
 def touching(stiff, gap, way=(1, 0, 0)):
@@ -771,7 +771,6 @@ def touching(stiff, gap, way=(1, 0, 0)):
         },
         jaxrod.rod_contact("one", "other", stiffness=k["rods"]),
         jaxrod.crossing_contact("one", "other", stiffness=k["crossing"]),
-        jaxrod.element_contact("one", "other", stiffness=k["elements"]),
         jaxrod.body_contact("one", "balls", stiffness=k["body"]),
         jaxrod.rigid_contact("balls", fixed=ground, stiffness=k["bodies"]),
         state=state,
@@ -797,13 +796,6 @@ def test_rods_side_by_side_press_by_their_length():
 def test_rods_that_cross_press_as_one_spring():
     one, other, *_ = touching("crossing", -DEEP, (0, 1, 0))
     close(other[2], STIFF * DEEP, rtol=1e-3)
-    close(one, -other, atol=1e-9)
-
-
-@runs("element_contact")
-def test_elements_press_on_elements():
-    one, other, *_ = touching("elements", -DEEP, (0, 1, 0))
-    assert other[2] > 0.1 * STIFF * DEEP
     close(one, -other, atol=1e-9)
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from benchmarks.plectoneme.element_contact import element_contact
 from jaxrod.structure import pytree
 
 LENGTH, RADIUS, MASS, YOUNG = 1.0, 0.025, 1.0, 1e6
@@ -123,7 +124,7 @@ def ours(n: int, count: float | None = 1.0) -> tuple[Any, Any]:
         method=jaxrod.pyelastica(),
     )
     if count is None:
-        theirs = jaxrod.element_contact("rod", stiffness=CONTACT, damping=DASHPOT)
+        theirs = element_contact("rod", stiffness=CONTACT, damping=DASHPOT)
         return jaxrod.make_system({"rod": scene}, theirs), {"rod": state}
     per_length = n / LENGTH
     touch = jaxrod.rod_contact(

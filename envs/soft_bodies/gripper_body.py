@@ -19,7 +19,7 @@ import jaxrod
 from jaxrod import Chamber, Driven, HealthLimits, Ramp, RodState, Scene
 from jaxrod.effects.paths import Path
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import SystemState
+from jaxrod.systems.stepping.assembly import SystemState
 from jaxrod.systems.system import System
 
 N_FINGERS = 3

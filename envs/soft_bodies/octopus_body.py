@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 import jaxrod
 from jaxrod import ActiveShape, HealthLimits, Ramp, RodState, Scene
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import SystemState
+from jaxrod.systems.stepping.assembly import SystemState
 from jaxrod.systems.system import System
 
 N_ARMS = 8

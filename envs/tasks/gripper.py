@@ -62,7 +62,7 @@ from jaxrod.envs.soft_bodies.gripper_body import (
 )
 from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import SystemState
+from jaxrod.systems.stepping.assembly import SystemState
 from jaxrod.validation import check_array, check_count
 
 Variant = Literal["clean"]

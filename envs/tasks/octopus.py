@@ -46,7 +46,7 @@ from jaxrod.envs.soft_bodies.octopus_body import (
 )
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import SystemState
+from jaxrod.systems.stepping.assembly import SystemState
 from jaxrod.validation import check_count
 
 Variant = Literal["clean"]

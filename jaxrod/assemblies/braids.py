@@ -15,10 +15,10 @@ import numpy as np
 from jaxrod.assemblies.groups import rods_along, scenes
 from jaxrod.contacts.bodies import cylinder
 from jaxrod.effects.base import Effect
-from jaxrod.systems.rigid_bodies import rigid_body
+from jaxrod.systems.joints.ties import tie
+from jaxrod.systems.joints.welds import attach
+from jaxrod.systems.members.rigid_bodies import rigid_body
 from jaxrod.systems.system import System, make_system
-from jaxrod.systems.ties import tie
-from jaxrod.systems.welds import attach
 from jaxrod.validation import as_array, check_count
 
 

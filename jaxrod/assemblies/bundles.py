@@ -10,7 +10,7 @@ import numpy as np
 from jaxrod.assemblies.groups import equal_rods, scenes
 from jaxrod.effects.base import Effect
 from jaxrod.rods.factories import straight_rod
-from jaxrod.systems.glue import glue
+from jaxrod.systems.joints.glue import glue
 from jaxrod.systems.system import System, make_system
 from jaxrod.validation import Numbers, as_array, check_count, numeric
 

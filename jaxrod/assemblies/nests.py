@@ -14,7 +14,7 @@ from jaxrod.contacts.bodies import plane, signed_distance
 from jaxrod.contacts.factories import contact
 from jaxrod.effects.base import Effect
 from jaxrod.rods.factories import straight_rod
-from jaxrod.systems.rod_contact import rod_contact
+from jaxrod.systems.contact.rod_contact import rod_contact
 from jaxrod.systems.system import System, make_system
 from jaxrod.validation import Numbers, as_array, check_count, check_seed
 

@@ -10,9 +10,9 @@ import numpy as np
 from jaxrod.assemblies.groups import equal_rods, scenes
 from jaxrod.effects.base import Effect
 from jaxrod.rods.factories import straight_rod
+from jaxrod.systems.joints.ties import tie
+from jaxrod.systems.joints.welds import weld
 from jaxrod.systems.system import System, make_system
-from jaxrod.systems.ties import tie
-from jaxrod.systems.welds import weld
 from jaxrod.validation import as_array, check_count
 
 

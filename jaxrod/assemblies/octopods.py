@@ -11,9 +11,9 @@ from jaxrod.assemblies.groups import equal_rods, scenes
 from jaxrod.contacts.bodies import sphere
 from jaxrod.effects.base import Effect
 from jaxrod.rods.factories import straight_rod
-from jaxrod.systems.rigid_bodies import rigid_body
+from jaxrod.systems.joints.welds import attach
+from jaxrod.systems.members.rigid_bodies import rigid_body
 from jaxrod.systems.system import System, make_system
-from jaxrod.systems.welds import attach
 from jaxrod.validation import Numbers, as_array, check_count
 
 

@@ -12,8 +12,8 @@ from jaxrod.composition import make_scene
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp
 from jaxrod.rods.factories import straight_rod
+from jaxrod.systems.joints.welds import weld
 from jaxrod.systems.system import System, make_system
-from jaxrod.systems.welds import weld
 from jaxrod.validation import as_array, check_count
 
 

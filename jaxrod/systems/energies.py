@@ -18,15 +18,15 @@ from jaxrod.scene import (
     momentum,
     potential_energy,
 )
-from jaxrod.systems.assembly import Assembly, Member, SystemState, held_parts
-from jaxrod.systems.listing import searched, with_found
-from jaxrod.systems.parts import Seen, in_one_row
-from jaxrod.systems.rigid_bodies import (
+from jaxrod.systems.members.parts import Seen, in_one_row
+from jaxrod.systems.members.rigid_bodies import (
     BodyState,
     RigidBodies,
     body_angular_momenta,
     body_kinetic_energy,
 )
+from jaxrod.systems.stepping.assembly import Assembly, Member, SystemState, held_parts
+from jaxrod.systems.stepping.listing import searched, with_found
 
 
 @jax.jit

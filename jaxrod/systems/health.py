@@ -13,10 +13,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from jaxrod.analysis.health import Health, HealthLimits, health
 from jaxrod.geometry import vectors
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import Assembly, SystemState
+from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.neighbour_lists import RECORD, NeighbourRecord, no_record
-from jaxrod.systems.rigid_bodies import BodyState, RigidBodies
+from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+from jaxrod.systems.stepping.assembly import Assembly, SystemState
 
 
 @pytree

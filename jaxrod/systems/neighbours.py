@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from jaxrod.systems.contact.neighbour_lists import NeighbourLists, with_spare
+from jaxrod.systems.contact.touching_rods import TouchingRods
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.neighbour_lists import NeighbourLists, with_spare
 from jaxrod.systems.system import System
-from jaxrod.systems.touching_rods import TouchingRods
 from jaxrod.validation import check_kind, is_traced
 
 

@@ -37,7 +37,11 @@ from jaxrod.stepping.checks import check_arguments, check_first
 from jaxrod.stepping.memory import with_memory
 from jaxrod.stepping.runs import advance, step
 from jaxrod.structure import pytree
-from jaxrod.systems.rigid_bodies import BodyState, RigidBodies, body_angular_momenta
+from jaxrod.systems.members.rigid_bodies import (
+    BodyState,
+    RigidBodies,
+    body_angular_momenta,
+)
 from jaxrod.validation import as_array, check_count
 
 SHARE = 1e-8

@@ -14,10 +14,10 @@ from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Scene
 from jaxrod.structure import pytree, static
-from jaxrod.systems.assembly import Assembly
-from jaxrod.systems.elastic_joints import added_bounds
-from jaxrod.systems.parts import in_rows
-from jaxrod.systems.rigid_bodies import RigidBodies
+from jaxrod.systems.joints.elastic_joints import added_bounds
+from jaxrod.systems.members.parts import in_rows
+from jaxrod.systems.members.rigid_bodies import RigidBodies
+from jaxrod.systems.stepping.assembly import Assembly
 
 
 @pytree

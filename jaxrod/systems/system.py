@@ -17,17 +17,8 @@ from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.scene import Scene
 from jaxrod.structure import pytree
-from jaxrod.systems.assembly import (
-    Assembly,
-    Member,
-    SystemState,
-    held_parts,
-    member_shapes,
-)
-from jaxrod.systems.attachments import Attachment
-from jaxrod.systems.body_effects import check_body_effects, in_type
-from jaxrod.systems.continued import free_ends
-from jaxrod.systems.coupling import AllParts, Coupling
+from jaxrod.systems.contact.continued import free_ends
+from jaxrod.systems.contact.neighbour_lists import RECORD
 from jaxrod.systems.energies import (
     seen_at_rest,
     system_angular_momentum,
@@ -36,17 +27,26 @@ from jaxrod.systems.energies import (
     system_potential_energy,
 )
 from jaxrod.systems.health import SystemHealth, system_health
-from jaxrod.systems.neighbour_lists import RECORD
-from jaxrod.systems.rigid_bodies import RigidBodies
-from jaxrod.systems.runs import (
+from jaxrod.systems.joints.attachments import Attachment
+from jaxrod.systems.joints.ties import Tie, merged
+from jaxrod.systems.members.body_effects import check_body_effects, in_type
+from jaxrod.systems.members.rigid_bodies import RigidBodies
+from jaxrod.systems.sites.coupling import AllParts, Coupling
+from jaxrod.systems.stability import StableSystemStep, stable_system_dt
+from jaxrod.systems.stepping.assembly import (
+    Assembly,
+    Member,
+    SystemState,
+    held_parts,
+    member_shapes,
+)
+from jaxrod.systems.stepping.runs import (
     check_system_run,
     check_system_state,
     system_stepper,
     system_with_memory,
     unstable_step,
 )
-from jaxrod.systems.stability import StableSystemStep, stable_system_dt
-from jaxrod.systems.ties import Tie, merged
 from jaxrod.validation import knows_constants
 
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.contacts.bodies import Body, Box, Capsule, Cylinder, Plane, Sphere
-from jaxrod.systems.rigid_bodies import RigidBodies
-from jaxrod.systems.solids import solid_of
+from jaxrod.systems.members.rigid_bodies import RigidBodies
+from jaxrod.systems.members.solids import solid_of
 from jaxrod.viz import surfaces
 from jaxrod.viz.colours import FIXED
 from jaxrod.viz.meshes import Mesh

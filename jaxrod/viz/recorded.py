@@ -13,12 +13,12 @@ from jaxrod.contacts.bodies import Body, Plane
 from jaxrod.contacts.contact import Contact
 from jaxrod.rods.motion import motion_of
 from jaxrod.scene import Scene
-from jaxrod.systems.body_contact import BodyContact
+from jaxrod.systems.contact.body_contact import BodyContact
+from jaxrod.systems.contact.neighbour_lists import RECORD
+from jaxrod.systems.contact.touching_rods import TouchingRods
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.neighbour_lists import RECORD
-from jaxrod.systems.rigid_bodies import RigidBodies
+from jaxrod.systems.members.rigid_bodies import RigidBodies
 from jaxrod.systems.system import System
-from jaxrod.systems.touching_rods import TouchingRods
 from jaxrod.viz.arrows import Arrows, checked_arrows
 from jaxrod.viz.bodies import leaning_plane, mesh_of, solid_mesh
 from jaxrod.viz.extent import extent

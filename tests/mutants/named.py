@@ -22,7 +22,7 @@ NAMED = (
     Named(
         "m01",
         "glue: turning dashpot without its length",
-        "jaxrod/systems/glue.py",
+        "jaxrod/systems/joints/glue.py",
         "damping=self.turning_damping * lengths",
         "damping=self.turning_damping",
         ("tests/systems/test_glue.py",),
@@ -30,7 +30,7 @@ NAMED = (
     Named(
         "m02",
         "hinge: motor twice as strong",
-        "jaxrod/systems/hinges.py",
+        "jaxrod/systems/joints/hinges.py",
         "vectors.scale(0.5 * self.motor",
         "vectors.scale(1.0 * self.motor",
         ("tests/systems/test_hinges.py",),
@@ -38,7 +38,7 @@ NAMED = (
     Named(
         "m03",
         "elastic joint: dashpot's couple on the second in the first's frame",
-        "jaxrod/systems/elastic_joints.py",
+        "jaxrod/systems/joints/elastic_joints.py",
         "on_b = to_material(frame_b, pull)",
         "on_b = to_material(frame_a, pull)",
         ("tests/systems/test_connections.py", "tests/systems/test_welds.py"),
@@ -86,7 +86,7 @@ NAMED = (
     Named(
         "m09",
         "pose spring: sign of the power of turning",
-        "jaxrod/systems/pose_springs.py",
+        "jaxrod/systems/joints/pose_springs.py",
         "power + vectors.dot(turn, spin)",
         "power - vectors.dot(turn, spin)",
         ("tests/systems/test_pose_springs.py",),
@@ -110,7 +110,7 @@ NAMED = (
     Named(
         "m12",
         "body with nodes: inertia not about the common centre",
-        "jaxrod/systems/rigid_stepper.py",
+        "jaxrod/systems/members/rigid_stepper.py",
         "carried.second, matrices.scale(mass, matrices.outer(centre, centre))",
         "carried.second, matrices.scale(0 * mass, matrices.outer(centre, centre))",
         ("tests/systems/test_connections.py",),
@@ -158,7 +158,7 @@ NAMED = (
     Named(
         "m18",
         "contact of rods: lever of friction on the second",
-        "jaxrod/systems/touches.py",
+        "jaxrod/systems/contact/touches.py",
         "other_turn = vectors.cross(rub, arms[1])",
         "other_turn = vectors.cross(rub, arms[0])",
         ("tests/systems/test_crossing_contact.py",),

@@ -113,7 +113,9 @@ def test_a_named_fault_that_is_gone_is_an_error_in_words(monkeypatch):
 
 def test_files_that_speak_of_a_module_come_first():
     likely = Likely(ROOT)
-    assert likely.first("jaxrod/systems/glue.py")[0] == "tests/systems/test_glue.py"
+    assert (
+        likely.first("jaxrod/systems/joints/glue.py")[0] == "tests/systems/test_glue.py"
+    )
     # What no test names is reached by what stands on it.
     assert "tests/control/test_ilqr.py" in likely.first(
         "jaxrod/control/trajectories/box_step.py"

@@ -261,7 +261,6 @@ FACTORIES = {
         }
     ],
     "body_contact": [{"rod": "rod", "body": "head", "touching": 0.1, **TOUCH}],
-    "element_contact": [{"members": ("one", "two"), "stiffness": 1e4, "damping": 2.0}],
     "linear_damper": [
         {"damping_constant": 3.0},
         {"translational": 0.1, "rotational": 1e-4},

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from benchmarks.plectoneme.element_contact import element_contact
 from jaxrod.systems.energies import seen_at_rest
 
 N, LENGTH, RADIUS, DENSITY, YOUNG = 12, 0.5, 0.01, 1000.0, 1e6
@@ -108,7 +109,7 @@ def test_loads_of_two_rods_that_collide(name, record):
             key: jaxrod.make_scene(rod, method=jaxrod.pyelastica())
             for key, (rod, _) in made.items()
         },
-        jaxrod.element_contact("one", "two", stiffness=STIFFNESS),
+        element_contact("one", "two", stiffness=STIFFNESS),
     )
     simulator = Simulator()
     for rod in rods:
@@ -152,7 +153,7 @@ def test_loads_of_a_rod_that_touches_itself(record):
     rod, state = our_rod(n, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     system = jaxrod.make_system(
         {"one": jaxrod.make_scene(rod, method=jaxrod.pyelastica())},
-        jaxrod.element_contact("one", stiffness=STIFFNESS, damping=DAMPING),
+        element_contact("one", stiffness=STIFFNESS, damping=DAMPING),
     )
     other = their_rod(n, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     contact = elastica.RodSelfContact(k=STIFFNESS, nu=DAMPING)
@@ -198,5 +199,5 @@ def test_bad_input(members, numbers, words):
     with pytest.raises(ValueError, match=words):
         jaxrod.make_system(
             {"one": scene, "two": scene, "ball": ball, "several": several},
-            jaxrod.element_contact(*members, **{"stiffness": 1.0} | numbers),
+            element_contact(*members, **{"stiffness": 1.0} | numbers),
         )

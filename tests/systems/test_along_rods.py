@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from jaxrod.systems.along_rods import from_node, share_of_gap, tied_share
-from jaxrod.systems.line_rows import _away
-from jaxrod.systems.parts import parts_of
-from jaxrod.systems.strands import strands
+from jaxrod.systems.contact.along_rods import from_node, share_of_gap, tied_share
+from jaxrod.systems.contact.line_rows import _away
+from jaxrod.systems.contact.strands import strands
+from jaxrod.systems.members.parts import parts_of
 from systems.members import rod
 
 THICK, THIN, LENGTH = 0.03, 0.01, 0.1

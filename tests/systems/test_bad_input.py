@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from jaxrod.systems.touching_rods import TouchingRods
+from jaxrod.systems.contact.touching_rods import TouchingRods
 from systems.members import rod
 
 

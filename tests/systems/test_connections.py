@@ -9,7 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.rigid_stepper import Carried, RigidStepper
+from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
 from systems.members import free_system, rod
 
 

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 import jaxrod
+from benchmarks.plectoneme.element_contact import element_contact
 from jaxrod.systems.energies import seen_at_rest
 from systems.members import rod
 
@@ -14,7 +15,7 @@ def test_crossing_rods_are_pushed_apart_each_where_it_is_touched():
     above, at_above = rod(3, 0.3, (0.0, -0.15, 0.035), (0, 1, 0))
     system = jaxrod.make_system(
         {"below": jaxrod.make_scene(below), "above": jaxrod.make_scene(above)},
-        jaxrod.element_contact("below", "above", stiffness=1e4),
+        element_contact("below", "above", stiffness=1e4),
     )
 
     @jax.jit

@@ -10,8 +10,8 @@ import pytest
 import jaxrod
 from jaxrod.geometry import vectors
 from jaxrod.systems import pair_sums
-from jaxrod.systems.element_pairs import Elements, IndexList, Pairs
-from jaxrod.systems.pair_sums import LEAST, sums_over_pairs
+from jaxrod.systems.contact.element_pairs import Elements, IndexList, Pairs
+from jaxrod.systems.contact.pair_sums import LEAST, sums_over_pairs
 
 ENTRIES, SIZES = 3 * LEAST + 100, (40, 30)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.systems.contact.samples import samples_of
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.parts import parts_of
-from jaxrod.systems.samples import samples_of
+from jaxrod.systems.members.parts import parts_of
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.systems.places import Indices
-from jaxrod.systems.rows import picked, replaced, summed
+from jaxrod.systems.sites.places import Indices
+from jaxrod.systems.sites.rows import picked, replaced, summed
 
 SIZE = 60
 INDICES = {

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad
 
 import jaxrod
-from jaxrod.systems.solids import solid_of
+from jaxrod.systems.members.solids import solid_of
 
 RADIUS, HALF = 0.3, 0.5
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from benchmarks.plectoneme.element_contact import element_contact
 from systems.members import SOFT, rod
 
 RADIUS, N = SOFT["radius"], 3
@@ -121,7 +122,7 @@ def sprung(a, b, state):
 def paired(count, **numbers):
     """Two rods side by side by PyElastica's law, without an onset."""
     scenes, state = rods(*((0.0, 0.0, k * (2 * RADIUS - DEEP)) for k in range(count)))
-    law = jaxrod.element_contact(*scenes, **{"stiffness": 1e9} | numbers)
+    law = element_contact(*scenes, **{"stiffness": 1e9} | numbers)
     return jaxrod.make_system(scenes, law), state
 
 

@@ -1,0 +1,1 @@
+"""Contact between members: rods, bodies, lists of neighbours."""

@@ -1,0 +1,399 @@
+r"""Contact of rods with rigid bodies that move.
+
+The law is that of `jaxrod.contacts.contact`: points along the rod against the signed
+distance of the surface of a body at its current pose, with the velocity of this
+surface. Force and reaction act at one point, $c = x - r n$ on the rod's surface: on the
+rod's section with the lever arm $-r n$, on the body with the lever arm $c - X$. So
+momentum and angular momentum are exact, with damping and friction too, and friction
+makes both roll.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.bodies import Sphere
+from jaxrod.contacts.contact_law import (
+    depth_from_onset,
+    energy_density,
+    friction_force,
+    normal_force,
+)
+from jaxrod.contacts.ends import Ends
+from jaxrod.effects.base import StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree, static
+from jaxrod.systems.contact.posed import Posed, posed
+from jaxrod.systems.contact.strands import (
+    ContactPoints,
+    StrandLoads,
+    Strands,
+    loads_on_member,
+    points_at,
+    points_needed,
+    strands_and_ends,
+)
+from jaxrod.systems.members.parts import Parts, mapped
+from jaxrod.systems.sites.coupling import (
+    AllParts,
+    AllSeen,
+    Coupling,
+    TiedPair,
+    check_named,
+)
+from jaxrod.validation import Numbers, as_array, check_count
+
+
+@pytree
+class BodyContact(Coupling):
+    """Contact of the rods of one member with the bodies of another."""
+
+    stiffness: Float[Array, ""]
+    """Force per length of rod and penetration [N/m^2]."""
+    onset: Float[Array, ""]
+    """Width of the smooth onset over the rod's radius [1]."""
+    damping: Float[Array, ""] | None = None
+    """Force per length and speed along the normal [kg/(m s)]."""
+    friction: Float[Array, ""] | None = None
+    """Coefficient of Coulomb friction [1]."""
+    friction_drag: Float[Array, ""] | None = None
+    """Largest friction per length and slip speed [kg/(m s)]."""
+    touching: Float[Array, ""] | None = None
+    """Length of rod that touches a body at a time, for the stability bound [m]."""
+    free_ends: Float[Array, "rods 2"] | None = None
+    """One for each free end of the rods, zero for an end that is tied or attached."""
+    strand: Strands | None = None
+    """Points of the rods, once prepared; their lengths are zero at ends."""
+    ends: Ends | None = None
+    """Ends of the rods, once prepared."""
+    rod: str = static(default="")
+    """Name of the rods."""
+    body: str = static(default="")
+    """Name of the bodies."""
+    points_per_element: int | None = static(default=None)
+    """Contact points per element; `None` to derive the number from the radii."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if members are missing, of a wrong kind or lack a shape."""
+        for name, rods in ((self.rod, True), (self.body, False)):
+            check_named(name, parts)
+            if parts[name].is_rod != rods:
+                raise ValueError(
+                    "body_contact is between a rod and a rigid body, got "
+                    f"{self.rod!r} and {self.body!r}"
+                )
+        if parts[self.body].shape is None:
+            raise ValueError(
+                f"body_contact needs a surface, but {self.body!r} has no shape"
+            )
+
+    def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
+        """The coupling with the number of points."""
+        if self.points_per_element is not None:
+            return self
+        # At most a radius apart.
+        needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
+        return replace(self, points_per_element=needed)
+
+    def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
+        """The coupling with these free ends: other ends have no face."""
+        return replace(self, free_ends=free[self.rod])
+
+    def prepared(self, parts: AllParts) -> BodyContact:
+        """The coupling with lengths and radii of the points."""
+        per, free = self.points_per_element, self.free_ends
+        assert per is not None and free is not None
+        made, ends = strands_and_ends(parts[self.rod], per, free)
+        return replace(self, strand=made, ends=ends)
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Forces and couples on rods and bodies."""
+        strand, own = self._strand(), seen[self.rod]
+        points = points_at(strand, own, spins=self.friction is not None)
+        total = vectors.scale(0.0, points.position)
+        turning: Vec3 | None = None if self.friction is None else total
+        reactions = []
+        # Forces beside the ends are spread over the points once, not for every body.
+        pulled = vectors.scale(0.0, self._ends().beside(points.position))
+        for body in self._bodies(seen):
+            force, turn, place, beside = self._force(points, body)
+            total = vectors.add(total, force)
+            pulled = vectors.add(pulled, beside)
+            if turn is not None:
+                assert turning is not None
+                turning = vectors.add(turning, turn)
+            couple = vectors.cross(force, vectors.subtract(place, body.position))
+            # These forces are along the normal, so any point on its line will do.
+            arm = vectors.subtract(self._ends().beside(points.position), body.position)
+            more = vectors.cross(beside, arm)
+            reactions.append(
+                (
+                    vectors.add(mapped(_sum, force), mapped(_sum, beside)),
+                    vectors.add(mapped(_sum, couple), mapped(_sum, more)),
+                )
+            )
+        total = vectors.add(total, mapped(self._ends().from_beside, pulled))
+        none = vectors.scale(0.0, mapped(strand.firsts, own.motion.position))
+        on_rod = loads_on_member(
+            strand,
+            own,
+            StrandLoads(
+                on_points=total,
+                on_firsts=none,
+                on_nexts=none,
+                turning_points=turning,
+                turning_segments=None if turning is None else none,
+            ),
+        )
+        return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
+
+    def _on_bodies(self, seen: AllSeen, reactions: list[tuple[Vec3, Vec3]]) -> Loads:
+        """Sums of reactions on each body, with couples in the bodies' frames."""
+
+        def row(which: int) -> Vec3:
+            x, y, z = (
+                jnp.stack([reaction[which][axis] for reaction in reactions])
+                for axis in range(3)
+            )
+            return x, y, z
+
+        frame = directors(seen[self.body].motion.orientation)
+        return Loads(vectors.scale(-1.0, row(0)), to_material(frame, row(1)))
+
+    def _force(
+        self, points: ContactPoints, body: Posed
+    ) -> tuple[Vec3, Vec3 | None, Vec3, Vec3]:
+        """Forces on the points with their couples and places, and forces beside ends.
+
+        Returns:
+            Forces on the points, couples on their sections, the places where the forces
+            act, and forces at the places beside the ends.
+        """
+        strand, ends = self._strand(), self._ends()
+        distance, normal = body.surface(points.position)
+        radii = strand.point_radii
+        arm = vectors.scale(-radii, normal)
+        place = vectors.add(points.position, arm)
+        rate = vectors.subtract(points.velocity, body.velocity_at(place))
+        leaving = vectors.dot(rate, normal)
+        push = normal_force(
+            radii - distance, leaving, self.onset * radii, self.stiffness, self.damping
+        )
+        beside, outward = body.surface(ends.beside(points.position))
+        own, own_radii = ends.of_points(distance), ends.of_points(radii)
+        lengths, at_ends, pulls = ends.counted_and_changes(
+            own, beside, self._depth(own_radii), self._density(own_radii, own)
+        )
+        counted = strand.lengths + ends.to_points(lengths)
+        pressed = counted * push + ends.to_points(at_ends)
+        force = vectors.scale(pressed, normal)
+        pull = vectors.scale(pulls, outward)
+        if self.friction is None:
+            return force, None, place, pull
+        assert self.friction_drag is not None and points.spin is not None
+        slip = vectors.add(rate, vectors.cross(points.spin, arm))
+        along = vectors.dot(slip, normal)
+        slip = vectors.subtract(slip, vectors.scale(along, normal))
+        rub = friction_force(push, slip, self.friction, self.friction_drag)
+        rub = vectors.scale(counted, rub)
+        return vectors.add(force, rub), vectors.cross(arm, rub), place, pull
+
+    def _depth(self, radii: Array) -> Callable[[Array], Array]:
+        """Function from distance to penetration, positive; see `Ends.counted`."""
+        return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
+
+    def _density(self, radii: Array, distance: Array) -> Array:
+        """Energy per length of the springs [J/m]."""
+        return energy_density(radii - distance, self.onset * radii, self.stiffness)
+
+    def energy(self, seen: AllSeen) -> Array:
+        """Energy of all contacts [J]."""
+        strand, ends = self._strand(), self._ends()
+        points = points_at(strand, seen[self.rod], spins=False)
+        total = jnp.zeros((), self.stiffness.dtype)
+        for body in self._bodies(seen):
+            distance, _ = body.surface(points.position)
+            beside, _ = body.surface(ends.beside(points.position))
+            density = self._density(strand.point_radii, distance)
+            own, radii = ends.of_points(distance), ends.of_points(strand.point_radii)
+            counted = ends.counted(own, beside, self._depth(radii))
+            at_ends = counted * ends.of_points(density)
+            total = total + jnp.sum(strand.lengths * density) + jnp.sum(at_ends)
+        return total
+
+    def violation(self, seen: AllSeen) -> Array:
+        """Deepest penetration of a point over the radius."""
+        strand = self._strand()
+        points = points_at(strand, seen[self.rod], spins=False)
+        worst = jnp.zeros((), self.stiffness.dtype)
+        for body in self._bodies(seen):
+            distance, _ = body.surface(points.position)
+            worst = jnp.maximum(worst, jnp.max(1 - distance / strand.point_radii))
+        return worst
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and drag as if all of every rod touched every body.
+
+        With `touching` it is only this length of rod. A spring's change of length is
+        the sum of the contributions of node and body. By the Cauchy-Schwarz inequality
+        its energy is at most that of all masses together at the squared frequency `k`
+        times the sum of the compliances. The compliance of a node is its length over
+        its mass. That of a body is the length touching it over its mass, plus this
+        length times the square of the lever arm over the body's inertia.
+        """
+        rods, bodies = parts[self.rod], parts[self.body]
+        assert rods.linear_density is not None and rods.radii is not None
+        assert rods.rest_lengths is not None
+        strand, ends = self._strand(), self._ends()
+        none = jnp.zeros_like(rods.rest_lengths)
+        lengths = strand.to_nodes(strand.lengths + ends.bound(), none, none)
+        touching = jnp.sum(lengths)
+        if self.touching is not None:
+            touching = jnp.minimum(touching, self.touching)
+            lengths = jnp.minimum(lengths, self.touching)
+        nodes = bodies.count * jnp.max(lengths / rods.node_masses)
+        least = jnp.min(bodies.inertias, axis=0)
+        moving = touching / bodies.node_masses
+
+        def turning(lever: Array) -> Array:
+            return touching * lever**2 / least
+
+        lever = _lever(bodies)
+        rate = self.stiffness * (nodes + jnp.max(moving + turning(lever)))
+        drag, sections = self.damping, jnp.zeros_like(rate)
+        if self.friction_drag is not None:
+            # Friction also turns the section, and a ball about its centre.
+            drag = (
+                self.friction_drag
+                if drag is None
+                else jnp.maximum(drag, self.friction_drag)
+            )
+            lever = _size(bodies)
+            own = jnp.min(rods.inertias, axis=0)
+            longest = strand.lengths + ends.longest()
+            on_segments = strand.to_segments(longest * strand.point_radii**2)
+            sections = bodies.count * jnp.max(on_segments / own)
+        slow: Array | None = None
+        if drag is not None:
+            slow = drag * (nodes + sections + jnp.max(moving + turning(lever)))
+        return {
+            self.rod: _bound(rods, rate, slow, self.friction_drag is not None, False),
+            self.body: _bound(bodies, rate, slow, True, True),
+        }
+
+    def _strand(self) -> Strands:
+        assert self.strand is not None
+        return self.strand
+
+    def _ends(self) -> Ends:
+        assert self.ends is not None
+        return self.ends
+
+    def _bodies(self, seen: AllSeen) -> Iterator[Posed]:
+        own = seen[self.body]
+        for number in range(own.parts.count):
+            yield posed(own, number)
+
+
+def _sum(field: Array) -> Array:
+    return jnp.sum(field)
+
+
+def _bound(
+    parts: Parts, rate: Array, slow: Array | None, drags: bool, turns: bool
+) -> StabilityBound:
+    """Bound for all masses at a squared frequency [1/s^2] and a rate of drag [1/s]."""
+    inertia = jnp.min(parts.inertias, axis=0)
+    return StabilityBound(
+        nodes=rate * parts.node_masses,
+        elements=rate * inertia if turns else None,
+        node_drag=None if slow is None else slow * parts.node_masses,
+        element_drag=None if slow is None or not drags else slow * inertia,
+    )
+
+
+def _lever(bodies: Parts) -> Array:
+    """Largest lever arm of a force along the normal about the centre of mass [m]."""
+    if isinstance(bodies.shape, Sphere):
+        # All normals go through the centre of the ball.
+        return jnp.sqrt(jnp.sum(bodies.shape.centre**2))
+    return _size(bodies)
+
+
+def _size(bodies: Parts) -> Array:
+    """Largest distance of a surface from the centre, from the inertia [m].
+
+    Computed for bodies of uniform density.
+    """
+    largest = jnp.max(bodies.inertias, axis=0)
+    return jnp.sqrt(5 * largest / bodies.node_masses)
+
+
+def body_contact(
+    rod: str,
+    body: str,
+    *,
+    stiffness: Numbers,
+    damping: Numbers | None = None,
+    friction: Numbers | None = None,
+    friction_drag: Numbers | None = None,
+    onset: Numbers = 0.01,
+    points_per_element: int | None = None,
+    touching: Numbers | None = None,
+) -> BodyContact:
+    """Contact of the rods of one member with the rigid bodies of another.
+
+    For fixed bodies a rod's own effect `contact` is cheaper.
+
+    Args:
+        rod: Name of a rod, or of equal rods.
+        body: Name of rigid bodies with a shape.
+        stiffness: Force per length of rod and penetration [N/m^2].
+        damping: Force per length and normal speed [kg/(m s)].
+        friction: Coefficient of Coulomb friction [1].
+        friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
+            equal to `damping`.
+        onset: Width of the smooth onset of contact over the rod's radius [1].
+        points_per_element: Contact points per element; by default so many that they
+            are at most a radius apart.
+        touching: Length of rod that touches a body at a time, for `stable_dt`; by
+            default all of it [m].
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If a number is out of range, or friction has no drag.
+    """
+    drag = damping if friction_drag is None else friction_drag
+    if friction is not None and drag is None:
+        raise ValueError(
+            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
+            "and speed at the onset of slip (by default the damping), got none"
+        )
+
+    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
+        return None if value is None else as_array(name, value, unit, positive=True)
+
+    if points_per_element is not None:
+        check_count("points_per_element", points_per_element, 1, 1000)
+    return BodyContact(
+        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
+        onset=as_array("onset", onset, "", positive=True),
+        damping=number("damping", damping, "kg/(m s)"),
+        friction=number("friction", friction, ""),
+        friction_drag=(
+            None if friction is None else number("friction_drag", drag, "kg/(m s)")
+        ),
+        touching=number("touching", touching, "m"),
+        rod=rod,
+        body=body,
+        points_per_element=points_per_element,
+    )

@@ -1,0 +1,265 @@
+"""Pairs of elements of rods that may touch: gather of elements, scatter of loads.
+
+All pairs of two members are `(others, own)`; the pairs of a list are in one row. Gather
+reads from one table with a row for each element, and scatter adds to such a table. The
+reason is XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for): it
+aborts the process if each number is gathered separately and the program is transposed.
+It compiles a table of rows, forward and in reverse, in loops and under `vmap`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree
+from jaxrod.systems.contact.strands import Strands
+from jaxrod.systems.members.parts import Seen, mapped
+
+Tree = TypeVar("Tree")
+
+
+@pytree
+class Elements:
+    """Elements of one member at one moment; all fields have one shape."""
+
+    first: Vec3
+    """Positions of the first nodes [m]."""
+    edge: Vec3
+    """Vectors from the first nodes to the next [m]."""
+    radii: Array
+    """Radii [m]."""
+    follows: Array
+    """One where another element follows, on this rod or a tied one, else zero [1]."""
+    first_velocity: Vec3 | None = None
+    """Velocities of the first nodes [m/s]; `None` if they are not needed."""
+    velocity_change: Vec3 | None = None
+    """Velocities of the next nodes minus those of the first [m/s]."""
+    spin: Vec3 | None = None
+    """Angular velocities, world frame [rad/s]; `None` without friction."""
+    rods: Array | None = None
+    """Number of each element's rod; `None` if it is not needed."""
+    starts: Array | None = None
+    """Rest arc length at the start of each element [m]."""
+    rest_lengths: Array | None = None
+    """Rest lengths [m]."""
+    first_radii: Array | None = None
+    """Radius at the first node of each element [m]; `None` without contact points."""
+    first_lengths: Array | None = None
+    """Rest length of the contact point at the first node [m]."""
+    last: Array | None = None
+    """One where an element is the last of its rod, else zero [1]."""
+    bulges: tuple[Vec3, Vec3] | None = None
+    """Tangents of a smooth axis minus the edge, at the first node and at the next [m];
+    `None` for straight elements."""
+    velocity_bulges: tuple[Vec3, Vec3] | None = None
+    """Rates of the bulges [m/s]."""
+
+    @property
+    def ends(self) -> Array:
+        """Rest arc length at the end of each element [m]."""
+        assert self.starts is not None and self.rest_lengths is not None
+        return self.starts + self.rest_lengths
+
+    def on_axis(self, fraction: Array) -> Vec3:
+        """Vector from the first node to a place on the axis [m]."""
+        return _on_cubic(self.edge, self.bulges, fraction)
+
+    def change_on_axis(self, fraction: Array) -> Vec3:
+        """Velocity of a place on the axis minus that of the first node [m/s]."""
+        assert self.velocity_change is not None
+        return _on_cubic(self.velocity_change, self.velocity_bulges, fraction)
+
+    def tangent(self, fraction: Array) -> Vec3:
+        """Derivative of the place on the axis by the fraction [m]."""
+        if self.bulges is None:
+            return self.edge
+        first, second = self.bulges
+        a, b = (1 - fraction) * (1 - 3 * fraction), fraction * (3 * fraction - 2)
+        return _combined(self.edge, (a, first), (b, second))
+
+    def bend(self, fraction: Array) -> Vec3:
+        """Derivative of the tangent by the fraction, for smooth axes [m]."""
+        assert self.bulges is not None
+        first, second = self.bulges
+        a, b = 6 * fraction - 4, 6 * fraction - 2
+        x, y, z = (a * one + b * two for one, two in zip(first, second, strict=True))
+        return x, y, z
+
+
+def bulge_shares(fraction: Array) -> tuple[Array, Array]:
+    """Factors of both bulges at a place on a smooth axis [1]."""
+    rest = 1 - fraction
+    return fraction * rest * rest, -fraction * fraction * rest
+
+
+def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
+    """Upper bound of the distance of smooth axes from their chords [m]."""
+    first, second = (jnp.sqrt(vectors.dot(bulge, bulge)) for bulge in bulges)
+    return 4 / 27 * (first + second)
+
+
+def _on_cubic(edge: Vec3, bulges: tuple[Vec3, Vec3] | None, fraction: Array) -> Vec3:
+    straight = vectors.scale(fraction, edge)
+    if bulges is None:
+        return straight
+    a, b = bulge_shares(fraction)
+    return _combined(straight, (a, bulges[0]), (b, bulges[1]))
+
+
+def _combined(vector: Vec3, *terms: tuple[Array, Vec3]) -> Vec3:
+    for factor, more in terms:
+        vector = vectors.add(vector, vectors.scale(factor, more))
+    return vector
+
+
+def elements_at(
+    strand: Strands,
+    seen: Seen,
+    *,
+    moves: bool = False,
+    spins: bool = False,
+    placed: bool = False,
+    dotted: bool = False,
+    smooth: bool = False,
+) -> Elements:
+    """Elements of a member.
+
+    Args:
+        strand: Segments and points of the member.
+        seen: The member at one moment.
+        moves: Whether velocities are needed.
+        spins: Whether angular velocities are needed.
+        placed: Whether places along the rod are needed.
+        dotted: Whether contact points, and so places, are needed.
+        smooth: Whether elements are pieces of a smooth axis.
+    """
+    first, edge, bulges = _pieces(strand, seen.motion.position, smooth=smooth)
+    velocity = change = velocity_bulges = None
+    if moves:
+        velocity, change, velocity_bulges = _pieces(
+            strand, seen.motion.velocity, smooth=smooth
+        )
+    dtype, placed = strand.radii.dtype, placed or dotted
+    return Elements(
+        first=first,
+        edge=edge,
+        radii=strand.radii,
+        follows=jnp.asarray(~strand.is_end, dtype),
+        first_velocity=velocity,
+        velocity_change=change,
+        spin=seen.angular_velocities if spins else None,
+        rods=jnp.asarray(strand.segment_rods, dtype) if placed else None,
+        starts=strand.starts if placed else None,
+        rest_lengths=strand.rest_lengths if placed else None,
+        first_radii=strand.first_radii if dotted else None,
+        first_lengths=strand.first_lengths if dotted else None,
+        last=jnp.asarray(strand.is_last, dtype) if dotted else None,
+        bulges=bulges,
+        velocity_bulges=velocity_bulges,
+    )
+
+
+def _pieces(
+    strand: Strands, nodes: Vec3, *, smooth: bool
+) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
+    """A field at first nodes, its change to the next nodes, and its bulges."""
+    tangents: Vec3 | None = None
+    if smooth:
+        (x, p), (y, q), (z, r) = (strand.smooth(component) for component in nodes)
+        nodes, tangents = (x, y, z), (p, q, r)
+    first = mapped(strand.firsts, nodes)
+    edge = vectors.subtract(mapped(strand.nexts, nodes), first)
+    if tangents is None:
+        return first, edge, None
+    bulges = (
+        vectors.subtract(mapped(strand.firsts, tangents), edge),
+        vectors.subtract(mapped(strand.nexts, tangents), edge),
+    )
+    return first, edge, bulges
+
+
+def beside(tree: Tree) -> Tree:
+    """Fields of elements along the last axis, to pair with others."""
+    return jax.tree.map(lambda leaf: leaf[None, :], tree)
+
+
+def upright(tree: Tree) -> Tree:
+    """Fields of elements along the first of two axes."""
+    return jax.tree.map(lambda leaf: leaf[:, None], tree)
+
+
+def lifted(tree: Tree) -> Tree:
+    """Fields of pairs with a leading axis for points on elements."""
+    return jax.tree.map(lambda leaf: leaf[None], tree)
+
+
+def looked_up(tree: Tree, index: Int[Array, "..."]) -> Tree:
+    """Fields of elements, gathered at some indices."""
+    return of_table(table_of(tree)[index], tree)
+
+
+def table_of(tree: Any) -> Array:
+    """Fields as one table with a row for each element."""
+    return jnp.stack(jax.tree.leaves(tree), axis=-1)
+
+
+def of_table(rows: Array, like: Tree) -> Tree:
+    """Tree of fields with the structure of another, from rows of a table."""
+    leaves, structure = jax.tree.flatten(like)
+    return jax.tree.unflatten(structure, [rows[..., k] for k in range(len(leaves))])
+
+
+def given_back(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
+    """Fields of pairs, scattered and summed on the elements at some indices."""
+    rows = table_of(tree)
+    total = jnp.zeros((size, rows.shape[-1]), rows.dtype).at[index].add(rows)
+    return of_table(total, tree)
+
+
+@pytree
+class IndexList:
+    """List of pairs of elements of two members."""
+
+    own: Int[Array, " pairs"]
+    """Numbers of the first elements."""
+    other: Int[Array, " pairs"]
+    """Numbers of the second elements."""
+    there: Bool[Array, " pairs"]
+    """Mask of the entries in use."""
+
+
+@pytree
+class Pairs:
+    """Pairs of elements of two members that may touch."""
+
+    own: Elements
+    """First elements, `(1, own)`, or `(pairs,)` from a list."""
+    other: Elements
+    """Second elements, `(others, 1)`, or `(pairs,)` from a list."""
+    listed: IndexList | None = None
+    """The list; `None` for all pairs."""
+
+    @classmethod
+    def of(cls, own: Elements, other: Elements, listed: IndexList | None) -> Pairs:
+        """All pairs of two rows of elements, or those on a list."""
+        if listed is None:
+            return cls(beside(own), upright(other))
+        return cls(looked_up(own, listed.own), looked_up(other, listed.other), listed)
+
+    def on_own(self, tree: Tree, size: int) -> Tree:
+        """Sums over pairs for each first element, of which there are `size`."""
+        if self.listed is None:
+            return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), tree)
+        return given_back(tree, self.listed.own, size)
+
+    def on_other(self, tree: Tree, size: int) -> Tree:
+        """Sums over pairs for each second element, of which there are `size`."""
+        if self.listed is None:
+            return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=1), tree)
+        return given_back(tree, self.listed.other, size)

@@ -1,0 +1,159 @@
+"""Lists of neighbours: their sizes, and how often they are made.
+
+A list has pairs of elements of two members that may touch before the list is made
+again: the gap between their surfaces is below a *skin*. The list is valid while no node
+has moved by more than half the skin. The number of entries is static; pairs that find
+no room are counted, so that the loss is never silent. A list is one row of pairs. A
+fixed number of entries for each element would mostly be idle, since contact is uneven.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree, static
+from jaxrod.systems.contact.element_pairs import IndexList
+from jaxrod.validation import Numbers, as_array, check_count
+
+SPARE = 1.5
+"""Ratio of allocated entries to entries counted in a state [1]."""
+MOST_IN_CELLS = 10_000
+"""Largest number of elements in three cells; room for more is taken for a mistake."""
+
+
+@pytree
+class NeighbourLists:
+    """Settings of lists of neighbours; see `neighbour_lists`."""
+
+    skin: Float[Array, ""]
+    """Gap between surfaces up to which elements are listed, over the largest radius
+    [1]."""
+    refresh_every: int = static(default=32)
+    """Steps between searches."""
+    pairs: int | tuple[int, ...] | None = static(default=None)
+    """Entries of all lists, or of each list; `None` to count them in the state given to
+    `make_system`."""
+    candidates: int | tuple[int, ...] | None = static(default=None)
+    """Room for pairs near enough to compute their exact distance, for all lists or for
+    each; `None` to count them too."""
+    cell_slots: int | None = static(default=None)
+    """Room for elements in three neighbouring cells of the search grid; 0 for no grid,
+    so that all pairs are tested; `None` to count them too."""
+
+    @property
+    def is_sized(self) -> bool:
+        """Whether all numbers of entries are known."""
+        return None not in (self.pairs, self.candidates, self.cell_slots)
+
+
+@pytree
+class Found:
+    """Lists of all pairs of members of a coupling, and where they were made."""
+
+    lists: tuple[IndexList, ...]
+    """Lists, one for each pair of members."""
+    places: tuple[Vec3, ...]
+    """Positions of the members' nodes at the search [m]."""
+    missed: Float[Array, ""]
+    """Largest shortage of entries, of pairs, candidates or cell slots [1]."""
+    used: Float[Array, " lists"]
+    """Entries that each list needs [1]."""
+    candidates: Float[Array, " lists"]
+    """Candidates of each list [1]."""
+    in_cells: Float[Array, ""]
+    """Largest number of elements in three neighbouring cells [1]."""
+
+
+@pytree
+class NeighbourRecord:
+    """Worst cases of what lists of neighbours may have missed since a run began.
+
+    It is under the name "neighbours" in the state of a system that has lists, and stays
+    until it is removed from the state.
+    """
+
+    missed: Float[Array, ""]
+    """Largest shortage of entries in a list [1]."""
+    moved: Float[Array, ""]
+    """Largest displacement of a node since a search, over half the skin [1]."""
+    used: Float[Array, ""]
+    """Largest number of entries that a list needed [1]."""
+
+    @property
+    def overflow(self) -> Bool[Array, ""]:
+        """Flag: contact may have been missed because lists had too few entries."""
+        return ~(self.missed <= 0)
+
+    @property
+    def stale(self) -> Bool[Array, ""]:
+        """Flag: contact may have been missed because lists were too old."""
+        return ~(self.moved <= 1)
+
+
+RECORD = "neighbours"
+"""Name of the record in the state of a system."""
+
+
+def no_record(dtype: Any) -> NeighbourRecord:
+    """The record with which a run begins."""
+    zero = jnp.zeros((), dtype)
+    return NeighbourRecord(zero, zero, zero)
+
+
+def with_spare(count: float) -> int:
+    """Number of entries for a count, with some to spare."""
+    return math.ceil(SPARE * count) + 16
+
+
+def neighbour_lists(
+    *,
+    refresh_every: int = 32,
+    skin: Numbers = 0.5,
+    pairs: int | None = None,
+    candidates: int | None = None,
+    cell_slots: int | None = None,
+) -> NeighbourLists:
+    """Lists of neighbours for contact among many rods.
+
+    Lists are made at the beginning of every run and every `refresh_every` steps in it.
+    Results are the same as without lists as long as `health` raises neither of two
+    flags: `overflow` for too few entries, and `stale` if a node moved by more than half
+    the skin before the lists were made again. `jaxrod.neighbours` counts the entries
+    that a state needs.
+
+    Args:
+        refresh_every: Steps between searches: somewhat less than
+            `skin * radius / (2 * dt * speed)` with the speed of the fastest node.
+        skin: Gap between surfaces up to which elements are listed, over the largest
+            radius [1]. A larger skin makes lists longer and valid for more steps.
+        pairs: Room for pairs of elements of two members (or of one) that may touch; by
+            default half as many again as in the state given to `make_system`, and some.
+        candidates: Room for pairs whose exact distance is computed, some times as many
+            as `pairs`; counted by default too.
+        cell_slots: Room for elements in three neighbouring cells of the search grid, or
+            0 to test all pairs instead. By default counted too; members of up to some
+            hundred elements test all pairs.
+
+    Returns:
+        Settings for the argument `lists` of `rod_contact` and `crossing_contact`.
+
+    Raises:
+        ValueError: If a number is out of range.
+    """
+    for name, value in (("pairs", pairs), ("candidates", candidates)):
+        if value is not None:
+            check_count(name, value, 1)
+    if cell_slots is not None:
+        check_count("cell_slots", cell_slots, 0, MOST_IN_CELLS)
+    return NeighbourLists(
+        skin=as_array("skin", skin, "", positive=True),
+        refresh_every=check_count("refresh_every", refresh_every, 1),
+        pairs=pairs,
+        candidates=candidates,
+        cell_slots=cell_slots,
+    )

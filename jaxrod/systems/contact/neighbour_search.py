@@ -1,0 +1,377 @@
+"""Search for elements that are near to each other: in a grid of cells, or among all.
+
+The edge of a cell is longer than the largest distance between the middles of a pair
+within reach. The grid is centred at the mean of the middles of the second elements.
+Everything beyond 512 cells from there is in the outermost cells: neighbours are then
+still in neighbouring cells, and only their number grows. Elements are sorted by cell,
+and three cells in a row are one stretch of this order. Nine stretches hold all elements
+that may be near, five if each pair of one member is searched once.
+
+Pairs from these stretches are candidates if their middles are near enough for their
+lengths. The exact distance is computed for candidates only. The k-th candidate of an
+element is where its running count reaches k, found by bisection. Candidates are
+processed in blocks, and the pairs that remain of a block are written behind those of
+the blocks before. There is no scatter, no sort except that by cells, and no loop over
+empty rows or blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree, static
+from jaxrod.systems.contact.element_pairs import Elements, IndexList, looked_up
+from jaxrod.systems.contact.neighbour_lists import Found, NeighbourLists
+from jaxrod.systems.contact.segment_distance import nearest_places
+
+CELLS = 1024
+"""Number of cells along each axis; three times ten bits are one key."""
+BLOCK = 16_384
+"""Number of candidates that are processed at once."""
+_ROUNDING = 1e-3
+"""Relative margin of the cell size, so that round-off cannot move an element into a
+non-adjacent cell."""
+
+
+@pytree
+class Stretches:
+    """Straight elements whose neighbours are searched."""
+
+    elements: Elements
+    """Elements with their places along their rods."""
+    reach: Float[Array, " elements"]
+    """Distance from the axis that includes the surface, the onset of contact and half
+    the skin [m]."""
+    numbers: Float[Array, " elements"]
+    """Numbers of the elements in their member."""
+
+    @property
+    def middle(self) -> Vec3:
+        """Middles [m]."""
+        return vectors.add(self.elements.first, vectors.scale(0.5, self.elements.edge))
+
+
+Allowed = Callable[[Stretches, Stretches], Array | None]
+"""Function from pairs of elements to a mask of those that may touch; `None` for all."""
+
+
+@pytree
+class Rows:
+    """Second elements to test against each first element, one row after the other.
+
+    Each first element has several stretches of the sorted second elements. A row is one
+    slot of one stretch, for all first elements.
+    """
+
+    begin: Int[Array, "stretches own"]
+    """Begin of each stretch in the order of the second elements."""
+    held: Int[Array, "stretches own"]
+    """Number of second elements in each stretch."""
+    order: Int[Array, " other"]
+    """Numbers of the second elements, in order."""
+    wide: Int[Array, ""]
+    """Rows of each stretch: the largest number that one holds, at most `slots`."""
+    slots: int = static()
+    """Room in a stretch."""
+
+    @property
+    def room(self) -> int:
+        """Largest possible number of rows."""
+        return self.begin.shape[0] * self.slots
+
+    @property
+    def count(self) -> Array:
+        """Number of rows."""
+        return self.begin.shape[0] * self.wide
+
+    def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
+        """Places of a row's elements in the order, and whether they exist."""
+        stretch, slot = row // self.wide, row % self.wide
+        place = self.begin[stretch, own] + slot
+        most = self.order.shape[0] - 1
+        return jnp.minimum(place, most), slot < self.held[stretch, own]
+
+
+def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array:
+    """Whether pairs of elements may touch and are within reach."""
+    way = vectors.subtract(own.elements.first, other.elements.first)
+    square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
+    reach = own.reach + other.reach
+    near, may = square <= reach * reach, allowed(own, other)
+    return near if may is None else near & may
+
+
+def found_by(
+    how: NeighbourLists,
+    every: Sequence[Stretches],
+    views: Sequence[tuple[int, int]],
+    allowed: Callable[[int, int, Stretches, Stretches], Array | None],
+    places: tuple[Vec3, ...],
+    *,
+    once: bool,
+) -> Found:
+    """Lists of all pairs of members.
+
+    Args:
+        how: Settings of the lists, with their sizes.
+        every: Elements of each member.
+        views: Pairs of members.
+        allowed: Function for the mask of elements of two members that may touch.
+        places: Positions of the members' nodes, to be kept with the lists [m].
+        once: Whether two elements of one member are one pair, not two.
+    """
+    assert how.cell_slots is not None
+    lists: list[IndexList] = []
+    used, looked_at = [], []
+    lacked, most = jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
+    for number, (a, b) in enumerate(views):
+        own, other = every[a], every[b]
+        rows = all_rows(own, other)
+        if how.cell_slots:
+            rows, held = rows_of_cells(own, other, how.cell_slots, once=once and a == b)
+            most = jnp.maximum(most, held)
+        may = lambda one, two, a=a, b=b: allowed(a, b, one, two)
+        many, few = _room(how.candidates, number), _room(how.pairs, number)
+        some = candidates(own, other, rows, many, once=once and a == b)
+        near, taken = near_ones(own, other, some, may, few)
+        count = some.count
+        lists.append(near)
+        looked_at.append(count)
+        used.append(taken)
+        lacked = jnp.maximum(lacked, jnp.maximum(count - many, taken - few))
+    if how.cell_slots:
+        lacked = jnp.maximum(lacked, most - how.cell_slots)
+    dtype = every[0].reach.dtype
+    return Found(
+        tuple(lists),
+        places,
+        lacked.astype(dtype),
+        jnp.stack(used).astype(dtype),
+        jnp.stack(looked_at).astype(dtype),
+        most.astype(dtype),
+    )
+
+
+def _room(given: int | tuple[int, ...] | None, number: int) -> int:
+    """Number of entries of a list."""
+    assert given is not None
+    return given[number] if isinstance(given, tuple) else given
+
+
+def all_rows(own: Stretches, other: Stretches) -> Rows:
+    """Rows of all second elements, for each first element."""
+    count, size = other.reach.shape[0], own.reach.shape[0]
+    return Rows(
+        begin=jnp.zeros((1, size), jnp.int32),
+        held=jnp.full((1, size), count, jnp.int32),
+        order=jnp.arange(count, dtype=jnp.int32),
+        wide=jnp.asarray(count, jnp.int32),
+        slots=count,
+    )
+
+
+def rows_of_cells(
+    own: Stretches, other: Stretches, slots: int, *, once: bool
+) -> tuple[Rows, Array]:
+    """Rows of second elements in the cells around each first element.
+
+    Args:
+        own: Elements of the first member.
+        other: Elements of the second member.
+        slots: Room for elements in three neighbouring cells.
+        once: Whether only one of two elements of one member is to find the other. Then
+            only the cells on one side are searched, and the element's own column,
+            which is the first stretch.
+
+    Returns:
+        The rows, and the largest number of elements in three neighbouring cells.
+    """
+    edge = _cell_edge(own, other)
+    centre = tuple(jnp.mean(component) for component in other.middle)
+    keys = _key(*_cells(other, centre, edge))
+    order = jnp.argsort(keys).astype(jnp.int32)
+    ordered = keys[order]
+    x, y, z = (cell[None, :] for cell in _cells(own, centre, edge))
+    aside = np.array(list(np.ndindex(3, 3)), np.int32) - 1
+    aside = aside[4:] if once else aside
+    u, v = x + aside[:, :1], y + aside[:, 1:]
+    exists = (u >= 0) & (u < CELLS) & (v >= 0) & (v < CELLS)
+    low = _key(u, v, jnp.maximum(z - 1, 0))
+    high = _key(u, v, jnp.minimum(z + 1, CELLS - 1))
+    begin = jnp.searchsorted(ordered, low, side="left").astype(jnp.int32)
+    end = jnp.searchsorted(ordered, high, side="right").astype(jnp.int32)
+    held = jnp.where(exists, end - begin, 0)
+    most = jnp.max(held)
+    return Rows(begin, held, order, jnp.clip(most, 1, slots), slots), most
+
+
+@pytree
+class Candidates:
+    """Pairs whose middles are near, as running counts."""
+
+    rows: Rows
+    """Second elements that were tested."""
+    running: Int[Array, "rows own"]
+    """Running count of each element's candidates, over the rows."""
+    until: Int[Array, " own"]
+    """Running count of all candidates, over the elements."""
+    size: int = static()
+    """Largest number of candidates that can be listed."""
+    once: bool = static()
+    """Whether a pair starts with the lower of its two numbers."""
+
+    @property
+    def count(self) -> Array:
+        """Number of candidates."""
+        return self.until[-1]
+
+    def named(self, number: Array) -> IndexList:
+        """List of the candidates with some numbers."""
+        until, rows = self.until, self.rows
+        column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
+        column = jnp.minimum(column, until.shape[0] - 1)
+        before = jnp.where(column > 0, until[column - 1], 0)
+        count = lambda row: self.running[row, column]
+        row = _reached(count, number - before, rows.count, rows.room)
+        found = rows.order[rows.places(row, column)[0]]
+        there = number < jnp.minimum(until[-1], self.size)
+        if self.once:
+            column, found = jnp.minimum(column, found), jnp.maximum(column, found)
+        return IndexList(column, found, there)
+
+
+def candidates(
+    own: Stretches, other: Stretches, rows: Rows, size: int, *, once: bool
+) -> Candidates:
+    """Pairs whose middles are near.
+
+    Args:
+        own: Elements of the first member.
+        other: Elements of the second member.
+        rows: Second elements to test.
+        size: Largest number of candidates that can be listed.
+        once: Whether only one of two elements of one member finds the other. The first
+            stretch has both, and there the one with the lower number does.
+    """
+    x, y, z = own.middle
+    reach = _half_length(own) + own.reach
+    fields = (other.middle, _half_length(other) + other.reach, other.numbers)
+    there = looked_up(fields, rows.order)
+
+    def counted(row: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        before, running = carry
+        place, exists = rows.places(row, slice(None))
+        (u, v, w), farther, fellow = looked_up(there, place)
+        square = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
+        near = exists & (square <= (reach + farther) ** 2)
+        if once:
+            near = near & ((row >= rows.wide) | (own.numbers < fellow))
+        after = before + near.astype(before.dtype)
+        return after, lax.dynamic_update_index_in_dim(running, after, row, 0)
+
+    none = jnp.zeros(x.shape, jnp.int32)
+    running = jnp.zeros((rows.room, *x.shape), jnp.int32)
+    total, running = lax.fori_loop(0, rows.count, counted, (none, running))
+    return Candidates(rows, running, jnp.cumsum(total), size, once)
+
+
+def near_ones(
+    own: Stretches, other: Stretches, some: Candidates, allowed: Allowed, size: int
+) -> tuple[IndexList, Array]:
+    """List of the candidates that are within reach, and their number.
+
+    Args:
+        own: Elements of the first member.
+        other: Elements of the second member.
+        some: The candidates.
+        allowed: Function for the mask of pairs that may touch.
+        size: Number of entries of the list.
+    """
+    block = min(BLOCK, some.size)
+    within = jnp.arange(block, dtype=jnp.int32)
+
+    def more(carry: tuple[Array, Array, Array]) -> Array:
+        return carry[0] < jnp.minimum(some.count, some.size)
+
+    def worked(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        begin, taken, kept = carry
+        listed = some.named(begin + within)
+        near = listed.there & near_each_other(
+            looked_up(own, listed.own), looked_up(other, listed.other), allowed
+        )
+        running = jnp.cumsum(near.astype(jnp.int32))
+        place = jnp.searchsorted(running, within, side="right").astype(jnp.int32)
+        place = jnp.minimum(place, block - 1)
+        # Both numbers are in one row: XLA's CPU compiler aborts the process for two
+        # updates of a batch at the same index.
+        pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
+        # Entries after the last near pair are overwritten by the next block. Once the
+        # list is full, all goes into the part that is cut off at the end.
+        behind = (jnp.minimum(taken, size), jnp.zeros_like(taken))
+        kept = lax.dynamic_update_slice(kept, pairs, behind)
+        return begin + block, taken + running[-1], kept
+
+    none = jnp.zeros((), jnp.int32)
+    room = jnp.zeros((size + block, 2), jnp.int32)
+    _, taken, kept = lax.while_loop(more, worked, (none, none, room))
+    there = jnp.arange(size, dtype=jnp.int32) < taken
+    kept = jnp.where(there[:, None], kept[:size], 0)
+    return IndexList(kept[:, 0], kept[:, 1], there), taken
+
+
+def _reached(
+    running: Callable[[Array], Array], rank: Array, size: Array, room: int
+) -> Array:
+    """First place at which a running count is above a rank, by bisection.
+
+    Args:
+        running: Function from a place to the count there.
+        rank: The rank.
+        size: Number of places.
+        room: Largest possible number of places.
+    """
+    place, step = jnp.zeros_like(rank), 1 << (room.bit_length() - 1)
+    while step:
+        tried = jnp.minimum(place + step, size)
+        below = running(tried - 1) <= rank
+        place = jnp.where(below & (place + step <= size), tried, place)
+        step //= 2
+    return jnp.minimum(place, size - 1)
+
+
+def _half_length(stretches: Stretches) -> Array:
+    edge = stretches.elements.edge
+    return 0.5 * jnp.sqrt(vectors.dot(edge, edge))
+
+
+def _cell_edge(own: Stretches, other: Stretches) -> Array:
+    """Largest distance between middles of a pair within reach, plus a margin [m]."""
+
+    def half(stretches: Stretches) -> Array:
+        return jnp.max(_half_length(stretches)) + jnp.max(stretches.reach)
+
+    return (1 + _ROUNDING) * (half(own) + half(other))
+
+
+def _cells(
+    stretches: Stretches, centre: tuple[Array, ...], edge: Array
+) -> tuple[Array, Array, Array]:
+    """Cell numbers of the middles along each axis."""
+
+    def along(component: Array, middle: Array) -> Array:
+        cell = jnp.floor((component - middle) / edge) + CELLS // 2
+        return jnp.clip(cell, 0, CELLS - 1).astype(jnp.int32)
+
+    x, y, z = (along(c, m) for c, m in zip(stretches.middle, centre, strict=True))
+    return x, y, z
+
+
+def _key(x: Array, y: Array, z: Array) -> Array:
+    return (x * CELLS + y) * CELLS + z

@@ -1,0 +1,410 @@
+"""Strands: one row of all segments of a member's rods, one of all contact points.
+
+A segment is an element, from its first node to its next. Every segment has equally
+many contact points, the first of them at its first node; the last node of a rod is one
+more. Each point stands for a part of the rod's rest length (trapezoidal rule). The
+layout is regular, so rows are split and joined by reshaping, without indices.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.ends import Ends, ends_of
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree, static
+from jaxrod.systems.contact.smooth_axes import from_smooth_nodes, smooth_nodes
+from jaxrod.systems.members.parts import Parts, Seen, mapped
+from jaxrod.validation import is_traced
+
+
+@pytree
+class Strands:
+    """Constants of the segments and points of a member."""
+
+    lengths: Array
+    """Rest length that each point stands for [m]."""
+    point_radii: Array
+    """Radius at each point [m]."""
+    places: Array
+    """Rest arc length of each point along its rod [m]."""
+    radii: Array
+    """Radius of each segment [m]."""
+    starts: Array
+    """Rest arc length where each segment begins [m]."""
+    rest_lengths: Array
+    """Rest length of each segment [m]."""
+    count: int = static()
+    """Number of rods."""
+    per_element: int = static()
+    """Contact points per element."""
+    continued: tuple[int, ...] = static(default=())
+    """Numbers of the last segments of rods that continue in another rod."""
+    closed: tuple[int, ...] = static(default=())
+    """Numbers of the rods whose last node is their first."""
+
+    @property
+    def n_elements(self) -> int:
+        """Elements of each rod."""
+        return self.radii.shape[0] // self.count
+
+    @property
+    def segment_rods(self) -> np.ndarray:
+        """Number of the rod of each segment."""
+        return np.repeat(np.arange(self.count), self.n_elements)
+
+    @property
+    def point_rods(self) -> np.ndarray:
+        """Number of the rod of each point."""
+        return np.repeat(np.arange(self.count), self.n_elements * self.per_element + 1)
+
+    @property
+    def first_radii(self) -> Array:
+        """Radius at the first node of each segment [m]."""
+        return self._rods(self.point_radii)[:, : -1 : self.per_element].reshape(-1)
+
+    @property
+    def first_lengths(self) -> Array:
+        """Rest length of the point at the first node of each segment [m]."""
+        return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
+
+    @property
+    def node_places(self) -> Array:
+        """Rest arc length of each node along its rod [m]."""
+        return self._rods(self.places)[:, :: self.per_element].reshape(-1)
+
+    @property
+    def is_last(self) -> np.ndarray:
+        """Whether each segment is the last of its rod."""
+        return np.tile(np.arange(self.n_elements) == self.n_elements - 1, self.count)
+
+    @property
+    def is_end(self) -> np.ndarray:
+        """Whether each segment is the last of its rod, and no other rod continues."""
+        return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
+
+    def _rods(self, row: Array) -> Array:
+        """A row split into one row for each rod."""
+        return row.reshape(self.count, -1)
+
+    @property
+    def is_closed(self) -> np.ndarray:
+        """Whether each rod is closed, `(rods, 1)`."""
+        return np.isin(np.arange(self.count), self.closed)[:, None]
+
+    def smooth(self, nodes: Array) -> tuple[Array, Array]:
+        """Places and tangents of smooth axes at the nodes, from a field on nodes."""
+        place, tangent = smooth_nodes(self._rods(nodes), self.is_closed)
+        return place.reshape(-1), tangent.reshape(-1)
+
+    def from_smooth(self, places: Array, tangents: Array) -> Array:
+        """Forces on nodes, from forces on places and tangents of smooth axes."""
+        return from_smooth_nodes(
+            self._rods(places), self._rods(tangents), self.is_closed
+        ).reshape(-1)
+
+    def firsts(self, nodes: Array) -> Array:
+        """Values of a field on nodes at the first node of each segment."""
+        return self._rods(nodes)[:, :-1].reshape(-1)
+
+    def nexts(self, nodes: Array) -> Array:
+        """Values of a field on nodes at the next node of each segment."""
+        return self._rods(nodes)[:, 1:].reshape(-1)
+
+    def at_points(self, nodes: Array) -> Array:
+        """Values of a field on nodes, interpolated at the points."""
+        rods = self._rods(nodes)
+        first, change = rods[:, :-1, None], (rods[:, 1:] - rods[:, :-1])[:, :, None]
+        within = (first + self._fractions(nodes) * change).reshape(self.count, -1)
+        return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
+
+    def of_points(self, segments: Array) -> Array:
+        """Values of a field on segments at the points on them."""
+        rods = self._rods(segments)
+        within = jnp.repeat(rods, self.per_element, axis=1)
+        return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
+
+    def to_nodes(self, points: Array, firsts: Array, nexts: Array) -> Array:
+        """Forces at points and at both nodes of segments, summed on the nodes."""
+        rods = self._rods(points)
+        within = rods[:, :-1].reshape(self.count, -1, self.per_element)
+        later = jnp.sum(self._fractions(points) * within, axis=2)
+        first = jnp.sum(within, axis=2) - later + self._rods(firsts)
+        following = later + self._rods(nexts)
+        none = jnp.zeros_like(rods[:, :1])
+        nodes = jnp.concatenate([first, rods[:, -1:]], axis=1)
+        return (nodes + jnp.concatenate([none, following], axis=1)).reshape(-1)
+
+    def from_segments(self, firsts: Array, nexts: Array) -> Array:
+        """Forces at both nodes of segments, summed on the nodes."""
+        first = jnp.pad(self._rods(firsts), ((0, 0), (0, 1)))
+        following = jnp.pad(self._rods(nexts), ((0, 0), (1, 0)))
+        return (first + following).reshape(-1)
+
+    def to_segments(self, points: Array) -> Array:
+        """Couples at points, summed on their segments."""
+        rods = self._rods(points)
+        within = rods[:, :-1].reshape(self.count, -1, self.per_element)
+        last = jnp.pad(rods[:, -1:], ((0, 0), (self.n_elements - 1, 0)))
+        return (jnp.sum(within, axis=2) + last).reshape(-1)
+
+    def _fractions(self, like: Array) -> Array:
+        """Places of the points along a segment, over its length [1]."""
+        fractions = np.arange(self.per_element) / self.per_element
+        return jnp.asarray(fractions, like.dtype)[None, None, :]
+
+
+def strands(
+    parts: Parts,
+    per_element: int,
+    continued: tuple[int, ...] = (),
+    closed: tuple[int, ...] = (),
+) -> Strands:
+    """Strands of a member.
+
+    Args:
+        parts: Constants of a member that consists of rods.
+        per_element: Contact points per element.
+        continued: Last segments of rods that continue in another rod.
+        closed: Rods whose last node is their first.
+    """
+    assert parts.rest_lengths is not None and parts.radii is not None
+    count, n = parts.count, parts.n_elements
+    lengths = parts.rest_lengths.reshape(count, n)
+    radii = parts.radii.reshape(count, n)
+    starts = jnp.cumsum(lengths, axis=1) - lengths
+    fractions = jnp.asarray(np.arange(per_element) / per_element, lengths.dtype)
+    along = starts[:, :, None] + fractions[None, None, :] * lengths[:, :, None]
+    ends = starts[:, -1:] + lengths[:, -1:]
+    places = jnp.concatenate([along.reshape(count, -1), ends], axis=1)
+    gaps = places[:, 1:] - places[:, :-1]
+    spacing = 0.5 * (jnp.pad(gaps, ((0, 0), (1, 0))) + jnp.pad(gaps, ((0, 0), (0, 1))))
+    # A node between two elements has the mean of their radii, weighted by length.
+    weighted = radii * lengths
+    inner = (weighted[:, 1:] + weighted[:, :-1]) / (lengths[:, 1:] + lengths[:, :-1])
+    at_first = jnp.concatenate([radii[:, :1], inner], axis=1)
+    within = jnp.repeat(radii[:, :, None], per_element - 1, axis=2)
+    of_element = jnp.concatenate([at_first[:, :, None], within], axis=2)
+    at_points = jnp.concatenate([of_element.reshape(count, -1), radii[:, -1:]], axis=1)
+    return Strands(
+        lengths=spacing.reshape(-1),
+        point_radii=at_points.reshape(-1),
+        places=places.reshape(-1),
+        radii=parts.radii,
+        starts=starts.reshape(-1),
+        rest_lengths=parts.rest_lengths,
+        count=count,
+        per_element=per_element,
+        continued=continued,
+        closed=closed,
+    )
+
+
+def strands_and_ends(
+    parts: Parts, per_element: int, free: Float[Array, "rods 2"]
+) -> tuple[Strands, Ends]:
+    """Strands of a member, whose lengths are zero at ends, and the ends of its rods.
+
+    Args:
+        parts: Constants of a member that consists of rods.
+        per_element: Contact points per element.
+        free: One for each end that is free, zero where the rod continues in another.
+    """
+    made = strands(parts, per_element)
+    count, n = made.count, made.n_elements
+
+    def ends(lengths: Array, radii: Array, free: Array) -> Ends:
+        return ends_of(lengths, radii, per_element, free)
+
+    each = jax.vmap(ends)(
+        made.rest_lengths.reshape(count, n), made.radii.reshape(count, n), free
+    )
+    inner = made.lengths.reshape(count, -1)[:, 1:-1]
+    shares = jnp.zeros((count, 2, n * per_element + 1), inner.dtype)
+    shares = shares.at[:, :, ::per_element].set(each.shares[:, 0])
+    flat = jax.tree.map(jnp.ravel, replace(each, shares=jnp.zeros(())))
+    return (
+        replace(made, lengths=vectors.pad(inner, 1, 1).reshape(-1)),
+        replace(flat, shares=shares),
+    )
+
+
+@pytree
+class Segments:
+    """Segments at one moment."""
+
+    first: Vec3
+    """Positions of the first nodes [m]."""
+    edge: Vec3
+    """Vectors from the first nodes to the next [m]."""
+    first_velocity: Vec3
+    """Velocities of the first nodes [m/s]."""
+    velocity_change: Vec3
+    """Velocities of the next nodes minus those of the first [m/s]."""
+    spin: Vec3 | None
+    """Angular velocities, world frame [rad/s]."""
+
+
+@pytree
+class ContactPoints:
+    """Contact points at one moment."""
+
+    position: Vec3
+    """Positions on the centreline [m]."""
+    velocity: Vec3
+    """Velocities of the centreline [m/s]."""
+    spin: Vec3 | None
+    """Angular velocities of the points' segments, world frame [rad/s]."""
+
+
+def segments_at(strand: Strands, seen: Seen, *, spins: bool) -> Segments:
+    """Segments of a member."""
+    first = mapped(strand.firsts, seen.motion.position)
+    slow = mapped(strand.firsts, seen.motion.velocity)
+    following = mapped(strand.nexts, seen.motion.position)
+    fast = mapped(strand.nexts, seen.motion.velocity)
+    return Segments(
+        first=first,
+        edge=vectors.subtract(following, first),
+        first_velocity=slow,
+        velocity_change=vectors.subtract(fast, slow),
+        spin=seen.angular_velocities if spins else None,
+    )
+
+
+def points_at(strand: Strands, seen: Seen, *, spins: bool) -> ContactPoints:
+    """Contact points of a member."""
+    return ContactPoints(
+        position=mapped(strand.at_points, seen.motion.position),
+        velocity=mapped(strand.at_points, seen.motion.velocity),
+        spin=mapped(strand.of_points, seen.angular_velocities) if spins else None,
+    )
+
+
+@pytree
+class StrandLoads:
+    """Forces and couples on points and segments, world frame."""
+
+    on_points: Vec3 | None = None
+    """Forces at the points [N]."""
+    on_firsts: Vec3 | None = None
+    """Forces on the first nodes of segments [N]."""
+    on_nexts: Vec3 | None = None
+    """Forces on the next nodes of segments [N]."""
+    turning_points: Vec3 | None = None
+    """Couples at the points [N m]."""
+    turning_segments: Vec3 | None = None
+    """Couples on segments [N m]."""
+    first_tangents: Vec3 | None = None
+    """Forces on the tangents at first nodes, for smooth axes [N]."""
+    next_tangents: Vec3 | None = None
+    """Forces on the tangents at next nodes, for smooth axes [N]."""
+
+    @classmethod
+    def on_segments(
+        cls,
+        firsts: Vec3,
+        nexts: Vec3,
+        turns: Vec3 | None,
+        tangents: tuple[Vec3, Vec3] | None = None,
+    ) -> StrandLoads:
+        """Loads on segments alone: forces at nodes, couples, and forces on tangents."""
+        first, following = (None, None) if tangents is None else tangents
+        return cls(
+            on_firsts=firsts,
+            on_nexts=nexts,
+            turning_segments=turns,
+            first_tangents=first,
+            next_tangents=following,
+        )
+
+    def added(self, more: StrandLoads) -> StrandLoads:
+        """Sum of both loads; either may lack some parts."""
+        return StrandLoads(
+            _added(self.on_points, more.on_points),
+            _added(self.on_firsts, more.on_firsts),
+            _added(self.on_nexts, more.on_nexts),
+            _added(self.turning_points, more.turning_points),
+            _added(self.turning_segments, more.turning_segments),
+            _added(self.first_tangents, more.first_tangents),
+            _added(self.next_tangents, more.next_tangents),
+        )
+
+
+def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return vectors.add(a, b)
+
+
+def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
+    """Loads transferred to nodes and elements."""
+    assert loads.on_firsts is not None and loads.on_nexts is not None
+    if loads.on_points is None:
+        return _of_segments(strand, seen, loads)
+    x, y, z = (
+        strand.to_nodes(at, first, following)
+        for at, first, following in zip(
+            loads.on_points, loads.on_firsts, loads.on_nexts, strict=True
+        )
+    )
+    if loads.turning_points is None or loads.turning_segments is None:
+        return Loads((x, y, z))
+    couples = vectors.add(
+        mapped(strand.to_segments, loads.turning_points), loads.turning_segments
+    )
+    frame = directors(seen.motion.orientation)
+    return Loads((x, y, z), to_material(frame, couples))
+
+
+def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
+    """Loads transferred to nodes and elements, if there are none on points."""
+    assert loads.on_firsts is not None and loads.on_nexts is not None
+    x, y, z = _gathered(strand, loads.on_firsts, loads.on_nexts)
+    if loads.first_tangents is not None:
+        assert loads.next_tangents is not None
+        tangents = _gathered(strand, loads.first_tangents, loads.next_tangents)
+        x, y, z = (
+            strand.from_smooth(place, tangent)
+            for place, tangent in zip((x, y, z), tangents, strict=True)
+        )
+    if loads.turning_segments is None:
+        return Loads((x, y, z))
+    frame = directors(seen.motion.orientation)
+    return Loads((x, y, z), to_material(frame, loads.turning_segments))
+
+
+def _gathered(strand: Strands, firsts: Vec3, nexts: Vec3) -> Vec3:
+    """Forces on nodes, from forces on both nodes of segments."""
+    x, y, z = map(strand.from_segments, firsts, nexts)
+    return x, y, z
+
+
+def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
+    """Points per element for which neighbours are at most some radii apart.
+
+    Args:
+        coupling: Name of the factory, for messages.
+        name: Name of the member.
+        own: Constants of the member.
+        spacing: Largest distance between neighbours over the radius [1].
+
+    Raises:
+        ValueError: If lengths or radii are traced.
+    """
+    if is_traced(own.rest_lengths, own.radii):
+        raise ValueError(
+            f"{coupling}: of {name!r} the lengths or radii are traced: give "
+            "points_per_element"
+        )
+    ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)
+    return max(1, math.ceil(float(np.max(ratio)) / spacing - 1e-6))

@@ -1,0 +1,1 @@
+"""Joints between members: ties, welds, springs, hinges, glue, attachments."""

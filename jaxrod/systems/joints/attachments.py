@@ -1,0 +1,182 @@
+r"""Attachments: nodes of rods that are part of a rigid body, exactly.
+
+A node attached at the place $p$ of a body (own frame) has no motion of its own:
+$x = X + R p$, $v = V + \omega\times R p$. The node's mass counts in the body's mass,
+centre and inertia. The body takes the impulse of every kick of the node,
+$J = m\,\Delta v$ at $x$. Momentum is exact. Added inertia does not limit the time step.
+Any number of nodes may be on one body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.geometry import matrices, vectors
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.structure import pytree
+from jaxrod.systems.joints.elastic_joints import orientation_at, spin_at
+from jaxrod.systems.members.parts import Seen
+from jaxrod.systems.members.rigid_stepper import Carried
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.sites.places import (
+    Indices,
+    Place,
+    Points,
+    layouts_of,
+    points_of,
+    position_of,
+    resolved,
+)
+from jaxrod.systems.sites.rows import picked, replaced, sum_of_loads, summed
+from jaxrod.validation import is_traced
+
+
+@pytree
+class Attachment(Coupling):
+    """Nodes that are part of bodies; see `attach`."""
+
+    points: Points
+    """The nodes."""
+    bodies: Points
+    """The body of each node."""
+    places: Float[Array, "3 nodes"]
+    """Place of each node in its body's frame [m]."""
+
+    def joined_nodes(self) -> list[tuple[str, int]]:
+        """Nodes that are part of bodies."""
+        return [(self.points.member, int(i)) for i in self.points.nodes.values]
+
+    def check(self, parts: AllParts) -> None:
+        """Checks that the members fit.
+
+        Raises:
+            ValueError: If members are missing, too small or of the wrong kind, or a
+                support holds one of the nodes.
+        """
+        self.points.check(parts)
+        self.bodies.check(parts)
+        if not parts[self.points.member].is_rod or parts[self.bodies.member].is_rod:
+            raise ValueError(
+                "attach needs nodes of rods and a rigid body, got "
+                f"{self.points.member!r} and {self.bodies.member!r}"
+            )
+        held = parts[self.points.member].held
+        if held is None or is_traced(held):
+            return
+        index = self.points.nodes.values
+        if any(bool(np.any(np.asarray(c)[index] > 0)) for c in held):
+            raise ValueError(
+                f"a node of {self.points.member!r} is held by a support and attached "
+                f"to {self.bodies.member!r}: it can follow one only"
+            )
+
+    def carried(self, parts: AllParts) -> Carried:
+        """Point masses of the nodes, summed on the bodies."""
+        masses = parts[self.points.member].node_masses[self.points.nodes.values]
+        place = vectors.split(self.places)
+        weighted = vectors.scale(masses, place)
+        count = parts[self.bodies.member].count
+
+        def total(field: Array) -> Array:
+            return summed(field, self.bodies.elements, count)
+
+        x, y, z = (total(component) for component in weighted)
+        one, two, three = (
+            (total(row[0]), total(row[1]), total(row[2]))
+            for row in matrices.outer(weighted, place)
+        )
+        return Carried(total(masses), (x, y, z), (one, two, three))
+
+    def _arms(self, seen: Seen) -> Vec3:
+        """Vectors from the bodies' origins to the nodes, world frame [m]."""
+        frame = directors(orientation_at(seen, self.bodies))
+        return to_world(frame, vectors.split(self.places))
+
+    def _velocities(self, seen: Seen, arms: Vec3) -> Vec3:
+        x, y, z = (picked(c, self.bodies.nodes) for c in seen.motion.velocity)
+        swing = vectors.cross(spin_at(seen, self.bodies), arms)
+        return vectors.add((x, y, z), swing)
+
+    def constrain(self, seen: AllSeen) -> dict[str, Motion]:
+        """Puts the nodes at their places on the bodies, with the velocities there."""
+        body = seen[self.bodies.member]
+        arms = self._arms(body)
+        x, y, z = (picked(c, self.bodies.nodes) for c in body.motion.position)
+        place = vectors.add((x, y, z), arms)
+        motion = seen[self.points.member].motion
+        nodes = self.points.nodes
+        moved = replace(
+            motion,
+            position=_put(motion.position, nodes, place),
+            velocity=_put(motion.velocity, nodes, self._velocities(body, arms)),
+        )
+        if motion.remainder is not None:
+            zero = vectors.scale(0.0, place)
+            moved = replace(moved, remainder=_put(motion.remainder, nodes, zero))
+        return {self.points.member: moved}
+
+    def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
+        """Gives the nodes the velocities of their places on the bodies."""
+        body = seen[self.bodies.member]
+        motion = seen[self.points.member].motion
+        velocity = self._velocities(body, self._arms(body))
+        nodes = self.points.nodes
+        changed = replace(motion, velocity=_put(motion.velocity, nodes, velocity))
+        return {self.points.member: changed}
+
+    def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
+        """Impulses of the nodes, passed on to their bodies."""
+        name, nodes = self.points.member, self.points.nodes
+        masses = picked(before[name].parts.node_masses, nodes)
+        was, now = before[name].motion.velocity, after[name].motion.velocity
+        gained = vectors.subtract(now, was)
+        x, y, z = (masses * picked(component, nodes) for component in gained)
+        couple = vectors.cross(self._arms(before[self.bodies.member]), (x, y, z))
+        return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
+
+    def violation(self, seen: AllSeen) -> Array:
+        """Largest distance of a node from its place, over the radius."""
+        body, own = seen[self.bodies.member], seen[self.points.member]
+        x, y, z = (picked(c, self.bodies.nodes) for c in body.motion.position)
+        place = vectors.add((x, y, z), self._arms(body))
+        at, bt, ct = (picked(c, self.points.nodes) for c in own.motion.position)
+        apart = vectors.safe_norm(vectors.subtract((at, bt, ct), place))
+        assert own.parts.radii is not None
+        return jnp.max(apart) / jnp.min(own.parts.radii)
+
+
+def _put(field: Vec3, index: Indices, value: Vec3) -> Vec3:
+    x, y, z = (replaced(a, index, b) for a, b in zip(field, value, strict=True))
+    return x, y, z
+
+
+def attachment(
+    places: Sequence[Place], bodies: Sequence[Place], state: Mapping[str, Any]
+) -> Attachment:
+    """Attachment of nodes to bodies as a state has both.
+
+    Args:
+        places: Nodes of one member.
+        bodies: Bodies of one member, one for each place.
+        state: State of the system.
+    """
+    layouts = layouts_of(state)
+    nodes = [resolved("a", place, layouts) for place in places]
+    owners = [resolved("b", place, layouts) for place in bodies]
+    offsets = []
+    for place, body in zip(places, bodies, strict=True):
+        origin = position_of("b", body, state)
+        way = position_of("a", place, state).place - origin.place
+        frame = directors(origin.orientation)
+        offsets.append(vectors.join(to_material(frame, vectors.split(way))))
+    return Attachment(
+        points_of("a", nodes), points_of("b", owners), jnp.stack(offsets, axis=1)
+    )

@@ -1,0 +1,439 @@
+r"""Glue: rods side by side, joined all along by a line of springs.
+
+Each pair of elements shares a point midway between their surfaces, fixed in both
+elements. With $g$ the gap between the two copies of this point and $\phi$ the relative
+rotation of the two elements from rest, the line stores per length
+$\frac12 k |g|^2 + \frac12 k_t |\phi|^2$. Forces of springs and dashpots act at one
+point, half on each node of an element, with the couple of the lever arm. So momentum
+and angular momentum are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    directors_from_orientations,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.rods.rod import RodState
+from jaxrod.structure import pytree, static
+from jaxrod.systems.joints.elastic_joints import (
+    ElasticJoint,
+    added_bounds,
+    least_inertia,
+    orientation_at,
+    spin_at,
+)
+from jaxrod.systems.joints.welds import elastic_joints
+from jaxrod.systems.members.parts import Parts, Seen, in_one_row
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.sites.places import (
+    Indices,
+    Layout,
+    Points,
+    layouts_of,
+    points_of,
+    resolved,
+)
+from jaxrod.systems.sites.rows import picked, sum_of_loads, summed
+from jaxrod.systems.stepping.stepper import added
+from jaxrod.validation import Numbers, as_array, check_count
+
+
+@pytree
+class GluedSide:
+    """Elements of one rod, and the points of glue on them."""
+
+    points: Points
+    """The elements, with their first nodes."""
+    offsets: Float[Array, "3 pairs"]
+    """Vectors from the middles of the elements to the glue, in their frames [m]."""
+    nexts: Indices = static()
+    """Next nodes of the elements."""
+
+    def middles(self, seen: Seen, field: Vec3) -> Vec3:
+        """Values of a field on nodes at the middles of the elements."""
+        x, y, z = (
+            0.5 * (picked(c, self.points.nodes) + picked(c, self.nexts)) for c in field
+        )
+        return x, y, z
+
+    def places(self, seen: Seen) -> Vec3:
+        """Points of glue, world frame [m]."""
+        frame = directors(orientation_at(seen, self.points))
+        arms = to_world(frame, vectors.split(self.offsets))
+        return vectors.add(self.middles(seen, seen.motion.position), arms)
+
+    def velocities(self, seen: Seen, place: Vec3) -> Vec3:
+        """Velocities of the elements' material at some places [m/s]."""
+        arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
+        swing = vectors.cross(spin_at(seen, self.points), arm)
+        return vectors.add(self.middles(seen, seen.motion.velocity), swing)
+
+    def loads(self, seen: Seen, force: Vec3, place: Vec3) -> tuple[Any, Any]:
+        """Loads of forces at some places: on the first nodes, and on the next nodes."""
+        arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
+        frame = directors(orientation_at(seen, self.points))
+        couple = to_material(frame, vectors.cross(arm, force))
+        half = vectors.scale(0.5, force)
+        others = Points(self.points.member, self.nexts, self.points.elements)
+        return (self.points, Loads(half, couple)), (others, Loads(half))
+
+    def mobility(self, parts: Parts) -> Array:
+        """Largest velocity at the glue per impulse [1/kg]."""
+        first = parts.node_masses[self.points.nodes.values]
+        following = parts.node_masses[self.nexts.values]
+        arms = vectors.split(self.offsets)
+        turning = vectors.dot(arms, arms) / least_inertia(parts, self.points)
+        return 0.25 / first + 0.25 / following + turning
+
+    def bound(self, parts: Parts, rate: Array, slow: Array | None) -> StabilityBound:
+        """Bound on one side: squared frequency and rate of drag, times inertia.
+
+        Args:
+            parts: Constants of the member.
+            rate: Stiffness times the mobility of both sides [1/s^2].
+            slow: Drag times the mobility of both sides [1/s].
+        """
+        first = parts.node_masses[self.points.nodes.values]
+        following = parts.node_masses[self.nexts.values]
+        least = least_inertia(parts, self.points)
+
+        def on_nodes(rate: Array) -> Array:
+            size = parts.n_nodes
+            one = summed(rate * first, self.points.nodes, size)
+            return one + summed(rate * following, self.nexts, size)
+
+        def on_elements(rate: Array) -> Array:
+            return summed(rate * least, self.points.elements, parts.inertias.shape[1])
+
+        return StabilityBound(
+            nodes=on_nodes(rate),
+            elements=on_elements(rate),
+            node_drag=None if slow is None else on_nodes(slow),
+            element_drag=None if slow is None else on_elements(slow),
+        )
+
+
+def between_surfaces(
+    a: GluedSide, b: GluedSide, thicker: Array
+) -> tuple[GluedSide, GluedSide]:
+    """Glue moved from midway between the axes of rods to midway between their surfaces.
+
+    Args:
+        a: Elements of the first rod.
+        b: Elements of the second rod.
+        thicker: Radii of `a` minus radii of `b` [m].
+    """
+    half = vectors.safe_norm(vectors.split(a.offsets))
+    # If both axes coincide there is no direction in which to move it.
+    apart = half > 0
+    more = jnp.clip(0.5 * thicker / jnp.where(apart, half, 1), -1, 1)
+    share = jnp.where(apart, more, 0)
+    return (
+        replace(a, offsets=(1 + share)[None, :] * a.offsets),
+        replace(b, offsets=(1 - share)[None, :] * b.offsets),
+    )
+
+
+@pytree
+class Glue(Coupling):
+    """Glue between elements of two rods; see `glue`."""
+
+    a: GluedSide
+    """Elements of the first rod."""
+    b: GluedSide
+    """Elements of the second rod."""
+    joint: ElasticJoint
+    """Joints that resist relative rotation."""
+    stiffness: Float[Array, ""] | Float[Array, " pairs"]
+    """Force per length of glue and distance, one for all or one for each [N/m^2]."""
+    turning_stiffness: Float[Array, ""] | Float[Array, " pairs"] | None = None
+    """Couple per length and angle [N]."""
+    damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
+    """Force per length and relative speed [kg/(m s)]."""
+    turning_damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
+    """Couple per length and relative angular velocity [N s]."""
+    lengths: Float[Array, " pairs"] | None = None
+    """Length of glue of each pair, once prepared [m]."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if a member is missing, too small or rigid."""
+        for side in (self.a, self.b):
+            side.points.check(parts)
+            if not parts[side.points.member].is_rod:
+                raise ValueError(
+                    f"glue joins rods, and {side.points.member!r} is rigid: use "
+                    "jaxrod.attach or rigid_joint"
+                )
+
+    def prepared(self, parts: AllParts) -> Glue:
+        """The glue with its places, its lengths and its stiffness against rotation."""
+        if self.lengths is not None:
+            return self
+        each, radii = [], []
+        for side in (self.a, self.b):
+            own = parts[side.points.member]
+            assert own.rest_lengths is not None and own.radii is not None
+            each.append(own.rest_lengths[side.points.elements.values])
+            radii.append(own.radii[side.points.elements.values])
+        lengths = 0.5 * (each[0] + each[1])
+        a, b = between_surfaces(self.a, self.b, radii[0] - radii[1])
+        joint = self.joint
+        if self.turning_stiffness is not None:
+            row = self.turning_stiffness * lengths
+            joint = replace(joint, stiffness=jnp.stack([row, row, row]))
+        if self.turning_damping is not None:
+            joint = replace(joint, damping=self.turning_damping * lengths)
+        return replace(self, a=a, b=b, lengths=lengths, joint=joint)
+
+    def _gap(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
+        """Vectors from the glue on `a` to the glue on `b`, and the points midway."""
+        first = self.a.places(seen[self.a.points.member])
+        second = self.b.places(seen[self.b.points.member])
+        gap = vectors.subtract(second, first)
+        return gap, vectors.scale(0.5, vectors.add(first, second))
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Forces and couples on both rods."""
+        one, two = seen[self.a.points.member], seen[self.b.points.member]
+        gap, middle = self._gap(seen)
+        pull = vectors.scale(self.stiffness, gap)
+        if self.damping is not None:
+            rate = vectors.subtract(
+                self.b.velocities(two, middle), self.a.velocities(one, middle)
+            )
+            pull = vectors.add(pull, vectors.scale(self.damping, rate))
+        assert self.lengths is not None
+        pull = vectors.scale(self.lengths, pull)
+        back = vectors.scale(-1.0, pull)
+        total = sum_of_loads(
+            *self.a.loads(one, pull, middle),
+            *self.b.loads(two, back, middle),
+            seen=seen,
+        )
+        if self.turning_stiffness is None:
+            return total
+        for name, loads in self.joint.loads(seen).items():
+            total[name] = added(total[name], loads)
+        return total
+
+    def energy(self, seen: AllSeen) -> Array:
+        """Elastic energy of the glue [J]."""
+        gap, _ = self._gap(seen)
+        assert self.lengths is not None
+        squares = self.lengths * vectors.dot(gap, gap)
+        stored = 0.5 * jnp.sum(self.stiffness * squares)
+        if self.turning_stiffness is None:
+            return stored
+        return stored + self.joint.energy(seen)
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and damping on both rods, shared in proportion to inertia."""
+        assert self.lengths is not None
+        one, two = parts[self.a.points.member], parts[self.b.points.member]
+        ease = self.lengths * (self.a.mobility(one) + self.b.mobility(two))
+        rate = self.stiffness * ease
+        slow = None if self.damping is None else self.damping * ease
+        total: dict[str, StabilityBound] = {}
+        for side, own in ((self.a, one), (self.b, two)):
+            name = side.points.member
+            total[name] = added_bounds(total.get(name), side.bound(own, rate, slow))
+        if self.turning_stiffness is not None:
+            for name, bound in self.joint.stability_bounds(parts).items():
+                total[name] = added_bounds(total[name], bound)
+        return total
+
+
+Rods = str | tuple[str, int]
+"""Name of a rod, or name and number of one of equal rods."""
+Glued = tuple[Sequence[int], Sequence[int]]
+"""Elements of a first rod, and the elements of a second rod glued to them."""
+
+
+def glue(
+    a: Rods | Sequence[Rods],
+    b: Rods | Sequence[Rods],
+    state: Mapping[str, Any],
+    *,
+    stiffness: Numbers,
+    turning_stiffness: Numbers | None = None,
+    damping: Numbers | None = None,
+    turning_damping: Numbers | None = None,
+    elements: Glued | Sequence[Glued] | None = None,
+) -> Glue:
+    """Rods glued side by side, free of force in `state`.
+
+    Args:
+        a: Name of a rod, or name and number of one of equal rods such as `("rods", 2)`.
+            Or several rods of one member, each glued to one of `b`.
+        b: The other rod, or one for each rod of `a`.
+        state: State of the system at rest.
+        stiffness: Force per length of glue and distance, in all directions [N/m^2].
+            This and the next three are a number, or one for each pair of glued
+            elements, starting with those of the first rods.
+        turning_stiffness: Couple per length and angle between the elements [N].
+        damping: Force per length and relative speed [kg/(m s)].
+        turning_damping: Couple per length and relative angular velocity [N s]; needs a
+            `turning_stiffness`.
+        elements: Numbers of elements of `a`, and as many of the elements of `b` glued
+            to them; by default each element is glued to the one of the same number.
+            With several rods, one such pair of lists for all, or a list of such pairs,
+            one for each rod of `a`.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If there are no such rods or elements, their numbers differ, a
+            number is out of range, or there is a turning damping alone.
+        TypeError: If a rod is not given by its name.
+    """
+    if turning_damping is not None and turning_stiffness is None:
+        raise ValueError(
+            "turning_stiffness [N] is needed beside turning_damping: without it glued "
+            "elements turn freely"
+        )
+    layouts = layouts_of(state)
+    names = [_rods("a", a), _rods("b", b)]
+    if len(names[0]) != len(names[1]):
+        raise ValueError(
+            f"a and b must be as many rods, got {len(names[0])} and {len(names[1])}"
+        )
+    pairs: list[list[tuple[Any, ...]]] = [[], []]
+    listed = _listed(elements, len(names[0]))
+    for one, two, chosen in zip(*names, listed, strict=True):
+        for side, found in enumerate(_glued(one, two, chosen, layouts)):
+            pairs[side].extend(found)
+    same = sorted({p for p, q in zip(*pairs, strict=True) if p == q})
+    if same:
+        raise ValueError(f"an element is glued to itself: {same[0]}")
+    points = [
+        points_of(side, [resolved(side, place, layouts) for place in places])
+        for side, places in zip("ab", pairs, strict=True)
+    ]
+    # All pairs are of the same two members, so there is one row of joints.
+    (joint,) = elastic_joints(pairs[0], pairs[1], state)
+    middles = [_middles(state[own.member], own) for own in points]
+    midway = 0.5 * (middles[0][0] + middles[1][0])
+    sides = []
+    for own, (middle, frame) in zip(points, middles, strict=True):
+        offsets = np.sum(frame * (midway - middle)[None], axis=1)
+        following = Indices(own.nodes.values + 1)
+        sides.append(GluedSide(own, jnp.asarray(offsets), following))
+    shapes = ((), (len(pairs[0]),))
+
+    def number(name: str, value: Any, unit: str, *, positive: bool = False) -> Any:
+        if value is None:
+            return None
+        given = {"positive": positive, "non_negative": True}
+        return as_array(name, value, unit, shapes, **given)
+
+    return Glue(
+        a=sides[0],
+        b=sides[1],
+        joint=joint,
+        stiffness=number("stiffness", stiffness, "N/m^2", positive=True),
+        turning_stiffness=number(
+            "turning_stiffness", turning_stiffness, "N", positive=True
+        ),
+        damping=number("damping", damping, "kg/(m s)"),
+        turning_damping=number("turning_damping", turning_damping, "N s"),
+    )
+
+
+def _listed(elements: Any, count: int) -> list[Any]:
+    """Two lists of glued elements for each pair of rods; `None` to glue them all."""
+    if elements is None:
+        return [None] * count
+    words = (
+        "elements must be a list of those of a and one of those of b, or such a pair "
+        f"for each of {count} rods, got {elements!r}"
+    )
+    try:
+        listed = [list(pair) for pair in elements]
+        given = [[np.asarray(side) for side in pair] for pair in listed]
+    except (TypeError, ValueError) as error:
+        raise ValueError(words) from error
+    deep = any(side.ndim for pair in given for side in pair)
+    if not deep:
+        given = [[np.asarray(side) for side in listed]]
+    if any(len(pair) != 2 or {side.ndim for side in pair} != {1} for pair in given):
+        raise ValueError(words)
+    if deep and len(given) != count:
+        raise ValueError(words)
+    rows = [[side.tolist() for side in pair] for pair in given]
+    return rows if deep else rows * count
+
+
+def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
+    """Rods as a list of names, each with a number if one is given."""
+    if isinstance(given, str):
+        return [(given,)]
+    if not isinstance(given, Sequence) or not given:
+        raise TypeError(
+            f'{name} must be a rod such as "arm" or ("arms", 2), got {given!r}'
+        )
+    if len(given) == 2 and isinstance(given[0], str) and not isinstance(given[1], str):
+        return [tuple(given)]
+    return [(one,) if isinstance(one, str) else tuple(one) for one in given]
+
+
+def _glued(
+    one: tuple[Any, ...],
+    two: tuple[Any, ...],
+    elements: Any,
+    layouts: Mapping[str, Layout],
+) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
+    """Elements of two rods that are glued together."""
+    counts = []
+    for side, name in zip("ab", (one, two), strict=True):
+        if name[0] in layouts and not layouts[name[0]].is_rod:
+            raise ValueError(f"{side}: glue joins rods, and {name[0]!r} is rigid")
+        member, _, _ = resolved(side, (*name, "start"), layouts)
+        counts.append(layouts[member].n_elements)
+    chosen = elements
+    if chosen is None:
+        if counts[0] != counts[1]:
+            raise ValueError(
+                f"{one} and {two} have {counts[0]} and {counts[1]} elements: say which "
+                "are glued together, elements=([...], [...])"
+            )
+        chosen = (range(counts[0]), range(counts[0]))
+    first, second = (
+        [(*name, check_count(f"elements of {name}", k, 0, n - 1)) for k in listed]
+        for name, n, listed in zip((one, two), counts, chosen, strict=True)
+    )
+    if not first or len(first) != len(second):
+        raise ValueError(
+            f"elements must be as many of both, got {len(first)} and {len(second)}"
+        )
+    return first, second
+
+
+def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of elements `(3, k)` [m], and their frames `(3, 3, k)`."""
+    row: Any = state.positions, state.orientations
+    first, listed = points.nodes.values, points.elements.values
+    # The state is concrete even while other numbers are traced.
+    with jax.ensure_compile_time_eval():
+        if state.positions.ndim == 3:
+            row = in_one_row(row)
+        positions, orientations = map(np.asarray, row)
+        middles = 0.5 * (positions[:, first] + positions[:, first + 1])
+        frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))
+        return middles, np.asarray(frames)

@@ -1,0 +1,199 @@
+r"""Hinges and rigid joints of finite stiffness between members.
+
+A hinge adds the energy $k_t (1 - a\cdot b)$ to a ball joint, where $a$ and $b$ are the
+directions of its axis as fixed in the first and in the second member. Motors act about
+the mean of both, dashpots about any axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.time import Timed, as_timed
+from jaxrod.geometry import vectors
+from jaxrod.geometry.material_frames import unit_vector
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree
+from jaxrod.systems.joints.elastic_joints import (
+    ElasticJoint,
+    orientation_at,
+    spin_at,
+    turning_bounds,
+)
+from jaxrod.systems.joints.springs import ball_joint, optional_number
+from jaxrod.systems.joints.ties import pairs
+from jaxrod.systems.joints.welds import elastic_joints
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.sites.places import Place, Points, position_of
+from jaxrod.systems.sites.rows import sum_of_loads
+from jaxrod.validation import Numbers, as_array
+
+
+@pytree
+class AxisSprings(Coupling):
+    """Axes of elements of two members, pulled towards each other; see `hinge_joint`."""
+
+    a: Points
+    """Elements of the first member."""
+    b: Points
+    """Elements of the second member, one for each of the first."""
+    axes_a: Float[Array, "3 hinges"]
+    """Unit vectors along the hinges, in the frames of `a`."""
+    axes_b: Float[Array, "3 hinges"]
+    """Unit vectors along the hinges, in the frames of `b`."""
+    stiffness: Float[Array, ""]
+    """Couple per angle between both axes [N m]."""
+    damping: Float[Array, ""] | None = None
+    """Couple per relative angular velocity, about any axis [N m s]."""
+    motor: Float[Array, ""] | None = None
+    """Couple on `b`, and its opposite on `a`, about the mean axis [N m]."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if a member is missing or too small."""
+        self.a.check(parts)
+        self.b.check(parts)
+
+    def _axes(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
+        """Both axes, world frame."""
+        frame_a = directors(orientation_at(seen[self.a.member], self.a))
+        frame_b = directors(orientation_at(seen[self.b.member], self.b))
+        return (
+            to_world(frame_a, vectors.split(self.axes_a)),
+            to_world(frame_b, vectors.split(self.axes_b)),
+        )
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Couples on both elements of each hinge."""
+        one, two = self._axes(seen)
+        pull = vectors.scale(self.stiffness, vectors.cross(two, one))
+        if self.damping is not None:
+            apart = vectors.subtract(
+                spin_at(seen[self.b.member], self.b),
+                spin_at(seen[self.a.member], self.a),
+            )
+            pull = vectors.subtract(pull, vectors.scale(self.damping, apart))
+        if self.motor is not None:
+            both = vectors.scale(0.5 * self.motor, vectors.add(one, two))
+            pull = vectors.add(pull, both)
+        back = vectors.scale(-1.0, pull)
+        frame_a = directors(orientation_at(seen[self.a.member], self.a))
+        frame_b = directors(orientation_at(seen[self.b.member], self.b))
+        return sum_of_loads(
+            (self.a, Loads(couples=to_material(frame_a, back))),
+            (self.b, Loads(couples=to_material(frame_b, pull))),
+            seen=seen,
+        )
+
+    def energy(self, seen: AllSeen) -> Array:
+        """Energy of the angle between both axes [J]."""
+        one, two = self._axes(seen)
+        apart = vectors.subtract(two, one)
+        return 0.5 * self.stiffness * jnp.sum(vectors.dot(apart, apart))
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and damping on both elements."""
+        stiffness = jnp.broadcast_to(self.stiffness, (len(self.a.nodes),))
+        return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
+
+
+def hinge_joint(
+    a: Place,
+    b: Place,
+    state: Mapping[str, Any],
+    *,
+    axis: Numbers,
+    stiffness: Numbers,
+    axis_stiffness: Numbers,
+    damping: Numbers | None = None,
+    axis_damping: Numbers | None = None,
+    motor: Timed | None = None,
+    at: Numbers | None = None,
+) -> tuple[Coupling, ...]:
+    """A hinge between two members: they turn about one axis that both carry.
+
+    Args:
+        a: A place on the first member.
+        b: A place on the second member.
+        state: State of the system at rest.
+        axis: Direction of the hinge in `state`, world frame `(3,)`.
+        stiffness: Force per distance between the two points [N/m].
+        axis_stiffness: Couple per angle between the axes of both members [N m].
+        damping: Force per relative speed [kg/s].
+        axis_damping: Couple per relative angular velocity [N m s].
+        motor: Couple on `b` about the axis, opposite on `a`; may be a schedule [N m].
+        at: Position of the hinge in `state` `(3,)` [m]; by default at `a`.
+
+    Returns:
+        Couplings for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, or a number is out of range.
+    """
+    held = ball_joint(a, b, state, stiffness=stiffness, damping=damping, at=at)
+    world = unit_vector("axis", axis)
+    own = []
+    for place in (a, b):
+        frame = directors(position_of("a", place, state).orientation)
+        axis_of = to_material(frame, vectors.split(jnp.asarray(world)))
+        own.append(vectors.join(axis_of)[:, None])
+    axes = AxisSprings(
+        a=held.a.points,
+        b=held.b.points,
+        axes_a=own[0],
+        axes_b=own[1],
+        stiffness=as_array("axis_stiffness", axis_stiffness, "N m", positive=True),
+        damping=optional_number("axis_damping", axis_damping, "N m s"),
+        motor=None if motor is None else as_timed("motor", motor, "N m", ()),
+    )
+    return held, axes
+
+
+def rigid_joint(
+    a: Place | Sequence[Place],
+    b: Place | Sequence[Place],
+    state: Mapping[str, Any],
+    *,
+    stiffness: Numbers,
+    turning_stiffness: Numbers,
+    damping: Numbers | None = None,
+    turning_damping: Numbers | None = None,
+    at: Numbers | None = None,
+) -> tuple[Coupling, ...]:
+    """Members held together at a point and at their angle in `state`, by springs.
+
+    `weld` and `attach` join without compliance; this joint has a stiffness.
+
+    Args:
+        a: A place on the first member, or several.
+        b: A place on the second member, or one for each place of `a`.
+        state: State of the system at rest.
+        stiffness: Force per distance between the two points [N/m].
+        turning_stiffness: Couple per angle from rest [N m].
+        damping: Force per relative speed [kg/s].
+        turning_damping: Couple per relative angular velocity [N m s].
+        at: Position of the joint in `state` `(3,)` [m]; by default at `a`.
+
+    Returns:
+        Couplings for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, or a number is out of range.
+    """
+    held = ball_joint(a, b, state, stiffness=stiffness, damping=damping, at=at)
+    couple = as_array("turning_stiffness", turning_stiffness, "N m", positive=True)
+    drag = optional_number("turning_damping", turning_damping, "N m s")
+    first, second = pairs(a, b)
+    joints: list[ElasticJoint] = []
+
+    for joint in elastic_joints(first, second, state):
+        each = jnp.broadcast_to(couple, (3, len(joint.a.nodes)))
+        joints.append(replace(joint, stiffness=each, damping=drag))
+    return (held, *joints)

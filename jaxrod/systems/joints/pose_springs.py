@@ -1,0 +1,314 @@
+r"""Springs that pull a point and its orientation towards a target, which may move.
+
+With the position $x$ and the orientation $q$ of a point of a member, and the target
+$x^*, q^*$,
+
+$$E = \tfrac12 k |x^* - x|^2 + \tfrac12 k_t |\phi|^2, \qquad
+  \phi = \log(q^{*-1} q),$$
+
+with dashpots on the velocity and the angular velocity relative to the target. The force
+and the couple are external: the drive of the target has the power
+$F\cdot\dot x^* + C\cdot\omega^*$. The dashpots dissipate $c |\dot x^* - \dot x|^2$
+and $c_t |\omega^* - \omega|^2$ of it; the rest goes into the system and the spring.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import Reaction, StabilityBound
+from jaxrod.effects.paths import Path, Placed, Turned, Turning, schedule_of
+from jaxrod.effects.time import Schedule, Timed, clock_at, is_schedule
+from jaxrod.geometry import vectors
+from jaxrod.geometry.material_frames import unit_vector
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    conjugate,
+    directors,
+    multiply_quaternions,
+    rotation_log,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree
+from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.joints.anchors import Anchors, anchors
+from jaxrod.systems.joints.elastic_joints import least_inertia, orientation_at, spin_at
+from jaxrod.systems.joints.springs import optional_number
+from jaxrod.systems.members.parts import Seen
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.sites.places import Place, position_of
+from jaxrod.systems.sites.rows import sum_of_loads, summed
+from jaxrod.systems.system import System
+from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_traced
+
+
+@pytree
+class PoseSpring(Coupling):
+    """A spring from a point of a member to a target pose; see `pose_spring`."""
+
+    anchor: Anchors
+    """The point that is pulled."""
+    place: Placed | Schedule
+    """Target position and its velocity."""
+    turn: Turned | Schedule
+    """Target orientation and its angular velocity."""
+    stiffness: Float[Array, ""]
+    """Force per distance [N/m]."""
+    damping: Float[Array, ""] | None = None
+    """Force per relative speed [kg/s]."""
+    turning_stiffness: Float[Array, ""] | None = None
+    """Couple per angle [N m]."""
+    turning_damping: Float[Array, ""] | None = None
+    """Couple per relative angular velocity [N m s]."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if the member is missing or too small."""
+        self.anchor.check(parts)
+
+    @property
+    def _placed(self) -> Placed:
+        assert isinstance(self.place, Placed)
+        return self.place
+
+    @property
+    def _turned(self) -> Turned:
+        assert isinstance(self.turn, Turned)
+        return self.turn
+
+    def _way(self, own: Seen) -> Vec3:
+        """Vector from the point to its target [m]."""
+        x, y, z = self.anchor.positions(own)
+        a, b, c = self._placed.position
+        return a - x, b - y, c - z
+
+    def _angle(self, own: Seen) -> Vec3:
+        """Rotation vector from the target, the same in both frames [rad]."""
+        q = _one_quaternion(self._turned.orientation)
+        here = orientation_at(own, self.anchor.points)
+        return rotation_log(multiply_quaternions(conjugate(q), here))
+
+    def _pull(self, own: Seen) -> Vec3:
+        """Force on the point [N]."""
+        force = vectors.scale(self.stiffness, self._way(own))
+        if self.damping is None:
+            return force
+        place = self.anchor.positions(own)
+        rate = vectors.subtract(
+            _one(self._placed.velocity), self.anchor.velocities(own, place)
+        )
+        return vectors.add(force, vectors.scale(self.damping, rate))
+
+    def _couple(self, own: Seen) -> Vec3 | None:
+        """Couple on the element, world frame [N m]; `None` if it turns freely."""
+        couple = None
+        if self.turning_stiffness is not None:
+            frame = directors(orientation_at(own, self.anchor.points))
+            turn = to_world(frame, self._angle(own))
+            couple = vectors.scale(-self.turning_stiffness, turn)
+        if self.turning_damping is not None:
+            rate = vectors.subtract(
+                _one(self._turned.angular_velocity), spin_at(own, self.anchor.points)
+            )
+            drag = vectors.scale(self.turning_damping, rate)
+            couple = drag if couple is None else vectors.add(couple, drag)
+        return couple
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Force and couple on the member."""
+        points = self.anchor.points
+        own = seen[points.member]
+        place = self.anchor.positions(own)
+        loads = self.anchor.loads(own, self._pull(own), place)
+        turning = self._couple(own)
+        if turning is not None:
+            assert loads.couples is not None
+            more = to_material(directors(orientation_at(own, points)), turning)
+            loads = Loads(loads.forces, vectors.add(loads.couples, more))
+        return sum_of_loads((points, loads), seen=seen)
+
+    def energy(self, seen: AllSeen) -> Array:
+        """Energy of the spring [J]."""
+        own = seen[self.anchor.points.member]
+        way = self._way(own)
+        stored = 0.5 * self.stiffness * jnp.sum(vectors.dot(way, way))
+        if self.turning_stiffness is None:
+            return stored
+        turn = self._angle(own)
+        square = jnp.sum(vectors.dot(turn, turn))
+        return stored + 0.5 * self.turning_stiffness * square
+
+    def reaction(self, seen: AllSeen) -> Reaction:
+        """Force and couple on the member, and the power of the drive."""
+        own = seen[self.anchor.points.member]
+        force = vectors.split(jnp.stack(self._pull(own))[:, 0])
+        power = vectors.dot(force, vectors.split(self._placed.velocity))
+        couple = self._couple(own)
+        if couple is None:
+            return Reaction.of(force, power=power)
+        turn = vectors.split(jnp.stack(couple)[:, 0])
+        spin = vectors.split(self._turned.angular_velocity)
+        return Reaction.of(force, turn, power + vectors.dot(turn, spin))
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and damping on the node and the element."""
+        points = self.anchor.points
+        own = parts[points.member]
+        ease = self.anchor.mobility(own)
+        masses = own.node_masses[points.nodes.values]
+        inertia = least_inertia(own, points)
+        zero = jnp.zeros_like(ease)
+        # A force at the node itself does not turn the element; an offset makes it turn.
+        arm = vectors.split(self.anchor.offsets)
+        lever = vectors.dot(arm, arm) > 0
+
+        def on_nodes(rate: Array) -> Array:
+            return summed(rate * ease * masses, points.nodes, own.n_nodes)
+
+        def on_elements(rate: Array, turning: Array | None) -> Array:
+            total = jnp.where(lever, rate * ease * inertia, zero)
+            if turning is not None:
+                total = total + turning
+            return summed(total, points.elements, own.inertias.shape[1])
+
+        drag, none = self.damping, jnp.zeros_like(self.stiffness)
+        damps = drag is not None or self.turning_damping is not None
+        return {
+            points.member: StabilityBound(
+                nodes=on_nodes(self.stiffness),
+                elements=on_elements(self.stiffness, self.turning_stiffness),
+                node_drag=None if drag is None else on_nodes(drag),
+                element_drag=on_elements(
+                    none if drag is None else drag, self.turning_damping
+                )
+                if damps
+                else None,
+            )
+        }
+
+
+def _one(vector: Array) -> Vec3:
+    """Vector as a field of one entry."""
+    return vector[0][None], vector[1][None], vector[2][None]
+
+
+def _one_quaternion(quaternion: Array) -> Quaternion:
+    w, x, y, z = quaternion
+    return w[None], x[None], y[None], z[None]
+
+
+def pose_spring(
+    place: Place,
+    state: Mapping[str, Any],
+    *,
+    stiffness: Numbers,
+    damping: Numbers | None = None,
+    turning_stiffness: Numbers | None = None,
+    turning_damping: Numbers | None = None,
+    position: Numbers | None = None,
+    orientation: Numbers | None = None,
+    displacement: Timed = (0.0, 0.0, 0.0),
+    axis: Numbers | None = None,
+    angle: Timed = 0.0,
+    at: Numbers | None = None,
+) -> PoseSpring:
+    """Pulls a node of a rod, or a body, towards a target position and orientation.
+
+    Args:
+        place: A place on a member, `("arm", "finish")` or `("ball",)`.
+        state: State of the system. The target is the pose of the place in it, unless
+            `position` and `orientation` are given.
+        stiffness: Force per distance [N/m].
+        damping: Force per speed relative to the target [kg/s].
+        turning_stiffness: Couple per angle [N m]; by default the place turns freely.
+        turning_damping: Couple per relative angular velocity [N m s].
+        position: Target position, world frame `(3,)` [m].
+        orientation: Target orientation, a quaternion (w, x, y, z).
+        displacement: Displacement of the target from there, world frame: `(3,)` or a
+            schedule of such vectors [m].
+        axis: Axis about which the target turns, world frame, of any length `(3,)`.
+        angle: Angle by which the target turns, or a schedule [rad].
+        at: Position in `state` of the point of the element or body that is pulled,
+            world frame `(3,)` [m]; by default the node, or the body's origin.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, or a number is out of range.
+    """
+    point = None if at is None else as_array("at", at, "m", [(3,)])
+    pose = position_of("place", place, state)
+    origin = jnp.asarray(pose.place if point is None else point)
+    if position is not None:
+        origin = as_array("position", position, "m", [(3,)])
+    start = jnp.stack([jnp.asarray(c) for c in pose.orientation])
+    if orientation is not None:
+        given = check_array("orientation", orientation, [(4,)], "")
+        if not is_traced(given) and not np.any(given):
+            raise ValueError("orientation must not be zero, got (0, 0, 0, 0)")
+        quaternion = jnp.asarray(given, start.dtype)
+        start = quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion))
+    turns = is_schedule(angle) or is_traced(angle) or bool(np.any(np.asarray(angle)))
+    if turns and axis is None:
+        raise ValueError("axis must say what the orientation turns about by that angle")
+    if (turns or orientation is not None or turning_damping is not None) and (
+        turning_stiffness is None
+    ):
+        raise ValueError(
+            "turning_stiffness [N m] is needed to turn what has a spring: without it "
+            "it turns freely"
+        )
+    about = jnp.asarray(unit_vector("axis", (0, 0, 1) if axis is None else axis))
+    path: Any = Path(origin, schedule_of("displacement", displacement, "m", (3,)))
+    turning: Any = Turning(
+        start, about.astype(start.dtype), schedule_of("angle", angle, "rad", ())
+    )
+    if not is_schedule(displacement):
+        path = path(clock_at(0.0, origin.dtype))
+    if not is_schedule(angle):
+        turning = turning(clock_at(0.0, start.dtype))
+    return PoseSpring(
+        anchor=anchors("place", [place], [point], state),
+        place=path,
+        turn=turning,
+        stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
+        damping=optional_number("damping", damping, "kg/s"),
+        turning_stiffness=(
+            None
+            if turning_stiffness is None
+            else as_array("turning_stiffness", turning_stiffness, "N m", positive=True)
+        ),
+        turning_damping=optional_number("turning_damping", turning_damping, "N m s"),
+    )
+
+
+def pose_spring_reactions(
+    system: System, state: Mapping[str, Any]
+) -> tuple[Reaction, ...]:
+    """Force, couple and power of every pose spring of a system.
+
+    The power is that of the drive, which moves and turns the target.
+
+    Args:
+        system: The system, at one moment: `system.at(time)` if it depends on time.
+        state: State of the system.
+
+    Returns:
+        One reaction for each `pose_spring`, in the order in which they were given.
+
+    Raises:
+        TypeError: If `system` is not a system.
+        ValueError: If it depends on time.
+    """
+    check_kind("system", system, System)
+    system.check_moment()
+    seen, couplings = seen_at_rest(system, state)
+    return tuple(c.reaction(seen) for c in couplings if isinstance(c, PoseSpring))

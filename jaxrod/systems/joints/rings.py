@@ -1,0 +1,156 @@
+r"""Closed rods: a rod whose last node is its first, and the joint that closes it.
+
+A closed rod is an open rod whose ends are tied, with one more elastic joint from its
+last element to its first, like the joints between all other elements. No place on it is
+special.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrod.geometry.material_frames import straight_frame, unit_vector
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    join_quaternion,
+    multiply_quaternions,
+    split_quaternion,
+)
+from jaxrod.rods.factories import MOST_ELEMENTS, rod_along
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.systems.joints.elastic_joints import ElasticJoint
+from jaxrod.systems.joints.ties import tie
+from jaxrod.systems.sites.coupling import Coupling
+from jaxrod.systems.sites.places import layouts_of, points_of, resolved
+from jaxrod.validation import (
+    Numbers,
+    check_array,
+    check_count,
+    check_dtype,
+    is_traced,
+)
+
+FEWEST_ELEMENTS = 3
+"""Smallest number of elements of a ring."""
+
+
+def ring(
+    n_elements: int,
+    *,
+    length: Numbers,
+    centre: Numbers = (0.0, 0.0, 0.0),
+    normal: Numbers = (0.0, 0.0, 1.0),
+    turns: Numbers = 0.0,
+    straight_at_rest: bool = False,
+    name: str = "ring",
+    dtype: Any = None,
+    **rod: Any,
+) -> tuple[Rod, RodState, tuple[Coupling, ...]]:
+    """A closed rod in the shape of a circle, and the couplings that close it.
+
+    The rod alone is open, with both ends at one place. As a member of a system, under
+    the `name` given here and with the couplings, it is a ring:
+
+        rod, state, closure = jaxrod.ring(40, length=1.0, radius=0.01, ...)
+        system = jaxrod.make_system({"ring": jaxrod.make_scene(rod)}, closure)
+
+    Args:
+        n_elements: Number of elements, at least 3.
+        length: Rest length of the rod, once around [m]: the sum of the edges of a
+            regular polygon.
+        centre: Centre of the circle `(3,)` [m].
+        normal: Normal of its plane, of any length `(3,)`; the rod runs around it
+            counterclockwise.
+        turns: Turns by which one end was twisted about the rod before it was joined to
+            the other, evenly spread (the link of the ring). Need not be whole [1].
+        straight_at_rest: Whether the rod was straight before it was bent to the ring;
+            else the circle is its stress-free shape.
+        name: Name of the member in the system.
+        dtype: float32 or float64; by default JAX's default.
+        **rod: Section and material, passed to `jaxrod.rod_along`: `radius` or
+            `section`, `density`, `youngs_modulus` and others.
+
+    Returns:
+        The rod, its state, and couplings for `make_system`.
+
+    Raises:
+        ValueError: If an argument is out of range or does not fit.
+        TypeError: If the name is not a string.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"name must be a string, got {name!r}")
+    n = check_count("n_elements", n_elements, FEWEST_ELEMENTS, MOST_ELEMENTS)
+    dtype = check_dtype(dtype)
+    if is_traced(length, centre, normal, turns):
+        raise ValueError(
+            "length [m], centre [m], normal and turns of a ring must be known when "
+            "the program is traced: its numbers may change afterwards"
+        )
+    around = check_array("length", length, [()], "m", positive=True, dtype=dtype)
+    middle = check_array("centre", centre, [(3,)], "m", dtype=dtype)
+    link = float(check_array("turns", turns, [()], ""))
+    frame = straight_frame(unit_vector("normal", normal), None)
+    angles = 2 * np.pi * np.arange(n + 1) / n
+    # In the plane of the first two axes, around the third.
+    along, beside, up = frame[0][:, None], frame[1][:, None], frame[2][:, None]
+    outwards = np.cos(angles) * along + np.sin(angles) * beside
+    places = middle[:, None] + around / (2 * n * np.sin(np.pi / n)) * outwards
+    # Exactly one place: round-off would leave a gap.
+    places[:, -1] = places[:, 0]
+    tangents = np.diff(places, axis=1)
+    tangents /= np.linalg.norm(tangents, axis=0)
+    # With d2 along the normal, curvature is only about d2 and the frames close up.
+    normals = np.repeat(up, n, axis=1)
+    inwards = np.cross(normals, tangents, axis=0)
+    directors = np.stack([inwards, normals, tangents])
+    made, state = rod_along(places, directors=directors, dtype=dtype, **rod)
+    bend = np.array([0.0, 2 * np.pi / n, 0.0])
+    if straight_at_rest:
+        bend = 0 * bend
+        made = replace(made, rest_curvatures=jnp.zeros_like(made.rest_curvatures))
+    turn = 2 * np.pi * link
+    twisted = _twisted(state, turn / n * np.arange(n))
+    return made, twisted, _closure(name, twisted, bend, turn)
+
+
+def _closure(
+    name: str, state: RodState, bend: np.ndarray, turn: float
+) -> tuple[Coupling, ...]:
+    """The tie and the joint of a ring's ends.
+
+    Args:
+        name: Name of the member.
+        state: State of the ring.
+        bend: Rotation vector of the joint at rest [rad].
+        turn: Angle by which the end was twisted before it was joined [rad].
+    """
+    rest = {name: state}
+    last, first = (name, "finish"), (name, "start")
+    layouts = layouts_of(rest)
+    dtype = state.positions.dtype
+    joint = ElasticJoint(
+        points_of("a", [resolved("a", last, layouts)]),
+        points_of("b", [resolved("b", first, layouts)]),
+        # Turned back by the twist, the last element continues evenly in the first.
+        join_quaternion(_about_axis(np.array([-turn]), dtype)),
+        jnp.asarray(bend, dtype)[:, None],
+    )
+    return (tie(last, first, rest), joint)
+
+
+def _twisted(state: RodState, angles: np.ndarray) -> RodState:
+    """The state with its elements turned about their own axes by angles [rad]."""
+    own = split_quaternion(state.orientations)
+    turned = multiply_quaternions(own, _about_axis(angles, own[0].dtype))
+    return replace(state, orientations=join_quaternion(turned))
+
+
+def _about_axis(angles: np.ndarray, dtype: Any) -> Quaternion:
+    """Rotations about the third axis by angles [rad]."""
+    zero = jnp.zeros(angles.shape, dtype)
+    half = np.cos(0.5 * angles), np.sin(0.5 * angles)
+    return jnp.asarray(half[0], dtype), zero, zero, jnp.asarray(half[1], dtype)

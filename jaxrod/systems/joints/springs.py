@@ -1,0 +1,256 @@
+r"""Springs between members, and ball joints, which are springs of zero rest length.
+
+A spring between anchors at $x_a$ and $x_b$ stores $\frac12 k (|x_b - x_a| - d)^2$. Its
+force and the force of its dashpot act on both members at the point halfway between the
+anchors. So force and reaction have no moment together, whatever the gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.effects.base import StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.rods.motion import Loads
+from jaxrod.structure import pytree
+from jaxrod.systems.joints.anchors import Anchors, anchors
+from jaxrod.systems.joints.elastic_joints import (
+    added_bounds,
+)
+from jaxrod.systems.joints.ties import pairs
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
+from jaxrod.systems.sites.places import Place, position_of
+from jaxrod.systems.sites.rows import sum_of_loads, summed
+from jaxrod.validation import Numbers, as_array, is_traced
+
+
+@pytree
+class Springs(Coupling):
+    """Springs and dashpots between anchors of two members, or of one."""
+
+    a: Anchors
+    """Anchors on the first member."""
+    b: Anchors
+    """Anchors on the second member, one for each on the first."""
+    stiffness: Float[Array, ""]
+    """Force per distance [N/m]."""
+    damping: Float[Array, ""] | None = None
+    """Force per relative speed [kg/s]."""
+    rest_lengths: Float[Array, " springs"] | None = None
+    """Distances at which springs exert no force [m]; `None` for zero, so that the
+    springs are isotropic."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if a member is missing or too small."""
+        self.a.check(parts)
+        self.b.check(parts)
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Forces at the points halfway between the anchors."""
+        one, two = seen[self.a.points.member], seen[self.b.points.member]
+        first, second = self.a.positions(one), self.b.positions(two)
+        gap = vectors.subtract(second, first)
+        middle = vectors.scale(0.5, vectors.add(first, second))
+        pull = vectors.scale(self.stiffness, gap)
+        if self.rest_lengths is not None:
+            length = vectors.safe_norm(gap)
+            pull = vectors.scale(1 - self.rest_lengths / length, pull)
+        if self.damping is not None:
+            rate = vectors.subtract(
+                self.b.velocities(two, middle), self.a.velocities(one, middle)
+            )
+            pull = vectors.add(pull, vectors.scale(self.damping, rate))
+        back = vectors.scale(-1.0, pull)
+        return sum_of_loads(
+            (self.a.points, self.a.loads(one, pull, middle)),
+            (self.b.points, self.b.loads(two, back, middle)),
+            seen=seen,
+        )
+
+    def energy(self, seen: AllSeen) -> Array:
+        """Elastic energy of the springs [J]."""
+        one, two = seen[self.a.points.member], seen[self.b.points.member]
+        gap = vectors.subtract(self.b.positions(two), self.a.positions(one))
+        if self.rest_lengths is None:
+            return 0.5 * self.stiffness * jnp.sum(vectors.dot(gap, gap))
+        longer = vectors.safe_norm(gap) - self.rest_lengths
+        return 0.5 * self.stiffness * jnp.sum(longer * longer)
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and damping on both ends, shared in proportion to inertia."""
+        one, two = parts[self.a.points.member], parts[self.b.points.member]
+        ease = self.a.mobility(one) + self.b.mobility(two)
+        total: dict[str, StabilityBound] = {}
+        for anchor, own in ((self.a, one), (self.b, two)):
+            masses = own.node_masses[anchor.points.nodes.values]
+            inertia = jnp.min(own.inertias, axis=0)[anchor.points.elements.values]
+            sizes = own.n_nodes, own.inertias.shape[1]
+
+            def on_nodes(
+                rate: Array,
+                anchor: Anchors = anchor,
+                masses: Array = masses,
+                size: int = sizes[0],
+            ) -> Array:
+                return summed(rate * ease * masses, anchor.points.nodes, size)
+
+            def on_elements(
+                rate: Array,
+                anchor: Anchors = anchor,
+                inertia: Array = inertia,
+                size: int = sizes[1],
+            ) -> Array:
+                return summed(rate * ease * inertia, anchor.points.elements, size)
+
+            drag = self.damping
+            bound = StabilityBound(
+                nodes=on_nodes(self.stiffness),
+                elements=on_elements(self.stiffness),
+                node_drag=None if drag is None else on_nodes(drag),
+                element_drag=None if drag is None else on_elements(drag),
+            )
+            name = anchor.points.member
+            total[name] = added_bounds(total.get(name), bound)
+        return total
+
+
+def spring(
+    a: Place | Sequence[Place],
+    b: Place | Sequence[Place],
+    state: Mapping[str, Any],
+    *,
+    stiffness: Numbers,
+    damping: Numbers | None = None,
+    at: tuple[Numbers, Numbers] | None = None,
+) -> Springs:
+    """Springs between points of two members, free of force in `state`.
+
+    Args:
+        a: A place on the first member, or several.
+        b: A place on the second member, or one for each place of `a`.
+        state: State of the system at rest.
+        stiffness: Force per change of distance [N/m].
+        damping: Force per relative speed of the two points [kg/s].
+        at: Ends of the spring in `state`: a pair of points `(3,)` [m]; by default the
+            nodes, or the origins of the bodies.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, a number is out of range, or the ends
+            coincide: then use `ball_joint`.
+    """
+    ends: tuple[Any, Any] = (None, None)
+    if at is not None:
+        if not isinstance(at, tuple | list) or len(at) != 2:
+            raise ValueError(f"at must be a pair of points (3,) in m, got {at!r}")
+        ends = _point("at[0]", at[0]), _point("at[1]", at[1])
+    made = _springs(a, b, state, stiffness, damping, ends)
+    one = jnp.stack([position.place for position in _poses(a, state)], axis=1)
+    two = jnp.stack([position.place for position in _poses(b, state)], axis=1)
+    if at is not None:
+        one, two = (point[:, None] for point in ends)
+    way = two - one
+    if not is_traced(way) and not np.all(np.any(np.asarray(way) != 0, axis=0)):
+        raise ValueError(
+            "a and b must be at two places, got a spring of length 0 m: use ball_joint"
+        )
+    rest = vectors.safe_norm(vectors.split(way))
+    return replace(made, rest_lengths=rest)
+
+
+def ball_joint(
+    a: Place | Sequence[Place],
+    b: Place | Sequence[Place],
+    state: Mapping[str, Any],
+    *,
+    stiffness: Numbers,
+    damping: Numbers | None = None,
+    at: Numbers | None = None,
+) -> Springs:
+    """Points of two members held together by springs; both turn freely.
+
+    `tie` does the same for nodes of rods, without compliance and without a limit on the
+    time step. This joint has a stiffness, and also works for points on rigid bodies.
+
+    Args:
+        a: A place on the first member, or several.
+        b: A place on the second member, or one for each place of `a`.
+        state: State of the system at rest.
+        stiffness: Force per distance between the two points [N/m].
+        damping: Force per relative speed [kg/s].
+        at: Position of the joint in `state` `(3,)` [m]; by default the places of `a`.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, a number is out of range, or `at` is not
+            given and two rods are further apart there than their elements are long.
+    """
+    point = None if at is None else _point("at", at)
+    if point is None:
+        for one, other in zip(*pairs(a, b), strict=True):
+            _check_near(one, other, state)
+        points = [pose.place for pose in _poses(a, state)]
+        return _springs(a, b, state, stiffness, damping, (None, points))
+    return _springs(a, b, state, stiffness, damping, (point, point))
+
+
+def _springs(
+    a: Any,
+    b: Any,
+    state: Mapping[str, Any],
+    stiffness: Numbers,
+    damping: Numbers | None,
+    at: tuple[Any, Any],
+) -> Springs:
+    first, second = pairs(a, b)
+
+    def listed(point: Any, count: int) -> list[Any]:
+        if point is None:
+            return [None] * count
+        return list(point) if isinstance(point, list) else [jnp.asarray(point)] * count
+
+    return Springs(
+        a=anchors("a", first, listed(at[0], len(first)), state),
+        b=anchors("b", second, listed(at[1], len(second)), state),
+        stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
+        damping=optional_number("damping", damping, "kg/s"),
+    )
+
+
+def _check_near(a: Place, b: Place, state: Mapping[str, Any]) -> None:
+    """Raises a `ValueError` if two rods of a known state are far apart at places."""
+    one, two = position_of("a", a, state), position_of("b", b, state)
+    spacings = one.spacing, two.spacing
+    if is_traced(one, two) or not all(np.isfinite(spacings)):
+        return
+    apart = float(np.linalg.norm(np.asarray(one.place) - np.asarray(two.place)))
+    if apart > max(spacings):
+        raise ValueError(
+            f"{tuple(a)} and {tuple(b)} are {apart:.3g} m apart, further than their "
+            f"elements are long ({max(spacings):.3g} m): give at, where the joint is"
+        )
+
+
+def _point(name: str, value: Numbers) -> Array:
+    return as_array(name, value, "m", [(3,)])
+
+
+def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:
+    return [position_of("a", place, state) for place in pairs(places, places)[0]]
+
+
+def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
+    """A checked non-negative number; `None` if none is given."""
+    if value is None:
+        return None
+    return as_array(name, value, unit, non_negative=True)

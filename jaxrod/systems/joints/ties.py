@@ -1,0 +1,290 @@
+r"""Ties: nodes of rods that share one place for ever, exactly.
+
+Tied nodes with masses $m_i$ have one velocity, $\sum m_i v_i / \sum m_i$ after every
+kick. The constraint is linear in the positions, so this projection is the constrained
+Verlet step itself. It keeps momentum, angular momentum and energy. It does not limit
+the time step, because added inertia only lowers frequencies. Along axes that a support
+holds, only the support's velocity counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.rods.motion import Motion
+from jaxrod.structure import pytree, static
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling, TiedPair
+from jaxrod.systems.sites.places import (
+    Indices,
+    Place,
+    Points,
+    layouts_of,
+    position_of,
+    resolved,
+)
+from jaxrod.systems.sites.rows import picked, replaced, summed
+from jaxrod.validation import is_traced
+
+_APART = 1e-3
+"""Largest initial distance of tied nodes, over the distance to the next node [1]."""
+
+
+@pytree
+class Tie(Coupling):
+    """Nodes that move as one; see `tie`."""
+
+    points: tuple[Points, ...]
+    """Tied nodes, member by member."""
+    groups: tuple[Indices, ...] = static()
+    """Number of the group of each tied node, member by member."""
+    n_groups: int = static(default=1)
+    """Number of groups."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises ValueError if a member is missing, too small or a rigid body."""
+        for points in self.points:
+            points.check(parts)
+            if not parts[points.member].is_rod:
+                raise ValueError(
+                    f"a tie joins nodes of rods, and {points.member!r} is rigid: use "
+                    "jaxrod.attach"
+                )
+
+    def constrain(self, seen: AllSeen) -> dict[str, Motion]:
+        """Puts each group at one place: equal velocities alone leave round-off."""
+        return self._together(seen, "position")
+
+    def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
+        """Gives each group one velocity."""
+        return self._together(seen, "velocity")
+
+    def _together(self, seen: AllSeen, field: str) -> dict[str, Motion]:
+        """Motions in which a field is the same at all nodes of a group."""
+        shared = [self._shared(seen, field, k) for k in range(3)]
+        changed = {}
+        for number, points in enumerate(self.points):
+            motion = seen[points.member].motion
+            x, y, z = (
+                replaced(component, points.nodes, shared[k][number])
+                for k, component in enumerate(getattr(motion, field))
+            )
+            kept: dict[str, Any] = {field: (x, y, z)}
+            if field == "position" and motion.remainder is not None:
+                u, v, w = (
+                    replaced(c, points.nodes, jnp.zeros(len(points.nodes), c.dtype))
+                    for c in motion.remainder
+                )
+                kept["remainder"] = (u, v, w)
+            changed[points.member] = replace(motion, **kept)
+        return changed
+
+    @property
+    def pairs(self) -> tuple[TiedPair, ...]:
+        """All pairs of nodes that are tied together, each in both orders."""
+        nodes = [
+            (points.member, int(node), int(group))
+            for points, groups in zip(self.points, self.groups, strict=True)
+            for node, group in zip(points.nodes.values, groups.values, strict=True)
+        ]
+        return tuple(
+            (a, i, b, j)
+            for k, (a, i, g) in enumerate(nodes)
+            for m, (b, j, h) in enumerate(nodes)
+            if g == h and k != m
+        )
+
+    def joined_nodes(self) -> list[tuple[str, int]]:
+        """Nodes that are tied."""
+        return [
+            (points.member, int(i))
+            for points in self.points
+            for i in points.nodes.values
+        ]
+
+    def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
+        """A component of a field of each tied node's group, member by member.
+
+        It is the mean weighted by mass or, if a support holds some of the nodes, the
+        mean of these.
+        """
+        masses, speeds, held = [], [], []
+        for points in self.points:
+            own = seen[points.member]
+            masses.append(picked(own.parts.node_masses, points.nodes))
+            values = getattr(own.motion, field)[axis]
+            speeds.append(picked(values, points.nodes))
+            if own.parts.held is None:
+                held.append(jnp.zeros_like(masses[-1]))
+            else:
+                held.append(picked(own.parts.held[axis], points.nodes))
+        group = self._group()
+        mass, speed, fast = map(jnp.concatenate, (masses, speeds, held))
+
+        def total(field: Array) -> Array:
+            return summed(field, group, self.n_groups)
+
+        free = total(mass * speed) / total(mass)
+        count = total(fast)
+        led = total(fast * speed) / jnp.where(count > 0, count, 1)
+        shared = jnp.where(count > 0, led, free)
+        return [picked(shared, groups) for groups in self.groups]
+
+    def _group(self) -> Indices:
+        """Number of the group of every tied node, all members in one row."""
+        return Indices(np.concatenate([groups.values for groups in self.groups]))
+
+    def violation(self, seen: AllSeen) -> Array:
+        """Largest distance of tied nodes from their group's mean, over the radius."""
+        places, radii = [], []
+        for points in self.points:
+            own = seen[points.member]
+            places.append([picked(c, points.nodes) for c in own.motion.position])
+            assert own.parts.radii is not None
+            radii.append(jnp.min(own.parts.radii))
+        group = self._group()
+        count = np.bincount(group.values, minlength=self.n_groups)
+        squares = []
+        for axis in range(3):
+            place = jnp.concatenate([own[axis] for own in places])
+            mean = summed(place, group, self.n_groups) / count
+            squares.append((place - picked(mean, group)) ** 2)
+        apart = jnp.sqrt(squares[0] + squares[1] + squares[2])
+        return jnp.max(apart) / jnp.min(jnp.stack(radii))
+
+
+def tie(
+    a: Place | Sequence[Place], b: Place | Sequence[Place], state: Mapping[str, Any]
+) -> Tie:
+    """Ties nodes of rods together exactly: a ball joint without compliance.
+
+    Elements turn freely about the shared place; see `weld` for an elastic joint.
+
+    Args:
+        a: A place, `("arm", "finish")`, `("arm", 7)` or `("arms", 2, "start")`; or
+            several.
+        b: Another place, or one for each place of `a`, to which it is tied.
+        state: State of the system, in which tied nodes are at one place.
+
+    Returns:
+        A coupling for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, or two tied nodes are apart.
+        TypeError: If a place is not of the form of a place.
+    """
+    first, second = pairs(a, b)
+    layouts = layouts_of(state)
+    found: dict[tuple[str, int], int] = {}
+    elements: dict[tuple[str, int], int] = {}
+    parent: list[int] = []
+
+    def number(name: str, place: Place) -> int:
+        member, node, element = resolved(name, place, layouts)
+        key = (member, node)
+        if key not in found:
+            found[key] = len(parent)
+            elements[key] = element
+            parent.append(len(parent))
+        return found[key]
+
+    def root(k: int) -> int:
+        while parent[k] != k:
+            k = parent[k]
+        return k
+
+    for one, two in zip(first, second, strict=True):
+        check_together(one, two, state)
+        parent[root(number("a", one))] = root(number("b", two))
+    return _tie_of(found, elements, [root(k) for k in range(len(parent))])
+
+
+def merged(ties: Sequence[Tie]) -> Tie | None:
+    """One tie for several, in which groups that share a node become one."""
+    if len(ties) < 2:
+        return ties[0] if ties else None
+    found: dict[tuple[str, int], int] = {}
+    elements: dict[tuple[str, int], int] = {}
+    parent: list[int] = []
+
+    def root(k: int) -> int:
+        while parent[k] != k:
+            k = parent[k]
+        return k
+
+    for one in ties:
+        first_of: dict[int, int] = {}
+        for points, groups in zip(one.points, one.groups, strict=True):
+            for node, element, group in zip(
+                points.nodes.values, points.elements.values, groups.values, strict=True
+            ):
+                key = (points.member, int(node))
+                if key not in found:
+                    found[key] = len(parent)
+                    elements[key] = int(element)
+                    parent.append(len(parent))
+                leader = first_of.setdefault(int(group), found[key])
+                parent[root(found[key])] = root(leader)
+    return _tie_of(found, elements, [root(k) for k in range(len(parent))])
+
+
+def _tie_of(
+    found: Mapping[tuple[str, int], int],
+    elements: Mapping[tuple[str, int], int],
+    roots: Sequence[int],
+) -> Tie:
+    """The tie of numbered nodes, from the root of each node's group."""
+    _, group = np.unique(roots, return_inverse=True)
+    points, groups = [], []
+    for member in dict.fromkeys(member for member, _ in found):
+        keys = [key for key in found if key[0] == member]
+        points.append(
+            Points(
+                member,
+                Indices([node for _, node in keys]),
+                Indices([elements[key] for key in keys]),
+            )
+        )
+        groups.append(Indices([group[found[key]] for key in keys]))
+    return Tie(tuple(points), tuple(groups), int(np.max(group)) + 1)
+
+
+def pairs(
+    a: Place | Sequence[Place], b: Place | Sequence[Place]
+) -> tuple[list[Place], list[Place]]:
+    """Places as two lists of equal length."""
+    first, second = _listed("a", a), _listed("b", b)
+    if len(first) != len(second):
+        raise ValueError(
+            f"a and b must be as many places, got {len(first)} and {len(second)}"
+        )
+    return first, second
+
+
+def _listed(name: str, places: Any) -> list[Place]:
+    if isinstance(places, Sequence) and places and not isinstance(places, str):
+        if isinstance(places[0], str):
+            return [places]
+        return list(places)
+    raise TypeError(
+        f'{name} must be a place such as ("arm", "finish"), or several, got {places!r}'
+    )
+
+
+def check_together(a: Place, b: Place, state: Mapping[str, Any]) -> None:
+    """Raises a `ValueError` if two places of a known state are apart."""
+    one, two = position_of("a", a, state), position_of("b", b, state)
+    if is_traced(one, two):
+        return
+    apart = float(np.linalg.norm(np.asarray(one.place) - np.asarray(two.place)))
+    nearest = min(float(one.spacing), float(two.spacing))
+    if apart > _APART * nearest:
+        raise ValueError(
+            f"{tuple(a)} and {tuple(b)} must be at one place, but are {apart:.3g} m "
+            "apart"
+        )

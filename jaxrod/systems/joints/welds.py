@@ -1,0 +1,125 @@
+"""Welds: rods joined to rods, and to rigid bodies, with the angle between them kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxrod.geometry.rotations import (
+    conjugate,
+    join_quaternion,
+    multiply_quaternions,
+)
+from jaxrod.systems.joints.attachments import attachment
+from jaxrod.systems.joints.elastic_joints import ElasticJoint
+from jaxrod.systems.joints.ties import pairs, tie
+from jaxrod.systems.sites.coupling import Coupling
+from jaxrod.systems.sites.places import (
+    Place,
+    layouts_of,
+    points_of,
+    position_of,
+    resolved,
+)
+
+
+def weld(
+    a: Place | Sequence[Place], b: Place | Sequence[Place], state: Mapping[str, Any]
+) -> tuple[Coupling, ...]:
+    """Joins rods: nodes become one, and an elastic joint connects their elements.
+
+    The joint is half an element of each rod, as two springs in series that are at rest
+    in `state`, each about the axes of its own section. Two halves of a rod welded end
+    to end make the whole rod, and the order of `a` and `b` does not matter.
+
+    Args:
+        a: A place, `("trunk", "finish")` or `("arms", 2, 7)`; or several.
+        b: Another place, or one for each place of `a`, to which it is joined.
+        state: State of the system at rest.
+
+    Returns:
+        Couplings for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place, or two joined nodes are apart.
+        TypeError: If a place is not of the form of a place.
+    """
+    first, second = pairs(a, b)
+    joints = elastic_joints(first, second, state)
+    return (tie(first, second, state), *joints)
+
+
+def attach(
+    a: Place | Sequence[Place],
+    b: Place | Sequence[Place],
+    state: Mapping[str, Any],
+    *,
+    turning: bool = False,
+) -> tuple[Coupling, ...]:
+    """Makes nodes of rods part of a rigid body, at their places in `state`.
+
+    The attachment is exact and does not limit the time step: the body has the nodes'
+    masses. The element is held at its angle to the body as by a clamp, unless it may
+    turn.
+
+    Args:
+        a: A place on a rod, `("arm", "start")`; or several of one member.
+        b: A body, `("head",)`; or one for each place of `a`.
+        state: State of the system at rest.
+        turning: Whether the elements turn freely about their nodes.
+
+    Returns:
+        Couplings for `make_system`.
+
+    Raises:
+        ValueError: If there is no such place.
+        TypeError: If a place is not of the form of a place.
+    """
+    first = pairs(a, a)[0]
+    second = pairs(b, b)[0]
+    if len(second) == 1:
+        second = second * len(first)
+    first, second = pairs(first, second)
+    fixed = attachment(first, second, state)
+    if turning:
+        return (fixed,)
+    return (fixed, *elastic_joints(second, first, state))
+
+
+def elastic_joints(
+    a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
+) -> list[ElasticJoint]:
+    """Elastic joints that are at rest in a state, one row for each pair of members."""
+    layouts = layouts_of(state)
+    sorted_pairs: dict[tuple[str, str], list[int]] = {}
+    ends = [
+        (resolved("a", one, layouts), resolved("b", two, layouts))
+        for one, two in zip(a, b, strict=True)
+    ]
+    for k, (one, two) in enumerate(ends):
+        sorted_pairs.setdefault((one[0], two[0]), []).append(k)
+    joints = []
+    for which in sorted_pairs.values():
+        frames = jnp.stack(
+            [
+                join_quaternion(
+                    multiply_quaternions(
+                        conjugate(position_of("a", a[k], state).orientation),
+                        position_of("b", b[k], state).orientation,
+                    )
+                )
+                for k in which
+            ],
+            axis=1,
+        )
+        joints.append(
+            ElasticJoint(
+                a=points_of("a", [ends[k][0] for k in which]),
+                b=points_of("b", [ends[k][1] for k in which]),
+                rest_frames=frames,
+                rest_rotations=jnp.zeros_like(frames[1:]),
+            )
+        )
+    return joints

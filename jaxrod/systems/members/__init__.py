@@ -1,0 +1,1 @@
+"""Members of a system: rigid bodies, constants and steppers of members."""

@@ -1,0 +1,117 @@
+"""Effects on rigid bodies: a check, before the first step, of which ones are possible.
+
+A body is one node and one element. Bodies support three hooks of an effect, `loads`,
+`energy` and `damping_rates`, and only have masses. An effect that asks for more, such
+as lengths or radii, or returns loads for the nodes of a rod, does not act on them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.memory import remembers
+from jaxrod.effects.own_classes import check_own_class
+from jaxrod.effects.time import at_clock, clock_at
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import split_quaternion
+from jaxrod.rods.motion import Motion
+from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+
+_OF_RODS = (
+    "loads_after",
+    "constrain",
+    "constrain_rates",
+    "dissipate",
+    "after_step",
+    "drag",
+    "stability_bound",
+)
+"""Hooks that act on a rod but would do nothing to a body."""
+
+
+def check_body_effects(name: str, bodies: RigidBodies) -> None:
+    """Checks that bodies have what their effects ask for.
+
+    Args:
+        name: Name of the member, for messages.
+        bodies: The bodies.
+
+    Raises:
+        ValueError: If an effect does not act on bodies; the message names member and
+            effect.
+        TypeError: If an effect is not an effect of jaxrod.
+    """
+    for effect in bodies.effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(
+                f"member {name!r}: effects must be jaxrod effects, got "
+                f"{type(effect).__name__}"
+            )
+        check_own_class(effect, Effect, "an effect")
+        kind = type(effect)
+        for hook in _OF_RODS:
+            if getattr(kind, hook) is not getattr(Effect, hook):
+                raise _unfit(name, effect, f"it has {hook}, which bodies have not")
+        if remembers((effect,)):
+            raise _unfit(name, effect, "it remembers, which effects on bodies do not")
+        _try(name, effect, bodies)
+
+
+def _try(name: str, effect: Effect, bodies: RigidBodies) -> None:
+    """Asks an effect for its loads, energy and rates, without computing them."""
+    count, dtype = bodies.n_elements, bodies.masses.dtype
+
+    def asked(bodies: Any) -> Any:
+        own = at_clock(effect, clock_at(0.0, dtype))
+        rows = jnp.zeros((3, count), dtype)
+        turns = jnp.concatenate([rows[:1] + 1, rows])
+        zero = vectors.split(rows)
+        motion = Motion(zero, split_quaternion(turns), zero, zero)
+        state: Any = BodyState(rows, turns, rows, rows)
+        return (
+            own.loads(bodies, motion),
+            own.energy(bodies, state),
+            own.damping_rates(bodies),
+        )
+
+    try:
+        loads, energy, rates = jax.eval_shape(asked, bodies)
+    except Exception as error:
+        # Any exception: an effect may ask for anything that a rod has.
+        raise _unfit(name, effect, f"{type(error).__name__}: {error}") from error
+    for what, found in (("forces", loads.forces), ("couples", loads.couples)):
+        shapes = {jnp.shape(component) for component in found or ()}
+        if shapes - {(count,), ()}:
+            raise _unfit(
+                name,
+                effect,
+                f"its {what} are of shape {max(shapes)}, and there are {count} bodies",
+            )
+    if jnp.shape(energy) != ():
+        raise _unfit(name, effect, f"its energy is of shape {jnp.shape(energy)}")
+    for rate in rates or ():
+        if jnp.shape(rate) not in ((), (count,)):
+            raise _unfit(name, effect, f"its rates are of shape {jnp.shape(rate)}")
+
+
+def _unfit(name: str, effect: Effect, why: str) -> ValueError:
+    return ValueError(
+        f"member {name!r}: {type(effect).__name__} does not act on rigid bodies "
+        f"({why}); gravity and exponential_damping do"
+    )
+
+
+def in_type(dtype: Any) -> Any:
+    """Function that converts floating-point numbers to a type and leaves others."""
+
+    def cast(leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        inexact = jnp.issubdtype(array.dtype, jnp.floating)
+        return array.astype(dtype) if inexact else array
+
+    return cast

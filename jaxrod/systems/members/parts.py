@@ -1,0 +1,156 @@
+"""Parts: the nodes and elements of a member, as couplings see them.
+
+All nodes of a member are in one row, and so are its elements. Equal rods follow one
+another: first all entries of the first rod, then those of the second, and so on. A
+rigid body is one node and one element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.contacts.bodies import Body
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
+from jaxrod.structure import pytree, static
+from jaxrod.systems.members.rigid_bodies import RigidBodies
+
+
+@pytree
+class Parts:
+    """Constants of a member, one entry per node or element."""
+
+    node_masses: Float[Array, " nodes"]
+    """Mass of each node, or of each body [kg]."""
+    inertias: Float[Array, "rows elements"]
+    """Moments of inertia [kg m^2]: transverse and polar for round rods (2 rows), else
+    about all three axes (3 rows)."""
+    rest_lengths: Float[Array, " elements"] | None = None
+    """Rest lengths of elements of rods [m]."""
+    radii: Float[Array, " elements"] | None = None
+    """Radii of elements of rods [m]."""
+    bend_twist_stiffness: Float[Array, "3 elements"] | None = None
+    """Bending and twisting stiffness of elements of rods [N m^2]."""
+    linear_density: Float[Array, " elements"] | None = None
+    """Mass per length of elements of rods [kg/m]."""
+    shape: Body | None = None
+    """Surface of bodies, in their own frame."""
+    held: Vec3 | None = None
+    """One for each node and axis along which a support holds the node, else zero."""
+    count: int = static(default=1)
+    """Number of rods or bodies."""
+    n_elements: int = static(default=1)
+    """Elements of each rod; 1 for bodies."""
+    is_rod: bool = static(default=True)
+    """Whether the member consists of rods."""
+    joint_mean: str = static(default="arithmetic")
+    """Kind of mean by which a joint of a rod gets its stiffness from two elements."""
+
+    # `Motion.angular_velocities` asks a rod for these.
+    @property
+    def is_round(self) -> bool:
+        """Whether elements have one inertia for d1 and d2."""
+        return self.inertias.shape[0] == 2
+
+    @property
+    def principal_inertias(self) -> Array:
+        """Moments of inertia about all three axes, for elements not round [kg m^2]."""
+        return self.inertias
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes of all rods or bodies together."""
+        return self.count * (self.n_elements + 1 if self.is_rod else 1)
+
+
+def parts_of(member: Rod | RigidBodies) -> Parts:
+    """Constants of a rod, of equal rods with a leading axis, or of bodies."""
+    if isinstance(member, RigidBodies):
+        return Parts(
+            node_masses=member.masses,
+            inertias=member.principal_inertias,
+            shape=member.shape,
+            count=member.n_elements,
+            is_rod=False,
+        )
+    if member.rest_lengths.ndim == 1:
+        return _of_rod(member)
+    count, n = member.rest_lengths.shape
+    each = jax.vmap(_of_rod)(member)
+    return replace(in_one_row(each), count=count, n_elements=n)
+
+
+def _of_rod(rod: Rod) -> Parts:
+    return Parts(
+        node_masses=rod.node_masses,
+        inertias=rod.inertias if rod.is_round else rod.principal_inertias,
+        rest_lengths=rod.rest_lengths,
+        radii=rod.radii,
+        bend_twist_stiffness=rod.bend_twist_stiffness,
+        linear_density=rod.linear_density,
+        n_elements=rod.n_elements,
+        joint_mean=rod.joint_mean,
+    )
+
+
+def in_one_row(tree: Any) -> Any:
+    """Leaves `(k, ..., n)` reshaped to `(..., k n)`."""
+
+    def one(leaf: Array) -> Array:
+        moved = jnp.moveaxis(leaf, 0, -2)
+        return moved.reshape(*moved.shape[:-2], -1)
+
+    return jax.tree.map(one, tree)
+
+
+def in_rows(tree: Any, count: int) -> Any:
+    """Leaves `(..., k n)` reshaped to `(k, ..., n)`."""
+
+    def one(leaf: Array) -> Array:
+        return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], count, -1), -2, 0)
+
+    return jax.tree.map(one, tree)
+
+
+@pytree
+class Seen:
+    """A member at one moment: its constants and its motion."""
+
+    parts: Parts
+    """Constants of the member."""
+    motion: Motion
+    """Positions and rates, with all nodes and all elements in one row; for bodies those
+    of their own origins."""
+    inverse_inertia: Matrix | None = None
+    """Inverse inertia, in their own frames, of bodies that carry attached masses
+    [1/(kg m^2)]."""
+
+    @property
+    def angular_velocities(self) -> Vec3:
+        """Angular velocities of the elements, world frame [rad/s]."""
+        if self.parts.is_rod:
+            # `Motion` asks the rod only for its inertias.
+            rod: Any = self.parts
+            return self.motion.angular_velocities(rod)
+        frame = directors(self.motion.orientation)
+        own = to_material(frame, self.motion.spin)
+        if self.inverse_inertia is None:
+            a, b, c = self.parts.inertias
+            return to_world(frame, (own[0] / a, own[1] / b, own[2] / c))
+        x, y, z = (vectors.dot(row, own) for row in self.inverse_inertia)
+        return to_world(frame, (x, y, z))
+
+
+def mapped(function: Callable[[Array], Array], vector: Vec3) -> Vec3:
+    """Result of a function applied to each component."""
+    return function(vector[0]), function(vector[1]), function(vector[2])

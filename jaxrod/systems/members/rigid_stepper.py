@@ -1,0 +1,269 @@
+r"""Steps of rigid bodies: free flight and exact rotation between kicks.
+
+Nodes of rods that are attached to a body move with it. The body also has their masses:
+its centre of mass and its inertia are those of body and nodes together. Outside of this
+file forces and positions refer to the body's own origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxrod.geometry import matrices, vectors
+from jaxrod.geometry.free_rotation import freely_turned
+from jaxrod.geometry.matrices import Matrix
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    directors,
+    join_quaternion,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.methods.kick import Kick
+from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.structure import pytree
+from jaxrod.systems.members.parts import Parts, Seen, parts_of
+from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+
+
+@pytree
+class Carried:
+    """Point masses that bodies carry, summed per body."""
+
+    mass: Array
+    """Total mass [kg]."""
+    moment: Vec3
+    """Sum of mass times place, own frame [kg m]."""
+    second: Matrix
+    """Sum of mass times the outer product of place and place, own frame [kg m^2]."""
+
+
+@pytree
+class RigidStepper:
+    """Constants of the step of rigid bodies."""
+
+    bodies: RigidBodies
+    """The bodies."""
+    dt: Array
+    """Step size [s]."""
+    parts: Parts
+    """Constants of the bodies, without carried masses."""
+    mass: Array
+    """Masses including carried masses [kg]."""
+    centre: Vec3 | None
+    """Centres of mass including carried masses, in the bodies' own frames [m]; `None`
+    if there are none."""
+    inertia: Matrix | None
+    """Inertias about these centres, own frames [kg m^2]; `None` without carried masses.
+    """
+    inverse_inertia: Matrix | None
+    """Inverses of these inertias [1/(kg m^2)]."""
+    velocity_kick: Kick
+    """Kick of the velocities by forces."""
+    spin_kick: Kick
+    """Kick of the angular momenta by couples."""
+
+    @staticmethod
+    def create(bodies: RigidBodies, carried: Carried | None, dt: Array) -> RigidStepper:
+        """Computes the constants once, outside the loop."""
+        parts = parts_of(bodies)
+        mass, centre, inertia, inverse = bodies.masses, None, None, None
+        if carried is not None:
+            mass = mass + carried.mass
+            centre = vectors.scale(1 / mass, carried.moment)
+            inertia = _together(bodies.principal_inertias, carried, mass, centre)
+            inverse = _inverse(inertia)
+        rates = _damping(bodies)
+        return RigidStepper(
+            bodies=bodies,
+            dt=dt,
+            parts=parts,
+            mass=mass,
+            centre=centre,
+            inertia=inertia,
+            inverse_inertia=inverse,
+            velocity_kick=Kick.create(1 / mass, rates[0], dt),
+            spin_kick=Kick.create(None, rates[1], dt),
+        )
+
+    def enter(self, state: BodyState) -> Motion:
+        """Motion of a state: of the common centre of mass, with angular momentum."""
+        orientation = split_quaternion(state.orientations)
+        rate = vectors.split(state.angular_velocities)
+        position, velocity = (
+            vectors.split(state.positions),
+            vectors.split(state.velocities),
+        )
+        frame = directors(orientation)
+        own = to_material(frame, rate)
+        if self.inertia is None:
+            moments = vectors.split(self.bodies.principal_inertias)
+            momentum = vectors.multiply(moments, own)
+        else:
+            momentum = _product(self.inertia, own)
+        if self.centre is not None:
+            arm = to_world(frame, self.centre)
+            position = vectors.add(position, arm)
+            velocity = vectors.add(velocity, vectors.cross(rate, arm))
+        return Motion(position, orientation, velocity, to_world(frame, momentum))
+
+    def leave(self, motion: Motion) -> BodyState:
+        """State of a motion."""
+        seen = self.seen(motion)
+        return BodyState(
+            positions=vectors.join(seen.motion.position),
+            orientations=join_quaternion(motion.orientation),
+            velocities=vectors.join(seen.motion.velocity),
+            angular_velocities=vectors.join(seen.angular_velocities),
+        )
+
+    def seen(self, motion: Motion) -> Seen:
+        """The bodies as couplings see them: motion of their own origins."""
+        seen = Seen(self.parts, motion, self.inverse_inertia)
+        if self.centre is None:
+            return seen
+        arm = to_world(directors(motion.orientation), self.centre)
+        swing = vectors.cross(seen.angular_velocities, arm)
+        at_origin = replace(
+            motion,
+            position=vectors.subtract(motion.position, arm),
+            velocity=vectors.subtract(motion.velocity, swing),
+        )
+        return replace(seen, motion=at_origin)
+
+    def drift(self, motion: Motion, dt: Array) -> Motion:
+        """Moves and turns freely for a time `dt` [s]."""
+        return replace(motion, orientation=self._turned(motion, dt)).moved(dt)
+
+    def _turned(self, motion: Motion, dt: Array) -> Quaternion:
+        if self.inverse_inertia is None:
+            first, second, third = 1 / vectors.join(
+                vectors.split(self.bodies.principal_inertias)
+            )
+            one, none = jnp.ones_like(first), jnp.zeros_like(first)
+            others = (
+                (second - first, (none, one, none)),
+                (third - first, (none, none, one)),
+            )
+            return freely_turned(motion.orientation, motion.spin, first, others, dt)
+        columns = _cholesky(self.inverse_inertia)
+        parts = [(1.0, column) for column in columns]
+        return freely_turned(motion.orientation, motion.spin, None, parts, dt)
+
+    def kick(self, motion: Motion, loads: Loads) -> Motion:
+        """Changes rates by the loads of effects and by others over one step.
+
+        Args:
+            motion: Motion as this stepper has it.
+            loads: Other loads: forces at the bodies' origins, and couples in their own
+                frames.
+        """
+        forces, couples = loads.forces, loads.couples
+        seen = self.seen(motion)
+        for effect in self.bodies.effects:
+            # An effect on bodies only asks for masses.
+            member: object = self.bodies
+            more = effect.loads(member, seen.motion)  # type: ignore[arg-type]
+            forces = more.forces if forces is None else accumulate(forces, more.forces)
+            if more.couples is not None:
+                couples = (
+                    more.couples
+                    if couples is None
+                    else vectors.add(couples, more.couples)
+                )
+        none = mapped_zero(motion.position)
+        force = none if forces is None else forces
+        frame = directors(motion.orientation)
+        couple = none if couples is None else to_world(frame, couples)
+        couple = self._about_centre(frame, force, couple)
+        return replace(
+            motion,
+            velocity=vectors.apply(self.velocity_kick, motion.velocity, force),
+            spin=vectors.apply(self.spin_kick, motion.spin, couple),
+        )
+
+    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
+        """Changes rates by impulses at the bodies' origins, all in the world frame."""
+        none = mapped_zero(motion.position)
+        push = none if impulses.forces is None else impulses.forces
+        turn = none if impulses.couples is None else impulses.couples
+        turn = self._about_centre(directors(motion.orientation), push, turn)
+        gain = vectors.scale(1 / self.mass, push)
+        return replace(
+            motion,
+            velocity=vectors.add(motion.velocity, gain),
+            spin=vectors.add(motion.spin, turn),
+        )
+
+    def _about_centre(
+        self, frame: tuple[Vec3, Vec3, Vec3], force: Vec3, couple: Vec3
+    ) -> Vec3:
+        """Couple about the centre of mass, from a force and a couple at the origin."""
+        if self.centre is None:
+            return couple
+        arm = to_world(frame, self.centre)
+        return vectors.subtract(couple, vectors.cross(arm, force))
+
+
+def mapped_zero(vector: Vec3) -> Vec3:
+    """Zeros of the shape of a field."""
+    zero = jnp.zeros_like(vector[0])
+    return zero, zero, zero
+
+
+def _damping(bodies: RigidBodies) -> tuple[Array | None, Array | None]:
+    total: tuple[Array, Array] | None = None
+    for effect in bodies.effects:
+        # As above: bodies have all that effects on bodies ask for.
+        member: object = bodies
+        rates = effect.damping_rates(member)  # type: ignore[arg-type]
+        if rates is not None:
+            total = (
+                rates if total is None else (total[0] + rates[0], total[1] + rates[1])
+            )
+    return (None, None) if total is None else total
+
+
+def _together(principal: Array, carried: Carried, mass: Array, centre: Vec3) -> Matrix:
+    """Inertia of bodies and carried masses about their common centre of mass."""
+    a, b, c = principal
+    zero = jnp.zeros_like(a)
+    own = ((a, zero, zero), (zero, b, zero), (zero, zero, c))
+    second = matrices.subtract(
+        carried.second, matrices.scale(mass, matrices.outer(centre, centre))
+    )
+    trace = second[0][0] + second[1][1] + second[2][2]
+    return matrices.add(own, matrices.subtract(matrices.scaled_identity(trace), second))
+
+
+def _product(matrix: Matrix, vector: Vec3) -> Vec3:
+    return (
+        vectors.dot(matrix[0], vector),
+        vectors.dot(matrix[1], vector),
+        vectors.dot(matrix[2], vector),
+    )
+
+
+def _inverse(matrix: Matrix) -> Matrix:
+    """Inverse of symmetric matrices, by cofactors."""
+    a, b, c = matrix
+    rows = vectors.cross(b, c), vectors.cross(c, a), vectors.cross(a, b)
+    determinant = vectors.dot(a, rows[0])
+    return matrices.transpose(matrices.scale(1 / determinant, rows))
+
+
+def _cholesky(matrix: Matrix) -> Matrix:
+    """Vectors whose outer products add up to a positive definite matrix."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
+    zero = jnp.zeros_like(xx)
+    a = jnp.sqrt(xx)
+    b, c = xy / a, xz / a
+    d = jnp.sqrt(yy - b * b)
+    e = (yz - b * c) / d
+    f = jnp.sqrt(zz - c * c - e * e)
+    return (a, b, c), (zero, d, e), (zero, zero, f)

@@ -1,0 +1,1 @@
+"""Sites of couplings on members, and the interface of a coupling."""

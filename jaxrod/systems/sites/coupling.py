@@ -1,0 +1,157 @@
+"""The base of all couplings between members of a system, and its hooks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from jaxtyping import Array
+
+from jaxrod.effects.base import StabilityBound
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.systems.members.parts import Parts, Seen
+
+AllSeen = Mapping[str, Seen]
+"""Members of a system at one moment, by name."""
+AllParts = Mapping[str, Parts]
+"""Constants of the members of a system, by name."""
+TiedPair = tuple[str, int, str, int]
+"""Two tied nodes: member and node of the first, member and node of the second."""
+
+
+class Coupling:
+    """Base of all couplings, whose hooks do nothing by default. A subclass is a pytree.
+
+    Hooks are pure. Members are identified by name; a member that a hook does not return
+    is unchanged. Nodes and elements of a member are in one row
+    (`jaxrod.systems.members.parts`).
+
+    Forces come in pairs: all loads of a coupling together have no force, and no couple
+    about any point. Ties (`constrain`, `exchange`, `constrain_rates`) hold exactly.
+    """
+
+    def check(self, parts: AllParts) -> None:
+        """Raises a `ValueError` if the coupling does not fit the members."""
+
+    def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> Coupling:
+        """The coupling with structure that follows from the members.
+
+        `make_system` calls it.
+
+        Args:
+            parts: Constants of the members.
+            tied: Pairs of nodes that are tied together.
+        """
+        return self
+
+    def joined_nodes(self) -> Iterable[tuple[str, int]]:
+        """Nodes of members that are tied to other nodes, or part of a body."""
+        return ()
+
+    def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
+        """The coupling with the given free ends of rods; other ends continue.
+
+        Args:
+            free: For each member, numbers for the first and the last end of each of its
+                rods: one if the end is free, zero if it is tied to a node or attached
+                to a body, `(rods, 2)`.
+        """
+        return self
+
+    def prepared(self, parts: AllParts) -> Coupling:
+        """The coupling with constants computed once, before the first step."""
+        return self
+
+    @property
+    def refresh_every(self) -> int | None:
+        """Steps between calls of `search`; `None` if there is nothing to search."""
+        return None
+
+    @property
+    def is_sized(self) -> bool:
+        """Whether the room for the results of `search` is known."""
+        return True
+
+    def sized(self, seen: AllSeen) -> Coupling:
+        """The coupling with room for the results of `search` in a state.
+
+        `make_system` calls it.
+        """
+        return self
+
+    def search(self, seen: AllSeen) -> Any:
+        """Result of an occasional search, as a pytree of arrays; for `refresh_every`.
+
+        It has fields `missed` and `used`, and stays in the coupling's field `found`
+        until the next search: see `jaxrod.systems.contact.neighbour_lists`.
+        """
+        # Not abstract: couplings without `refresh_every` are never asked.
+        raise NotImplementedError(f"{type(self).__name__} has no search")
+
+    def moved(self, seen: AllSeen) -> Array:
+        """Displacement of members since the last search, over the allowed one [1]."""
+        # As above.
+        raise NotImplementedError(f"{type(self).__name__} has no moved")
+
+    def loads(self, seen: AllSeen) -> dict[str, Loads]:
+        """Forces on nodes, world frame [N], and couples on elements, own frames [N m].
+
+        They are computed at the same moment as the loads of effects.
+        """
+        return {}
+
+    def energy(self, seen: AllSeen) -> Array | float:
+        """Potential energy [J]."""
+        return 0.0
+
+    def constrain(self, seen: AllSeen) -> dict[str, Motion]:
+        """Motions of members whose nodes follow others, with these put in place."""
+        return {}
+
+    def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
+        """Impulses that pass from member to member in a kick.
+
+        Args:
+            before: Members before the kick.
+            after: Members after the kick; each was kicked by its own loads.
+
+        Returns:
+            Forces times time on nodes, world frame [N s], and couples times time on
+            elements, world frame [N m s].
+        """
+        return {}
+
+    def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
+        """Motions with tied rates made equal, after kicks and exchanges."""
+        return {}
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Bounds on the stiffness and drag of `loads`, member by member.
+
+        For a spring of stiffness `k` on an elongation that changes by the sum of
+        `g_i . u_i`, the bound `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
+        """
+        return {}
+
+    def violation(self, seen: AllSeen) -> Array | None:
+        """Violation of the coupling in a state [1]; `health` flags it above a limit.
+
+        The limit is one by default.
+        """
+        return None
+
+
+def check_named(name: str, members: Iterable[str], where: str = "") -> None:
+    """Raises a `ValueError` if no member has the given name.
+
+    Args:
+        name: The name.
+        members: Names of all members.
+        where: Name of the argument or caller, for the message.
+    """
+    known = list(members)
+    if name not in known:
+        raise ValueError(
+            f"{where and where + ': '}no member is called {name!r}; there are "
+            + ", ".join(map(repr, known))
+        )

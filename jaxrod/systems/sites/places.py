@@ -1,0 +1,231 @@
+"""Places on members of a system: nodes of rods and points of bodies, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxrod.geometry.rotations import Quaternion, split_quaternion
+from jaxrod.rods.rod import RodState
+from jaxrod.structure import pytree, static
+from jaxrod.systems.members.rigid_bodies import BodyState
+from jaxrod.systems.sites.coupling import AllParts, check_named
+from jaxrod.validation import check_count, is_traced
+
+Place = Sequence[Any]
+"""Place on a member: `("arm", "finish")` or `("arm", 7)` on a rod, `("arms", 2,
+"start")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies. The orientation
+at a place within a rod is that of the element after the node."""
+
+
+class Indices:
+    """Static integers: hashable, and compared by value."""
+
+    def __init__(self, values: Any) -> None:
+        """Keeps a copy of the integers."""
+        self.values = np.array(values, np.int32, ndmin=1)
+        self.values.flags.writeable = False
+        self._hash = hash((self.values.shape, self.values.tobytes()))
+
+    def __hash__(self) -> int:
+        """Hash, computed once."""
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all integers are equal."""
+        return (
+            isinstance(other, Indices)
+            and self._hash == other._hash
+            and np.array_equal(self.values, other.values)
+        )
+
+    def __len__(self) -> int:
+        """Number of integers."""
+        return len(self.values)
+
+    def __repr__(self) -> str:
+        """Text with the integers."""
+        return f"Indices({self.values.tolist()})"
+
+
+@pytree
+class Points:
+    """Places on one member: their nodes and elements in the member's row."""
+
+    member: str = static()
+    """Name of the member."""
+    nodes: Indices = static()
+    """Nodes, or bodies."""
+    elements: Indices = static()
+    """Elements that turn with them, or bodies."""
+
+    def check(self, parts: AllParts) -> None:
+        """Raises a `ValueError` if the member is missing or too small."""
+        check_named(self.member, parts)
+        largest = parts[self.member].n_nodes
+        if np.any(self.nodes.values >= largest):
+            raise ValueError(
+                f"{self.member!r} has {largest} nodes, got node "
+                f"{int(np.max(self.nodes.values))}"
+            )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Numbers of nodes and elements of a member."""
+
+    count: int
+    """Number of rods or bodies."""
+    n_elements: int
+    """Elements of each rod; 1 for bodies."""
+    is_rod: bool
+    """Whether the member consists of rods."""
+
+
+def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
+    """Layouts of the members of a system, from its state.
+
+    Raises:
+        TypeError: If it is not a mapping from names to states of rods and bodies.
+    """
+    if not isinstance(state, Mapping):
+        raise TypeError(
+            "state must be a dict of the states of all members by name, got "
+            f"{type(state).__name__}"
+        )
+    return {name: _layout(name, own) for name, own in state.items()}
+
+
+def _layout(name: str, state: Any) -> Layout:
+    if isinstance(state, BodyState):
+        return Layout(state.positions.shape[-1], 1, False)
+    if not isinstance(state, RodState):
+        raise TypeError(
+            f"state of {name!r} must be a RodState or a BodyState, got "
+            f"{type(state).__name__}"
+        )
+    shape = state.orientations.shape
+    return Layout(shape[0] if len(shape) == 3 else 1, shape[-1], True)
+
+
+def resolved(
+    name: str, place: Place, layouts: Mapping[str, Layout]
+) -> tuple[str, int, int]:
+    """Member, node and element of a place.
+
+    Args:
+        name: Name of the argument, for messages.
+        place: The place; see `Place`.
+        layouts: Layouts of all members.
+
+    Raises:
+        ValueError: If there is no such place.
+        TypeError: If `place` is not of the form of a place.
+    """
+    if isinstance(place, str) or not isinstance(place, Sequence) or not place:
+        raise TypeError(
+            f'{name} must be a place such as ("arm", "finish"), got {place!r}'
+        )
+    member, *rest = place
+    check_named(member, layouts, where=name)
+    own = layouts[member]
+    if not own.is_rod:
+        if len(rest) > 1:
+            raise ValueError(f"{name}: a body is named alone, got {place!r}")
+        body = _of_many(name, f"of {member!r}", rest, own.count)
+        return member, body, body
+    if len(rest) not in (1, 2):
+        raise ValueError(
+            f'{name}: of a rod an end ("start", "finish") or a node is needed, '
+            f"got {place!r}"
+        )
+    rod = _of_many(name, f"of {member!r}", rest[:-1], own.count)
+    node = _node(name, member, rest[-1], own)
+    element = min(node, own.n_elements - 1)
+    per_rod = own.n_elements
+    return member, rod * (per_rod + 1) + node, rod * per_rod + element
+
+
+def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
+    if not given:
+        if count > 1:
+            raise ValueError(f"{name}: {where} there are {count}, say which")
+        return 0
+    which = check_count(f"{name}: the number {where}", given[0], 0, count - 1)
+    return int(which)
+
+
+def _node(name: str, member: str, node: Any, layout: Layout) -> int:
+    last = layout.n_elements
+    if node == "start":
+        return 0
+    if node == "finish":
+        return last
+    if isinstance(node, str):
+        raise ValueError(
+            f'{name}: an end is "start" or "finish", got {node!r} of {member!r}'
+        )
+    counted = node + last + 1 if isinstance(node, int) and node < 0 else node
+    return check_count(f"{name}: node of {member!r}", counted, 0, last)
+
+
+def points_of(name: str, places: Sequence[tuple[str, int, int]]) -> Points:
+    """Points from resolved places of one member.
+
+    Raises:
+        ValueError: If the places are of several members.
+    """
+    members = {member for member, _, _ in places}
+    if len(members) != 1:
+        raise ValueError(
+            f"all places of {name} must be of one member, got {sorted(members)}: give "
+            "a coupling for each"
+        )
+    return Points(
+        members.pop(),
+        Indices([node for _, node, _ in places]),
+        Indices([element for _, _, element in places]),
+    )
+
+
+@pytree
+class Pose:
+    """Position and orientation of a place in a state."""
+
+    place: Any
+    """Position of the node, or of the body's origin [m]."""
+    orientation: Quaternion
+    """Orientation of the element that turns with the place, or of the body."""
+    spacing: Any
+    """Distance to the next node; infinite for a body [m]."""
+
+
+def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
+    """Pose of a place in a state.
+
+    Args:
+        name: Name of the argument, for messages.
+        place: See `jaxrod.systems.sites.places.Place`.
+        state: State of a system.
+    """
+    layouts = layouts_of(state)
+    member, node, element = resolved(name, place, layouts)
+    own, layout = state[member], layouts[member]
+    positions, orientations = own.positions, own.orientations
+    if not is_traced(positions, orientations):
+        # On the host: this is little work, and compiling it would take long.
+        positions, orientations = map(np.asarray, (positions, orientations))
+    node_of, element_of = node, element
+    if layout.is_rod and positions.ndim == 3:
+        rod, node_of = divmod(node, layout.n_elements + 1)
+        _, element_of = divmod(element, layout.n_elements)
+        positions, orientations = positions[rod], orientations[rod]
+    x = positions[:, node_of]
+    w = split_quaternion(orientations[:, element_of])
+    if not layout.is_rod:
+        return Pose(x, w, np.inf)
+    edge = positions[:, element_of + 1] - positions[:, element_of]
+    return Pose(x, w, (edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2) ** 0.5)

@@ -1,0 +1,150 @@
+"""Gather, replacement and summation of entries of a row, by static indices.
+
+There are no scatter operations: each entry of a row collects the values that go to it.
+So sums are the same in every run, on every device. Stretches of consecutive indices are
+sliced and inserted as a whole, at a cost in proportion to their length. A few other
+indices are compared one by one. More of them are compared with all entries at once,
+which fuses with the surrounding program and has the same form when it is transposed.
+Very many go through a table.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads
+from jaxrod.systems.sites.coupling import AllSeen
+from jaxrod.systems.sites.places import Indices, Points
+
+FEW = 8
+"""Largest number of indices that are compared one by one."""
+MOST_STRETCHES = 16
+"""Largest number of stretches of consecutive indices that are sliced one by one."""
+MOST_COMPARED = 2**22
+"""Largest number of pairs of an index and an entry that are compared at once.
+
+It is this large because in reverse mode XLA's CPU compiler (0.10.1, with the fusion
+that `configure_cpu` asks for) gives up on some programs that gather entries."""
+
+
+def picked(row: Array, index: Indices) -> Array:
+    """Entries of a row at some indices (gather)."""
+    size = row.shape[0]
+    stretches = _stretches(index)
+    if stretches is not None:
+        cut = [row[k : k + last - first] for k, first, last in stretches]
+        return cut[0] if len(cut) == 1 else jnp.concatenate(cut)
+    if len(index) <= FEW:
+        return jnp.stack([row[int(k)] for k in index.values])
+    if len(index) * size <= MOST_COMPARED:
+        return jnp.sum(jnp.where(_same(index, size), row[None, :], 0), axis=1)
+    return row[index.values]
+
+
+def replaced(row: Array, index: Indices, values: Array) -> Array:
+    """A row with new entries at some indices, which must be distinct."""
+    size = row.shape[0]
+    if _stretches(index) is None and len(index) <= FEW:
+        numbers = np.arange(size)
+        for k, place in enumerate(index.values):
+            row = jnp.where(numbers == place, values[k], row)
+        return row
+    there = np.zeros(size, bool)
+    there[index.values] = True
+    return jnp.where(there, summed(values, index, size), row)
+
+
+def summed(values: Array, index: Indices, size: int) -> Array:
+    """A row of the given size with values summed at their indices (scatter-add)."""
+    stretches = _stretches(index)
+    if stretches is not None:
+        zero = jnp.zeros((), values.dtype)
+        widened = [
+            jax.lax.pad(values[first:last], zero, [(k, size - k - last + first, 0)])
+            for k, first, last in stretches
+        ]
+        return functools.reduce(jnp.add, widened)
+    if len(index) <= FEW:
+        numbers = np.arange(size)
+        total = jnp.zeros(size, values.dtype)
+        for k, place in enumerate(index.values):
+            total = total + jnp.where(numbers == place, values[k], 0)
+        return total
+    if len(index) * size <= MOST_COMPARED:
+        return jnp.sum(jnp.where(_same(index, size), values[:, None], 0), axis=0)
+    padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
+    return functools.reduce(
+        jnp.add, [padded[entries] for entries in _table(index, size)]
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
+    """Stretches of consecutive indices: first index, begin and end in the list.
+
+    `None` if there are too many stretches, or more than half as many as indices.
+    """
+    cuts = np.flatnonzero(np.diff(index.values) != 1) + 1
+    bounds = [0, *cuts.tolist(), len(index)]
+    if len(bounds) - 1 > MOST_STRETCHES or 2 * (len(bounds) - 1) > max(len(index), 2):
+        return None
+    return tuple(
+        (int(index.values[first]), first, last)
+        for first, last in itertools.pairwise(bounds)
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _same(index: Indices, size: int) -> np.ndarray:
+    """Whether each index equals the number of each entry, `(indices, size)`."""
+    return index.values[:, None] == np.arange(size)[None, :]
+
+
+@functools.lru_cache(maxsize=256)
+def _table(index: Indices, size: int) -> np.ndarray:
+    """Numbers of the values for each entry, `(most, size)`.
+
+    It is padded with the count of values, which is the number of an appended zero.
+    """
+    counts = np.bincount(index.values, minlength=size)
+    table = np.full((max(int(np.max(counts)), 1), size), len(index), np.int32)
+    filled = np.zeros(size, np.int32)
+    for k, place in enumerate(index.values):
+        table[filled[place], place] = k
+        filled[place] += 1
+    return table
+
+
+def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads]:
+    """Loads on whole members, from loads at places."""
+    total: dict[str, Loads] = {}
+    for points, loads in given:
+        parts = seen[points.member].parts
+        size = parts.n_nodes, parts.inertias.shape[1]
+        forces = _spread(loads.forces, points.nodes, size[0])
+        couples = _spread(loads.couples, points.elements, size[1])
+        earlier = total.get(points.member, Loads())
+        total[points.member] = Loads(
+            _added(earlier.forces, forces), _added(earlier.couples, couples)
+        )
+    return total
+
+
+def _spread(vector: Vec3 | None, index: Indices, size: int) -> Vec3 | None:
+    if vector is None:
+        return None
+    x, y, z = (summed(component, index, size) for component in vector)
+    return x, y, z
+
+
+def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]

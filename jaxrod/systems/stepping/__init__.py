@@ -1,0 +1,1 @@
+"""Steps of a system: its assembly, stepper, lists and runs."""

@@ -1,0 +1,132 @@
+"""Steps of a system that searches for neighbours every so often.
+
+Lists are carried from step to step together with the motions and the age of the lists
+in steps. This age depends on no number of the system. So under `jax.vmap` it is the
+same for all systems, and the search stays a branch that is taken once in a while.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from jaxrod.structure import pytree, static
+from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord
+from jaxrod.systems.sites.coupling import Coupling
+from jaxrod.systems.stepping.assembly import Assembly
+from jaxrod.systems.stepping.evolving import EvolvingSystem
+from jaxrod.systems.stepping.stepper import Motions, SystemStepper
+
+
+def refresh_every(couplings: Sequence[Coupling]) -> int | None:
+    """Steps between searches: the fewest that any coupling asks for."""
+    asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
+    return min(asked) if asked else None
+
+
+def lists_neighbours(system: Assembly) -> bool:
+    """Whether a system has couplings that search for neighbours."""
+    return refresh_every(system.couplings) is not None
+
+
+def with_found(
+    couplings: Sequence[Coupling], found: Sequence[Any]
+) -> tuple[Coupling, ...]:
+    """Couplings with the results of their searches in their field `found`."""
+    left = iter(found)
+    # A coupling that searches is a dataclass, by its decorator, with a field `found`.
+    return tuple(
+        c if c.refresh_every is None else replace(c, found=next(left))  # type: ignore[type-var]
+        for c in couplings
+    )
+
+
+def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
+    """Results of the searches of couplings that search for neighbours."""
+    return tuple(c.search(seen) for c in couplings if c.refresh_every is not None)
+
+
+@pytree
+class Listing:
+    """Motions of a system, and its lists of neighbours."""
+
+    motions: Any
+    """Carry of the system's own stepper."""
+    found: tuple[Any, ...]
+    """Lists of each coupling that has some."""
+    age: Int[Array, ""]
+    """Steps since the lists were made."""
+    record: NeighbourRecord
+    """Record of contacts that the lists may have missed."""
+
+
+@pytree
+class ListingSystem:
+    """Position Verlet of a system with lists of neighbours."""
+
+    steps_of_end: ClassVar[int] = 1
+    one_by_one: ClassVar[bool] = True
+    """Whether the systems of a batch are stepped one after the other, so that branches
+    on the contents of lists stay branches."""
+    stepper: SystemStepper | EvolvingSystem
+    """The system's stepper, whose couplings have no lists yet."""
+    every: int = static()
+    """Steps between searches."""
+
+    def begin(self, state: Mapping[str, Any]) -> Listing:
+        """Carry in the middle of the first step, where neighbours are searched."""
+        motions = self.stepper.begin(state)
+        found = searched(self.stepper.couplings, self._seen(motions))
+        return Listing(motions, found, jnp.zeros((), jnp.int32), state[RECORD])
+
+    def cycle(self, carry: Listing) -> Listing:
+        """Moves from the middle of a step to the middle of the next."""
+        carry = self._looked(carry)
+        moved = self._listed(carry).cycle(carry.motions)
+        return replace(carry, motions=moved, age=carry.age + 1)
+
+    def end(self, carry: Listing) -> dict[str, Any]:
+        """Moves from the middle of the last step to its end."""
+        carry = self._looked(carry)
+        state = self._listed(carry).end(carry.motions)
+        return {**state, RECORD: carry.record}
+
+    def _looked(self, carry: Listing) -> Listing:
+        """The carry with lists that are young enough, and with its record updated."""
+
+        def anew(_: Any) -> tuple[Any, ...]:
+            return searched(self.stepper.couplings, self._seen(carry.motions))
+
+        old = carry.age >= self.every
+        found = jax.lax.cond(old, anew, lambda have: have, carry.found)
+        carry = replace(carry, found=found, age=jnp.where(old, 0, carry.age))
+        return replace(carry, record=self._recorded(carry))
+
+    def _recorded(self, carry: Listing) -> NeighbourRecord:
+        record, seen = carry.record, self._seen(carry.motions)
+        missed, moved, used = record.missed, record.moved, record.used
+        for coupling in self._listed(carry).couplings:
+            if coupling.refresh_every is None:
+                continue
+            found: Any = coupling
+            missed = jnp.maximum(missed, found.found.missed)
+            used = jnp.maximum(used, jnp.max(found.found.used))
+            moved = jnp.maximum(moved, coupling.moved(seen))
+        return NeighbourRecord(missed, moved, used)
+
+    def _listed(self, carry: Listing) -> SystemStepper | EvolvingSystem:
+        """The system's stepper with lists."""
+        couplings = with_found(self.stepper.couplings, carry.found)
+        return replace(self.stepper, couplings=couplings)
+
+    def _seen(self, motions: Any) -> Any:
+        """Members as couplings see them."""
+        if isinstance(self.stepper, EvolvingSystem):
+            own: Motions = motions[0]
+            return self.stepper.stepper.seen(own)
+        return self.stepper.seen(motions)

@@ -1,0 +1,165 @@
+"""Preparation of a run of a system: checks, memory and the stepper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from jaxrod.composite import Stepper
+from jaxrod.effects.memory import memory_of
+from jaxrod.effects.time import Clock
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Scene
+from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
+from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+from jaxrod.systems.stability import stable_system_dt
+from jaxrod.systems.stepping.assembly import Assembly, SystemState, member_shapes
+from jaxrod.systems.stepping.evolving import EvolvingSystem
+from jaxrod.systems.stepping.listing import (
+    ListingSystem,
+    lists_neighbours,
+    refresh_every,
+)
+from jaxrod.systems.stepping.stepper import SystemStepper
+from jaxrod.validation import as_array
+
+
+def check_system_state(system: Assembly, state: Any) -> None:
+    """Checks that a state has a fitting state for every member of a system.
+
+    Raises:
+        TypeError: If it is not a mapping, or a member's state is of another kind.
+        ValueError: If members are missing, unknown, or of another size or type.
+    """
+    if not isinstance(state, Mapping):
+        raise TypeError(
+            "state must be a dict of the states of all members by name, got "
+            f"{type(state).__name__}"
+        )
+    also = {RECORD} if lists_neighbours(system) else set()
+    if set(state) - also != set(system.members):
+        raise ValueError(
+            f"state must have the members {sorted(system.members)}, got {sorted(state)}"
+        )
+    if RECORD in state:
+        _check_record(state[RECORD])
+    if system.shapes and member_shapes(system.members) != system.shapes:
+        raise ValueError(
+            "system must be one system, got a batch: use jax.vmap, as in "
+            "jax.vmap(jaxrod.advance, in_axes=(0, 0, None, None))(systems, ...)"
+        )
+    for name, member in system.members.items():
+        _check_member(name, member, state[name], system.dtype)
+
+
+def _check_record(record: Any) -> None:
+    if not isinstance(record, NeighbourRecord):
+        raise TypeError(
+            f"state[{RECORD!r}] must be what a run has left there, got "
+            f"{type(record).__name__}: leave it out to begin anew"
+        )
+
+
+def _check_member(name: str, member: Any, state: Any, dtype: Any) -> None:
+    kind = BodyState if isinstance(member, RigidBodies) else RodState
+    if not isinstance(state, kind):
+        raise TypeError(
+            f"state of {name!r} must be a {kind.__name__}, got {type(state).__name__}"
+        )
+    if isinstance(member, RigidBodies):
+        wanted = (3, *member.masses.shape)
+    else:
+        *batch, n = member.rod.rest_lengths.shape
+        wanted = (*batch, 3, n + 1)
+    if state.positions.shape != wanted:
+        raise ValueError(
+            f"positions of {name!r} must have shape {wanted}, got "
+            f"{state.positions.shape}"
+        )
+    if state.positions.dtype != dtype:
+        raise ValueError(
+            f"state of {name!r} must be {dtype}, as the system is, got "
+            f"{state.positions.dtype}"
+        )
+    spins = "angular_velocities" if kind is BodyState else "angular_momenta"
+    for field in ("orientations", "velocities", spins):
+        own = getattr(state, field).dtype
+        if own != dtype:
+            raise ValueError(
+                f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
+            )
+
+
+def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:
+    """Checks the arguments of a run, and returns the step in the system's type."""
+    check_system_state(system, state)
+    return as_array("dt", dt, "s", positive=True, dtype=system.dtype)
+
+
+def system_stepper(
+    system: Assembly, state: SystemState, dt: Array, first: Array | None
+) -> Stepper:
+    """The integrator of a system; `first` is the first step if time matters.
+
+    It is `None` for a system that neither depends on time nor remembers.
+    """
+    own = _own_stepper(system, state, dt, first)
+    every = refresh_every(own.couplings)
+    return own if every is None else ListingSystem(own, every)
+
+
+def _own_stepper(
+    system: Assembly, state: SystemState, dt: Array, first: Array | None
+) -> SystemStepper | EvolvingSystem:
+    if first is None:
+        return system.stepper(state, dt)
+    start = system.at(Clock(first, jnp.zeros_like(dt), dt))
+    stepper = start.stepper(state, dt)
+    parts = system.parts()
+    prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
+    return EvolvingSystem(stepper, system, prepared, first)
+
+
+def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
+    """The state with the initial memories of effects, where it has none.
+
+    A system with lists of neighbours also gets a record of contacts that they miss.
+    """
+    own = {
+        name: _with_memory(member, state[name])
+        for name, member in system.members.items()
+    }
+    if lists_neighbours(system):
+        record = state.get(RECORD)
+        own[RECORD] = no_record(system.dtype) if record is None else record
+    return own
+
+
+def _with_memory(member: Any, state: Any) -> Any:
+    if isinstance(member, RigidBodies) or not member.remembers:
+        return state
+    if state.memory is not None:
+        return state
+    if member.rod.rest_lengths.ndim == 1:
+        return replace(state, memory=memory_of(member.effects))
+
+    def one(scene: Scene, own: RodState) -> RodState:
+        return replace(own, memory=memory_of(scene.effects))
+
+    return jax.vmap(one)(member, state)
+
+
+def unstable_step(system: Assembly, dt: Array) -> str | None:
+    """Warning about a concrete step above the stability bound; `None` below it."""
+    bound = stable_system_dt(system, safety=1.0)
+    if not float(dt) > float(bound.dt):
+        return None
+    return (
+        f"dt = {float(dt):.3g} s is above the stability bound {float(bound.dt):.3g} s "
+        f"set by {bound.limiting_mode}"
+    )

@@ -1,0 +1,135 @@
+"""Steps of a system: its members drift and are kicked together.
+
+One step is position Verlet, as for a single rod: half a drift of every member;
+attached and tied nodes are put in place; loads of all members and couplings at this
+configuration; kicks; exchange of impulses between attached members; half a drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax
+from jaxtyping import Array
+
+from jaxrod.geometry import vectors
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.structure import pytree
+from jaxrod.systems.members.parts import Seen
+from jaxrod.systems.members.steppers import MemberStepper
+from jaxrod.systems.sites.coupling import Coupling
+
+Motions = dict[str, Motion]
+"""Motions of the members, by name."""
+
+
+@pytree
+class SystemStepper:
+    """Constants of the step of a system."""
+
+    steps_of_end: ClassVar[int] = 1
+    members: Mapping[str, MemberStepper]
+    """Steppers of the members, by name."""
+    couplings: tuple[Coupling, ...]
+    """Couplings, prepared."""
+    dt: Array
+    """Step size [s]."""
+
+    def seen(self, motions: Motions) -> dict[str, Seen]:
+        """All members as couplings see them."""
+        return {k: m.seen(motions[k]) for k, m in self.members.items()}
+
+    def enter(self, state: Mapping[str, Any]) -> Motions:
+        """Motions of a state, with all ties and attachments enforced."""
+        motions = {k: m.enter(state[k]) for k, m in self.members.items()}
+        return self._rates_tied(self._placed(motions))
+
+    def leave(self, motions: Motions) -> dict[str, Any]:
+        """State of the motions."""
+        return {k: m.leave(motions[k]) for k, m in self.members.items()}
+
+    def drift(self, motions: Motions, dt: Array) -> Motions:
+        """Moves all members at unchanged rates for a time `dt` [s]."""
+        moved = {k: m.drift(motions[k], dt) for k, m in self.members.items()}
+        return self._placed(moved)
+
+    def kick(self, motions: Motions) -> Motions:
+        """Changes the rates of all members by all loads over one step."""
+        before = self.seen(motions)
+        loads = self.loads(before)
+        kicked = {
+            k: m.kick(motions[k], loads.get(k, Loads()))
+            for k, m in self.members.items()
+        }
+        return self._rates_tied(self._exchanged(before, kicked))
+
+    def loads(self, seen: Mapping[str, Seen]) -> dict[str, Loads]:
+        """Loads of all couplings."""
+        total: dict[str, Loads] = {}
+        for coupling in self.couplings:
+            for name, loads in coupling.loads(seen).items():
+                total[name] = added(total.get(name, Loads()), loads)
+        return total
+
+    def begin(self, state: Mapping[str, Any]) -> Motions:
+        """Carry in the middle of the first step."""
+        return self.drift(self.enter(state), 0.5 * self.dt)
+
+    def cycle(self, motions: Motions) -> Motions:
+        """Moves from the middle of a step to the middle of the next."""
+        return self.drift(self.kick(motions), self.dt)
+
+    def end(self, motions: Motions) -> dict[str, Any]:
+        """Moves from the middle of the last step to its end."""
+        return self.leave(self.drift(self.kick(motions), 0.5 * self.dt))
+
+    def supported(self, motions: Motions) -> Motions:
+        """Motions with the rates that supports and ties impose now."""
+        held = {k: m.supported(motions[k]) for k, m in self.members.items()}
+        return self._rates_tied(self._placed(held))
+
+    def _exchanged(self, before: Mapping[str, Seen], kicked: Motions) -> Motions:
+        """Kicked motions with the impulses that pass between members in a kick."""
+        impulses: dict[str, Loads] = {}
+        after: dict[str, Seen] | None = None
+        for coupling in self.couplings:
+            if type(coupling).exchange is Coupling.exchange:
+                continue
+            after = self.seen(kicked) if after is None else after
+            for name, impulse in coupling.exchange(before, after).items():
+                impulses[name] = added(impulses.get(name, Loads()), impulse)
+        pushed = {k: self.members[k].pushed(kicked[k], v) for k, v in impulses.items()}
+        return {**kicked, **pushed}
+
+    def _placed(self, motions: Motions) -> Motions:
+        """Motions with the nodes that follow other members put in place."""
+        for coupling in self.couplings:
+            if type(coupling).constrain is not Coupling.constrain:
+                motions = self._with(motions, coupling.constrain(self.seen(motions)))
+        return motions
+
+    def _rates_tied(self, motions: Motions) -> Motions:
+        """Motions with equal rates of tied nodes."""
+        for coupling in self.couplings:
+            if type(coupling).constrain_rates is not Coupling.constrain_rates:
+                changed = coupling.constrain_rates(self.seen(motions))
+                motions = self._with(motions, changed)
+        return motions
+
+    def _with(self, motions: Motions, changed: Motions) -> Motions:
+        return {
+            **motions,
+            **{k: self.members[k].moved_as(motions[k], v) for k, v in changed.items()},
+        }
+
+
+def added(a: Loads, b: Loads) -> Loads:
+    """Sum of two loads; either may lack forces or couples."""
+    return Loads(_added(a.forces, b.forces), _added(a.couples, b.couples))
+
+
+def _added(a: vectors.Vec3 | None, b: vectors.Vec3 | None) -> vectors.Vec3 | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return jax.tree.map(lambda x, y: x + y, a, b)
