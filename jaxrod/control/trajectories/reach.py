@@ -35,10 +35,13 @@ class UnreachableTargetWarning(UserWarning):
 class Arm(Protocol):
     """A pytree that makes a scene from controls, such as `ActuatedArm`."""
 
-    scene: Scene
-    """The rod without controls."""
-    state: RodState
-    """Initial state."""
+    @property
+    def scene(self) -> Scene:
+        """The rod without controls."""
+
+    @property
+    def state(self) -> RodState:
+        """Initial state."""
 
     def with_controls(self, controls: Any) -> Scene:
         """Returns the scene under controls."""
