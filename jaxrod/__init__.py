@@ -189,6 +189,7 @@ _SUBMODULES = {
     "assemblies": "assemblies",
     "control": "control",
     "envs": "envs",
+    "extend": "extend",
     "geometry": "geometry",
     "rotations": "geometry.rotations",
     "tradeoff": "tradeoff",

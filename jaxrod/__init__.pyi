@@ -3,6 +3,7 @@
 from jaxrod import assemblies as assemblies
 from jaxrod import control as control
 from jaxrod import envs as envs
+from jaxrod import extend as extend
 from jaxrod import geometry as geometry
 from jaxrod import tradeoff as tradeoff
 from jaxrod import training as training

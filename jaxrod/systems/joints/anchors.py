@@ -9,17 +9,24 @@ have no moment.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.joints.elastic_joints import least_inertia, orientation_at, spin_at
+from jaxrod.systems.joints.elastic_joints import (
+    added_bounds,
+    least_inertia,
+    orientation_at,
+    spin_at,
+)
 from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.sites.coupling import AllParts
 from jaxrod.systems.sites.places import (
@@ -30,7 +37,7 @@ from jaxrod.systems.sites.places import (
     position_of,
     resolved,
 )
-from jaxrod.systems.sites.rows import picked
+from jaxrod.systems.sites.rows import picked, summed
 
 
 @pytree
@@ -86,25 +93,74 @@ class Anchors:
 
 
 def anchors(
-    name: str,
     places: Sequence[Place],
-    at: Sequence[Array | None],
     state: Mapping[str, Any],
+    *,
+    at: Sequence[Array | None] | None = None,
+    name: str = "places",
 ) -> Anchors:
     """Anchors at places of one member.
 
     Args:
-        name: Name of the argument, for messages.
         places: Places on the member.
-        at: Position of each anchor in `state`, world frame [m]; `None` for the node.
         state: State of the system.
+        at: Position of each anchor in `state`, world frame [m]; `None` for the node, or
+            for all nodes.
+        name: Name of the argument, for messages.
+
+    Raises:
+        ValueError: If there is no such place.
     """
     layouts = layouts_of(state)
     ends = [resolved(name, place, layouts) for place in places]
+    points = [None] * len(places) if at is None else at
     offsets = []
-    for place, point in zip(places, at, strict=True):
+    for place, point in zip(places, points, strict=True):
         pose = position_of(name, place, state)
         way = jnp.zeros_like(pose.place) if point is None else point - pose.place
         frame = directors(pose.orientation)
         offsets.append(vectors.join(to_material(frame, vectors.split(way))))
     return Anchors(points_of(name, ends), jnp.stack(offsets, axis=1))
+
+
+def spring_bounds(
+    a: Anchors,
+    b: Anchors,
+    parts: AllParts,
+    stiffness: Array,
+    drag: Array | None = None,
+) -> dict[str, StabilityBound]:
+    """Bounds on the stiffness and drag of springs between anchors.
+
+    What a spring of stiffness $k$ sees of the motion of its ends is shared among the
+    nodes and elements there in proportion to their inertia.
+
+    Args:
+        a: Anchors on a member.
+        b: Anchors on the other member, or on the same; one for each of `a`.
+        parts: Constants of the members.
+        stiffness: Largest force per distance, of all springs or of each [N/m].
+        drag: Largest force per relative speed, if there is any [kg/s].
+
+    Returns:
+        What `Coupling.stability_bounds` returns.
+    """
+    sides = [(anchor, parts[anchor.points.member]) for anchor in (a, b)]
+    ease = sum(anchor.mobility(own) for anchor, own in sides)
+    total: dict[str, StabilityBound] = {}
+    for anchor, own in sides:
+        points = anchor.points
+        masses = own.node_masses[points.nodes.values]
+        inertia = jnp.min(own.inertias, axis=0)[points.elements.values]
+        sizes = own.n_nodes, own.inertias.shape[1]
+        nodes = summed(ease * masses * stiffness, points.nodes, sizes[0])
+        elements = summed(ease * inertia * stiffness, points.elements, sizes[1])
+        bound = StabilityBound(nodes=nodes, elements=elements)
+        if drag is not None:
+            bound = replace(
+                bound,
+                node_drag=summed(ease * masses * drag, points.nodes, sizes[0]),
+                element_drag=summed(ease * inertia * drag, points.elements, sizes[1]),
+            )
+        total[points.member] = added_bounds(total.get(points.member), bound)
+    return total

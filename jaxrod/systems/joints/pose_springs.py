@@ -276,7 +276,7 @@ def pose_spring(
     if not is_schedule(angle):
         turning = turning(clock_at(0.0, start.dtype))
     return PoseSpring(
-        anchor=anchors("place", [place], [point], state),
+        anchor=anchors([place], state, at=[point], name="place"),
         place=path,
         turn=turning,
         stiffness=as_array("stiffness", stiffness, "N/m", positive=True),

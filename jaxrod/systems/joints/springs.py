@@ -19,14 +19,11 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.joints.anchors import Anchors, anchors
-from jaxrod.systems.joints.elastic_joints import (
-    added_bounds,
-)
+from jaxrod.systems.joints.anchors import Anchors, anchors, spring_bounds
 from jaxrod.systems.joints.ties import pairs
 from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.sites.places import Place, position_of
-from jaxrod.systems.sites.rows import sum_of_loads, summed
+from jaxrod.systems.sites.rows import sum_of_loads
 from jaxrod.validation import Numbers, as_array, is_traced
 
 
@@ -84,40 +81,7 @@ class Springs(Coupling):
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and damping on both ends, shared in proportion to inertia."""
-        one, two = parts[self.a.points.member], parts[self.b.points.member]
-        ease = self.a.mobility(one) + self.b.mobility(two)
-        total: dict[str, StabilityBound] = {}
-        for anchor, own in ((self.a, one), (self.b, two)):
-            masses = own.node_masses[anchor.points.nodes.values]
-            inertia = jnp.min(own.inertias, axis=0)[anchor.points.elements.values]
-            sizes = own.n_nodes, own.inertias.shape[1]
-
-            def on_nodes(
-                rate: Array,
-                anchor: Anchors = anchor,
-                masses: Array = masses,
-                size: int = sizes[0],
-            ) -> Array:
-                return summed(rate * ease * masses, anchor.points.nodes, size)
-
-            def on_elements(
-                rate: Array,
-                anchor: Anchors = anchor,
-                inertia: Array = inertia,
-                size: int = sizes[1],
-            ) -> Array:
-                return summed(rate * ease * inertia, anchor.points.elements, size)
-
-            drag = self.damping
-            bound = StabilityBound(
-                nodes=on_nodes(self.stiffness),
-                elements=on_elements(self.stiffness),
-                node_drag=None if drag is None else on_nodes(drag),
-                element_drag=None if drag is None else on_elements(drag),
-            )
-            name = anchor.points.member
-            total[name] = added_bounds(total.get(name), bound)
-        return total
+        return spring_bounds(self.a, self.b, parts, self.stiffness, self.damping)
 
 
 def spring(
@@ -220,8 +184,8 @@ def _springs(
         return list(point) if isinstance(point, list) else [jnp.asarray(point)] * count
 
     return Springs(
-        a=anchors("a", first, listed(at[0], len(first)), state),
-        b=anchors("b", second, listed(at[1], len(second)), state),
+        a=anchors(first, state, at=listed(at[0], len(first)), name="a"),
+        b=anchors(second, state, at=listed(at[1], len(second)), name="b"),
         stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
         damping=optional_number("damping", damping, "kg/s"),
     )
