@@ -4,40 +4,17 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from jaxrod.analysis.health import Health, HealthLimits, health
-from jaxrod.geometry import vectors
+from jaxrod.analysis.health import Health, HealthLimits
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+from jaxrod.systems.members.bodies import BodyHealth
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
-
-
-@pytree
-class BodyHealth:
-    """Flags and the measured values behind them, for rigid bodies of one member."""
-
-    finite: Bool[Array, ""]
-    """Whether every number of the state is finite, and so are their squares."""
-    spin: Bool[Array, ""]
-    """Flag: a body turns more than a radian per step."""
-    norm: Bool[Array, ""]
-    """Flag: an orientation is not a unit quaternion."""
-    largest_spin: Float[Array, ""]
-    """Largest angular velocity [rad/s]."""
-    largest_norm_error: Float[Array, ""]
-    """Largest error of the square of a quaternion's norm [1]."""
-
-    @property
-    def flagged(self) -> Bool[Array, ""]:
-        """Whether anything is wrong."""
-        return ~self.finite | self.spin | self.norm
 
 
 @pytree
@@ -84,16 +61,10 @@ def system_health(
     """
     limits = HealthLimits() if limits is None else limits
     system = system.recalling(state)
-    members: dict[str, Health | BodyHealth] = {}
-    for name, member in system.members.items():
-        own = state[name]
-        if isinstance(member, RigidBodies):
-            members[name] = _of_bodies(own, dt, limits)
-        elif member.rod.rest_lengths.ndim == 1:
-            members[name] = health(member, own, dt, limits=limits)
-        else:
-            each: Any = jax.vmap(lambda s, x: health(s, x, dt, limits=limits))
-            members[name] = each(member, own)
+    members = {
+        name: member.health(state[name], dt, limits)
+        for name, member in system.asked().items()
+    }
     seen, couplings = seen_at_rest(system, state)
     found = [coupling.violation(seen) for coupling in couplings]
     zero = jnp.zeros((), system.dtype)
@@ -116,18 +87,4 @@ def system_health(
         record.overflow,
         record.stale,
         record,
-    )
-
-
-def _of_bodies(state: BodyState, dt: ArrayLike, limits: HealthLimits) -> BodyHealth:
-    spins = vectors.safe_norm(vectors.split(state.angular_velocities))
-    norms = jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1)
-    spin, norm = jnp.max(spins), jnp.max(norms)
-    squares = jnp.sum(state.positions**2) + jnp.sum(state.velocities**2)
-    return BodyHealth(
-        finite=jnp.isfinite(squares + spin + norm),
-        spin=~((spin * dt <= limits.largest_turn) & (jnp.asarray(dt) > 0)),
-        norm=~(norm <= limits.largest_norm_error),
-        largest_spin=spin,
-        largest_norm_error=norm,
     )

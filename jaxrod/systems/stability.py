@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.analysis.stability import StableStep, stable_dt
-from jaxrod.effects.base import Effect, StabilityBound
-from jaxrod.rods.rod import Rod
-from jaxrod.scene import Scene
+from jaxrod.analysis.stability import StableStep
+from jaxrod.effects.base import StabilityBound
 from jaxrod.structure import pytree, static
 from jaxrod.systems.joints.elastic_joints import added_bounds
-from jaxrod.systems.members.parts import in_rows
-from jaxrod.systems.members.rigid_bodies import RigidBodies
 from jaxrod.systems.stepping.assembly import Assembly
 
 
@@ -48,18 +41,6 @@ class StableSystemStep:
         return f"{one.limiting_mode} of rod {rod} of {name!r}"
 
 
-@pytree
-class CouplingBounds(Effect):
-    """Stiffness and drag that couplings add to a rod: a bound without loads."""
-
-    bound: StabilityBound
-    """The bound."""
-
-    def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The given bound."""
-        return self.bound
-
-
 @jax.jit
 def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemStep:
     """The largest step at which a system is stable, times a safety factor.
@@ -77,45 +58,11 @@ def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemS
             bounds[name] = added_bounds(bounds.get(name), bound)
     limits: list[Array] = []
     steps: list[StableStep | None] = []
-    for name, member in system.members.items():
+    for name, member in system.asked().items():
         bound = bounds.get(name, StabilityBound())
-        if isinstance(member, RigidBodies):
-            limits.append(jnp.asarray(safety) * _of_bodies(member, bound))
-            steps.append(None)
-            continue
-        step = _of_rods(member, bound, safety)
-        limits.append(jnp.min(step.dt))
+        limit, step = member.stable_step(bound, safety)
+        limits.append(limit)
         steps.append(step)
     return StableSystemStep(
         jnp.min(jnp.stack(limits)), tuple(limits), tuple(steps), tuple(system.members)
     )
-
-
-def _of_rods(member: Scene, bound: StabilityBound, safety: ArrayLike) -> StableStep:
-    def one(scene: Scene, own: StabilityBound) -> StableStep:
-        effects = (*scene.effects, CouplingBounds(own))
-        return stable_dt(replace(scene, effects=effects), safety)
-
-    if member.rod.rest_lengths.ndim == 1:
-        return one(member, bound)
-    count = member.rod.rest_lengths.shape[0]
-    step: Any = jax.vmap(one)(member, in_rows(bound, count))
-    return step
-
-
-def _of_bodies(bodies: RigidBodies, bound: StabilityBound) -> Array:
-    """Largest step at which explicit springs and dashpots on bodies are stable [s]."""
-    least = jnp.min(bodies.principal_inertias, axis=0)
-    moving = _limit(bodies.masses, bound.nodes, bound.node_drag)
-    turning = _limit(least, bound.elements, bound.element_drag)
-    return jnp.min(jnp.minimum(moving, turning))
-
-
-def _limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array:
-    """Positive root h of `k h^2 + 2 c h = 4 m`."""
-    zero = jnp.zeros_like(inertia)
-    k = zero if stiffness is None else stiffness
-    c = zero if drag is None else drag
-    below = c + jnp.sqrt(c * c + 4 * k * inertia)
-    free = below <= 0
-    return jnp.where(free, jnp.inf, 4 * inertia / jnp.where(free, 1, below))

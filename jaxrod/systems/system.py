@@ -35,7 +35,7 @@ from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
 from jaxrod.systems.stepping.assembly import (
     Assembly,
-    Member,
+    Model,
     SystemState,
     held_parts,
     member_shapes,
@@ -120,7 +120,7 @@ class System(Assembly, Composite):
 
 @knows_constants
 def make_system(
-    members: Mapping[str, Member],
+    members: Mapping[str, Model],
     *couplings: Coupling | Sequence[Coupling],
     state: SystemState | None = None,
 ) -> System:
@@ -209,7 +209,7 @@ def _check_member(name: Any, member: Any) -> None:
         )
 
 
-def _with_own_types(member: Member) -> Member:
+def _with_own_types(member: Model) -> Model:
     """The member, with the numbers of a body's effects in the type of the body."""
     if not isinstance(member, RigidBodies):
         return member
@@ -229,7 +229,7 @@ def _free_ends(
     }
 
 
-def _with_free_ends(member: Member, free: Float[Array, "rods 2"]) -> Member:
+def _with_free_ends(member: Model, free: Float[Array, "rods 2"]) -> Model:
     """The scene, whose effects know which ends of its rods are free."""
     scene: Any = member
     if not scene.effects or bool(jnp.all(free)):

@@ -45,9 +45,6 @@ def test_symplectic_euler_is_of_first_order():
     euler = own_method.SymplecticEuler()
     exact = own_method.swing(own_method.CONSISTENT, 8000)
     errors = [
-        float(
-            jnp.linalg.norm(own_method.swing(euler, n) - exact)
-        )
-        for n in (400, 800)
+        float(jnp.linalg.norm(own_method.swing(euler, n) - exact)) for n in (400, 800)
     ]
     assert 1.8 < errors[0] / errors[1] < 2.3

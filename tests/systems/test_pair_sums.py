@@ -9,7 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.geometry import vectors
-from jaxrod.systems import pair_sums
+from jaxrod.systems.contact import pair_sums
 from jaxrod.systems.contact.element_pairs import Elements, IndexList, Pairs
 from jaxrod.systems.contact.pair_sums import LEAST, sums_over_pairs
 

@@ -11,7 +11,7 @@ import pytest
 import jaxrod
 from jaxrod.systems.contact.samples import samples_of
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.members.parts import parts_of
+from jaxrod.systems.members.rigid_stepper import body_parts
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
 
@@ -30,7 +30,8 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partn
     """k (1/m_a + 1/m_b) of each, times the mass of the one."""
     stiffness, radii = 1e4, {"a": 0.1, "b": 0.05, "c": 0.2}
     parts = {
-        n: parts_of(body(jaxrod.sphere((0, 0, 0), r))[0]) for n, r in radii.items()
+        name: body_parts(body(jaxrod.sphere((0, 0, 0), r))[0])
+        for name, r in radii.items()
     }
     contact = jaxrod.rigid_contact(*radii, stiffness=stiffness, partners=partners)
     bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)

@@ -78,7 +78,7 @@ class Attachment(Coupling):
                 f"to {self.bodies.member!r}: it can follow one only"
             )
 
-    def carried(self, parts: AllParts) -> Carried:
+    def carried(self, parts: AllParts) -> dict[str, Carried]:
         """Point masses of the nodes, summed on the bodies."""
         masses = parts[self.points.member].node_masses[self.points.nodes.values]
         place = vectors.split(self.places)
@@ -93,7 +93,8 @@ class Attachment(Coupling):
             (total(row[0]), total(row[1]), total(row[2]))
             for row in matrices.outer(weighted, place)
         )
-        return Carried(total(masses), (x, y, z), (one, two, three))
+        own = Carried(total(masses), (x, y, z), (one, two, three))
+        return {self.bodies.member: own}
 
     def _arms(self, seen: Seen) -> Vec3:
         """Vectors from the bodies' origins to the nodes, world frame [m]."""

@@ -8,7 +8,6 @@ rigid body is one node and one element.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -23,7 +22,6 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
-from jaxrod.systems.members.rigid_bodies import RigidBodies
 
 
 @pytree
@@ -73,24 +71,8 @@ class Parts:
         return self.count * (self.n_elements + 1 if self.is_rod else 1)
 
 
-def parts_of(member: Rod | RigidBodies) -> Parts:
-    """Constants of a rod, of equal rods with a leading axis, or of bodies."""
-    if isinstance(member, RigidBodies):
-        return Parts(
-            node_masses=member.masses,
-            inertias=member.principal_inertias,
-            shape=member.shape,
-            count=member.n_elements,
-            is_rod=False,
-        )
-    if member.rest_lengths.ndim == 1:
-        return _of_rod(member)
-    count, n = member.rest_lengths.shape
-    each = jax.vmap(_of_rod)(member)
-    return replace(in_one_row(each), count=count, n_elements=n)
-
-
-def _of_rod(rod: Rod) -> Parts:
+def parts_of(rod: Rod) -> Parts:
+    """Constants of a rod."""
     return Parts(
         node_masses=rod.node_masses,
         inertias=rod.inertias if rod.is_round else rod.principal_inertias,

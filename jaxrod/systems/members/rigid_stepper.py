@@ -27,7 +27,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.kick import Kick
 from jaxrod.rods.motion import Loads, Motion, accumulate
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Parts, Seen, parts_of
+from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
 
 
@@ -71,7 +71,7 @@ class RigidStepper:
     @staticmethod
     def create(bodies: RigidBodies, carried: Carried | None, dt: Array) -> RigidStepper:
         """Computes the constants once, outside the loop."""
-        parts = parts_of(bodies)
+        parts = body_parts(bodies)
         mass, centre, inertia, inverse = bodies.masses, None, None, None
         if carried is not None:
             mass = mass + carried.mass
@@ -267,3 +267,14 @@ def _cholesky(matrix: Matrix) -> Matrix:
     e = (yz - b * c) / d
     f = jnp.sqrt(zz - c * c - e * e)
     return (a, b, c), (zero, d, e), (zero, zero, f)
+
+
+def body_parts(bodies: RigidBodies) -> Parts:
+    """Constants of bodies, as couplings see them."""
+    return Parts(
+        node_masses=bodies.masses,
+        inertias=bodies.principal_inertias,
+        shape=bodies.shape,
+        count=bodies.n_elements,
+        is_rod=False,
+    )

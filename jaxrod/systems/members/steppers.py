@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxrod.effects.time import Clock, at_clock
 from jaxrod.methods.consistent import ConsistentStepper
+from jaxrod.methods.now import Now, remembering, scene_at
 from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
@@ -42,96 +47,121 @@ class MemberStepper(Protocol):
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
         """Changes rates by impulses, with forces and couples in the world frame."""
 
+    def at(self, model: Any, memory: Any, clock: Clock) -> MemberStepper:
+        """The stepper with the member as it is at a time.
+
+        Args:
+            model: Scene or bodies with their schedules.
+            memory: Memory of their effects.
+            clock: The time.
+        """
+
+    def remembered(self, motion: Motion, memory: Any, dt: Array) -> Any:
+        """Memory of the effects one step later."""
+
 
 @pytree
 class RodStepper:
     """Stepper of a scene: one rod and its effects."""
 
     verlet: ConsistentStepper | PyElasticaStepper
-    """The stepper of the scene."""
+    """The stepper of the scene; of equal rods, with a leading axis."""
     parts: Parts
-    """Constants of the rod."""
+    """Constants of the rod, or of all rods in one row."""
+
+    def each(self, function: Callable[..., Any], *given: Any) -> Any:
+        """Result of a function of a stepper and of other things, for every rod."""
+        return function(self.verlet, *given)
 
     def enter(self, state: Any) -> Motion:
         """Motion of a state."""
-        return self.verlet.enter(state)
+        motion: Motion = self.each(lambda one, own: one.enter(own), state)
+        return motion
 
     def leave(self, motion: Motion) -> Any:
         """State of a motion."""
-        return self.verlet.leave(motion)
+        return self.each(lambda one, own: one.leave(own), motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
         """Moves at unchanged rates."""
-        return self.verlet.drift(motion, dt)
+        moved: Motion = self.each(lambda one, own: one.drift(own, dt), motion)
+        return moved
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
         """Changes the rates by internal loads, effects and other loads."""
-        return self.verlet.kick(motion, loads)
+        kicked: Motion = self.each(
+            lambda one, own, more: one.kick(own, more), motion, self.rows(loads)
+        )
+        return kicked
 
     def supported(self, motion: Motion) -> Motion:
         """The motion with the rates that supports impose now."""
-        return self.verlet.constrain_rates(motion)
+        held: Motion = self.each(lambda one, own: one.constrain_rates(own), motion)
+        return held
 
     def seen(self, motion: Motion) -> Seen:
-        """The rod with its unchanged motion."""
-        return Seen(self.parts, motion)
+        """The rod, or all rods in one row."""
+        return Seen(self.parts, self.row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
         """The changed motion."""
-        return seen
+        changed: Motion = self.rows(seen)
+        return changed
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Not possible: nodes of rods pass impulses on and take none."""
-        # Only attachments push, and they check that no rod is the body.
+        """Not supported: nodes of rods pass impulses on but do not take any."""
+        # Only attachments push, and their check does not let a rod be the body.
         raise NotImplementedError("impulses act on rigid bodies")
+
+    def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
+        """The stepper with the scene as it is at a time."""
+        if not model.evolves:
+            return self
+
+        def one(_: Any, scene: Any, had: Any) -> Any:
+            return scene_at(scene, Now(clock.step, had), clock.fraction, clock.dt)
+
+        scene = self.each(one, model, memory)
+        return replace(self, verlet=replace(self.verlet, scene=scene))
+
+    def remembered(self, motion: Motion, memory: Any, dt: Array) -> Any:
+        """Memory of the effects one step later."""
+        if not any(memory):
+            return memory
+        none = jnp.zeros((), jnp.int32)
+
+        def one(stepper: Any, own: Any, had: Any) -> Any:
+            return remembering(stepper.scene, own, dt, Now(none, had)).memory
+
+        return self.each(one, motion, memory)
+
+    def row(self, tree: Any) -> Any:
+        """Fields of every rod, with all nodes and elements in one row."""
+        return tree
+
+    def rows(self, tree: Any) -> Any:
+        """Fields in one row, divided among the rods."""
+        return tree
 
 
 @pytree
-class RodsStepper:
-    """Stepper of equal rods: a scene whose leaves have a leading axis."""
+class RodsStepper(RodStepper):
+    """Stepper of equal rods with their effects, with a leading axis on every number."""
 
-    verlet: ConsistentStepper | PyElasticaStepper
-    """The steppers of the scenes, with a leading axis."""
-    parts: Parts
-    """Constants of the rods, in one row."""
     count: int = static()
     """Number of rods."""
 
-    def enter(self, state: Any) -> Motion:
-        """Motions of the states."""
-        return jax.vmap(lambda one, s: one.enter(s))(self.verlet, state)
+    def each(self, function: Callable[..., Any], *given: Any) -> Any:
+        """Result of a function of a stepper and of other things, for every rod."""
+        return jax.vmap(function)(self.verlet, *given)
 
-    def leave(self, motion: Motion) -> Any:
-        """States of the motions."""
-        return jax.vmap(lambda one, m: one.leave(m))(self.verlet, motion)
+    def row(self, tree: Any) -> Any:
+        """Fields of every rod, with all nodes and elements in one row."""
+        return in_one_row(tree)
 
-    def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves all rods at unchanged rates."""
-        return jax.vmap(lambda one, m: one.drift(m, dt))(self.verlet, motion)
-
-    def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes the rates of all rods by internal loads, effects and other loads."""
-        each = in_rows(loads, self.count)
-        return jax.vmap(lambda one, m, more: one.kick(m, more))(
-            self.verlet, motion, each
-        )
-
-    def supported(self, motion: Motion) -> Motion:
-        """The motions with the rates that supports impose now."""
-        return jax.vmap(lambda one, m: one.constrain_rates(m))(self.verlet, motion)
-
-    def seen(self, motion: Motion) -> Seen:
-        """All rods in one row."""
-        return Seen(self.parts, in_one_row(motion))
-
-    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The changed motions, split by rod."""
-        return in_rows(seen, self.count)
-
-    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Not possible: nodes of rods pass impulses on and take none."""
-        # Only attachments push, and they check that no rod is the body.
-        raise NotImplementedError("impulses act on rigid bodies")
+    def rows(self, tree: Any) -> Any:
+        """Fields in one row, divided among the rods."""
+        return in_rows(tree, self.count)
 
 
 @pytree
@@ -139,7 +169,7 @@ class BodiesStepper:
     """Stepper of rigid bodies."""
 
     rigid: RigidStepper
-    """Stepper that does the work."""
+    """Their stepper."""
 
     def enter(self, state: Any) -> Motion:
         """Motion of a state."""
@@ -158,7 +188,7 @@ class BodiesStepper:
         return self.rigid.kick(motion, loads)
 
     def supported(self, motion: Motion) -> Motion:
-        """The unchanged motion: supports hold only rods."""
+        """The unchanged motion: supports hold rods."""
         return motion
 
     def seen(self, motion: Motion) -> Seen:
@@ -166,10 +196,19 @@ class BodiesStepper:
         return self.rigid.seen(motion)
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """Not possible: bodies follow nothing."""
-        # Ties and attachments check that only nodes of rods follow.
+        """Not supported: bodies follow nothing."""
+        # Ties and attachments check that what follows is a node of a rod.
         raise NotImplementedError("nothing ties a rigid body to follow another member")
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Changes rates by impulses at the bodies' origins."""
+        """Changes rates by impulses on the origins."""
         return self.rigid.pushed(motion, impulses)
+
+    def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
+        """The stepper with the effects on the bodies as they are at a time."""
+        bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
+        return replace(self, rigid=replace(self.rigid, bodies=bodies))
+
+    def remembered(self, motion: Motion, memory: Any, dt: Array) -> Any:
+        """No memory."""
+        return memory

@@ -10,6 +10,7 @@ from jaxtyping import Array
 from jaxrod.effects.base import StabilityBound
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.members.rigid_stepper import Carried
 
 AllSeen = Mapping[str, Seen]
 """Members of a system at one moment, by name."""
@@ -57,6 +58,10 @@ class Coupling:
                 to a body, `(rods, 2)`.
         """
         return self
+
+    def carried(self, parts: AllParts) -> dict[str, Carried]:
+        """Masses that the coupling attaches to bodies, by the member that has them."""
+        return {}
 
     def prepared(self, parts: AllParts) -> Coupling:
         """The coupling with constants computed once, before the first step."""

@@ -6,21 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxrod.effects.time import Clock, at_clock
-from jaxrod.methods.now import Now, memory_in, remembering, scene_at
-from jaxrod.scene import Scene
 from jaxrod.structure import pytree
-from jaxrod.systems.members.rigid_bodies import RigidBodies
-from jaxrod.systems.members.steppers import (
-    BodiesStepper,
-    MemberStepper,
-    RodsStepper,
-    RodStepper,
-)
 from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.systems.stepping.assembly import Assembly
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper
@@ -60,9 +50,8 @@ class EvolvingSystem:
     def begin(self, state: Mapping[str, Any]) -> tuple[Motions, SystemNow]:
         """Carry in the middle of the first step."""
         memories = {
-            name: _memory(member, state[name])
-            for name, member in self.system.members.items()
-            if isinstance(member, Scene)
+            name: member.memory(state[name])
+            for name, member in self.system.asked().items()
         }
         now = SystemNow(self.first, memories)
         return self._at(now, 0.5).begin(state), now
@@ -89,62 +78,20 @@ class EvolvingSystem:
         motions, now = carry
         present = self._at(now, 0.5)
         kicked = present.kick(motions)
+        dt = self.stepper.dt
         after = {
-            name: self._remembered(present.members[name], kicked[name], memory)
+            name: present.members[name].remembered(kicked[name], memory, dt)
             for name, memory in now.memories.items()
         }
         return kicked, SystemNow(now.step + 1, after)
-
-    def _remembered(self, member: MemberStepper, motion: Any, memory: Any) -> Any:
-        """Memory of a rod's effects one step later."""
-        if not any(memory):
-            return memory
-        dt, none = self.stepper.dt, jnp.zeros((), jnp.int32)
-
-        def one(scene: Scene, own: Any, had: Any) -> Any:
-            return remembering(scene, own, dt, Now(none, had)).memory
-
-        if isinstance(member, RodsStepper):
-            return jax.vmap(one)(member.verlet.scene, motion, memory)
-        assert isinstance(member, RodStepper)
-        return one(member.verlet.scene, motion, memory)
 
     def _at(self, now: SystemNow, fraction: float) -> SystemStepper:
         """The stepper with the system as it is a fraction of a step later."""
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
-        members: dict[str, MemberStepper] = {}
-        for name, stepper in self.stepper.members.items():
-            member = self.system.members[name]
-            if isinstance(member, RigidBodies):
-                assert isinstance(stepper, BodiesStepper)
-                effects = at_clock(member.effects, clock)
-                bodies = replace(stepper.rigid.bodies, effects=effects)
-                rigid = replace(stepper.rigid, bodies=bodies)
-                members[name] = replace(stepper, rigid=rigid)
-            elif member.evolves:
-                assert isinstance(stepper, RodStepper | RodsStepper)
-                scene = _scene_at(member, now.step, now.memories[name], fraction, dt)
-                verlet = replace(stepper.verlet, scene=scene)
-                members[name] = replace(stepper, verlet=verlet)
-            else:
-                members[name] = stepper
+        members = {
+            name: stepper.at(self.system.members[name], now.memories[name], clock)
+            for name, stepper in self.stepper.members.items()
+        }
         couplings = at_clock(self.couplings, clock)
         return replace(self.stepper, members=members, couplings=couplings)
-
-
-def _memory(member: Scene, state: Any) -> Any:
-    if member.rod.rest_lengths.ndim == 1:
-        return memory_in(member, state)
-    return jax.vmap(memory_in)(member, state)
-
-
-def _scene_at(
-    member: Scene, step: Array, memory: Any, fraction: float, dt: Array
-) -> Scene:
-    def one(scene: Scene, had: Any) -> Scene:
-        return scene_at(scene, Now(step, had), fraction, dt)
-
-    if member.rod.rest_lengths.ndim == 1:
-        return one(member, memory)
-    return jax.vmap(one)(member, memory)

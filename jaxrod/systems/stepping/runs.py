@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from jaxrod.composite import Stepper
-from jaxrod.effects.memory import memory_of
 from jaxrod.effects.time import Clock
-from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
-from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
 from jaxrod.systems.stability import stable_system_dt
 from jaxrod.systems.stepping.assembly import Assembly, SystemState, member_shapes
 from jaxrod.systems.stepping.evolving import EvolvingSystem
@@ -53,8 +47,8 @@ def check_system_state(system: Assembly, state: Any) -> None:
             "system must be one system, got a batch: use jax.vmap, as in "
             "jax.vmap(jaxrod.advance, in_axes=(0, 0, None, None))(systems, ...)"
         )
-    for name, member in system.members.items():
-        _check_member(name, member, state[name], system.dtype)
+    for name, member in system.asked().items():
+        member.check_state(name, state[name], system.dtype)
 
 
 def _check_record(record: Any) -> None:
@@ -63,36 +57,6 @@ def _check_record(record: Any) -> None:
             f"state[{RECORD!r}] must be what a run has left there, got "
             f"{type(record).__name__}: leave it out to begin anew"
         )
-
-
-def _check_member(name: str, member: Any, state: Any, dtype: Any) -> None:
-    kind = BodyState if isinstance(member, RigidBodies) else RodState
-    if not isinstance(state, kind):
-        raise TypeError(
-            f"state of {name!r} must be a {kind.__name__}, got {type(state).__name__}"
-        )
-    if isinstance(member, RigidBodies):
-        wanted = (3, *member.masses.shape)
-    else:
-        *batch, n = member.rod.rest_lengths.shape
-        wanted = (*batch, 3, n + 1)
-    if state.positions.shape != wanted:
-        raise ValueError(
-            f"positions of {name!r} must have shape {wanted}, got "
-            f"{state.positions.shape}"
-        )
-    if state.positions.dtype != dtype:
-        raise ValueError(
-            f"state of {name!r} must be {dtype}, as the system is, got "
-            f"{state.positions.dtype}"
-        )
-    spins = "angular_velocities" if kind is BodyState else "angular_momenta"
-    for field in ("orientations", "velocities", spins):
-        own = getattr(state, field).dtype
-        if own != dtype:
-            raise ValueError(
-                f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
-            )
 
 
 def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:
@@ -131,27 +95,12 @@ def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
     A system with lists of neighbours also gets a record of contacts that they miss.
     """
     own = {
-        name: _with_memory(member, state[name])
-        for name, member in system.members.items()
+        name: member.with_memory(state[name]) for name, member in system.asked().items()
     }
     if lists_neighbours(system):
         record = state.get(RECORD)
         own[RECORD] = no_record(system.dtype) if record is None else record
     return own
-
-
-def _with_memory(member: Any, state: Any) -> Any:
-    if isinstance(member, RigidBodies) or not member.remembers:
-        return state
-    if state.memory is not None:
-        return state
-    if member.rod.rest_lengths.ndim == 1:
-        return replace(state, memory=memory_of(member.effects))
-
-    def one(scene: Scene, own: RodState) -> RodState:
-        return replace(own, memory=memory_of(scene.effects))
-
-    return jax.vmap(one)(member, state)
 
 
 def unstable_step(system: Assembly, dt: Array) -> str | None:
