@@ -48,6 +48,13 @@ KNOWN = {
     "contact": SPEEDS,
     "friction": SPEEDS,
     "fast muscle": SPEEDS,
+    # Joints have dashpots here; without them their order is two.
+    "ball of": SPEEDS,
+    "hinge of": SPEEDS,
+    "rigid of": SPEEDS,
+    "spring of": SPEEDS,
+    "on the ground": SPEEDS,
+    "pose spring": SPEEDS,
 }
 
 
