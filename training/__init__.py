@@ -16,8 +16,7 @@ try:
         steps_per_update,
     )
     from jaxrod.training.algorithms.beginning import beginning_with
-    from jaxrod.training.algorithms.dagger import DAGGER
-    from jaxrod.training.algorithms.dagger_state import DAggerConfig
+    from jaxrod.training.algorithms.dagger import DAGGER, DAggerConfig
     from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
     from jaxrod.training.algorithms.on_policy import OnPolicyConfig

@@ -46,7 +46,7 @@ NAMED = (
     Named(
         "m04",
         "off-policy: an episode cut short taken as ended by the task",
-        "training/algorithms/off_policy_update.py",
+        "training/algorithms/off_policy.py",
         "terminated=outcome.terminated,",
         "terminated=outcome.terminated | outcome.truncated,",
         ("tests/training/test_sac.py", "tests/training/test_td3.py"),
@@ -54,7 +54,7 @@ NAMED = (
     Named(
         "m05",
         "SHAC: the value after the task has ended counts",
-        "training/algorithms/short_window.py",
+        "training/algorithms/shac.py",
         "jnp.where(done, jnp.where(terminated, 0, value), later)",
         "jnp.where(done, value, later)",
         ("tests/training/test_shac.py",),

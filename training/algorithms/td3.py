@@ -32,14 +32,16 @@ from jaxrod.training.algorithms.actor_critic import (
     polyak_update,
 )
 from jaxrod.training.algorithms.off_policy import (
+    Batch,
     OffPolicyConfig,
     OffPolicyState,
+    act_and_store,
     check_off_policy,
     deterministic_policy,
+    learn,
     partition,
     start,
 )
-from jaxrod.training.algorithms.off_policy_update import Batch, act_and_store, learn
 from jaxrod.training.algorithms.schedule import along_the_run
 from jaxrod.training.settings import (
     Scalar,
