@@ -11,7 +11,7 @@ import pytest
 
 from jaxrod.envs.trivial import Trivial, TrivialParams
 from jaxrod.training import SHACConfig, evaluate, train
-from jaxrod.training.algorithms import shac, short_window
+from jaxrod.training.algorithms import shac
 
 CONFIG = SHACConfig(
     num_envs=16,
@@ -30,8 +30,8 @@ def test_nothing_is_expected_after_a_task_has_ended_and_a_value_after_a_cut():
     earned, value = random.normal(size=(2, 4, 3))
     terminated, done = np.zeros((2, 4, 3), bool)
     terminated[1, 1], done[1, 1:] = True, True
-    names = [field.name for field in dataclasses.fields(short_window.Window)]
-    window = short_window.Window(
+    names = [field.name for field in dataclasses.fields(shac.Window)]
+    window = shac.Window(
         **dict.fromkeys(names)
         | {
             "earned": jnp.asarray(earned),
@@ -39,7 +39,7 @@ def test_nothing_is_expected_after_a_task_has_ended_and_a_value_after_a_cut():
             "done": jnp.asarray(done),
         }
     )
-    found = short_window.objective(window, jnp.asarray(value), discount)
+    found = shac.objective(window, jnp.asarray(value), discount)
     r, g = earned.T, discount
     expected = (
         r[0] @ g ** np.arange(4) + g**4 * value[3, 0],
@@ -85,9 +85,9 @@ def test_the_policy_climbs_what_the_batch_earns_and_differences_agree():
     @jax.jit
     def earned(weights, target):
         at = dataclasses.replace(state, weights=state.weights | {"target": target})
-        _, window = short_window.acted(at, weights, noise)
-        following = short_window.target_value(at, window.final_observation)
-        return short_window.objective(window, following, config.discount)
+        _, window = shac.acted(at, weights, noise)
+        following = shac.target_value(at, window.final_observation)
+        return shac.objective(window, following, config.discount)
 
     weights, target = state.weights["policy"], state.weights["target"]
     flat, back = jax.flatten_util.ravel_pytree(weights)
