@@ -44,11 +44,37 @@ from jaxrod.actuation.b_spline import b_spline_basis
 from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot
-from jaxrod.envs.soft_bodies.crossing import crosses_itself
 from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
+
+
+def crosses_itself(nodes: Float[Array, "2 n+1"]) -> Bool[Array, ""]:
+    """Whether two non-neighbouring segments cross in their interiors.
+
+    Args:
+        nodes: Nodes of the line [m].
+    """
+    starts, ends = nodes[:, :-1], nodes[:, 1:]
+    n = starts.shape[1]
+    # Row i, column j: side of segment i on which segment j starts and ends.
+    edge = ends - starts
+    start_side = _side(edge, starts, starts)
+    end_side = _side(edge, starts, ends)
+    parted = start_side * end_side < 0
+    apart = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :]) > 1
+    return jnp.any(parted & parted.T & apart)
+
+
+def _side(
+    edge: Float[Array, "2 n"], start: Float[Array, "2 n"], point: Float[Array, "2 m"]
+) -> Float[Array, "n m"]:
+    """Signed area: above 0 for a point left of a segment, below 0 right of it."""
+    x = point[0][None, :] - start[0][:, None]
+    y = point[1][None, :] - start[1][:, None]
+    return edge[0][:, None] * y - edge[1][:, None] * x
+
 
 Variant = Literal["clean"]
 VARIANTS: tuple[Variant, ...] = ("clean",)

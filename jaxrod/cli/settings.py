@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import ast
 import dataclasses
+import inspect
 import itertools
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
-
-from jaxrod.cli.field_meanings import field_meanings
 
 _WIDTH = 88
 """Width of a listing in columns."""
@@ -169,3 +168,40 @@ def path(text: str) -> Path:
     if not text.strip():
         raise argparse.ArgumentTypeError(f"must name a file or folder, got {text!r}")
     return Path(text)
+
+
+def field_meanings(kind: type) -> dict[str, str]:
+    """The string under each field of a class and its bases, on one line.
+
+    Python keeps no docstrings of fields, so they are read from the source. A class
+    without source (typed into an interpreter) has none.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        found |= _own_meanings(base)
+    return found
+
+
+def _own_meanings(kind: type) -> dict[str, str]:
+    try:
+        source = textwrap.dedent(inspect.getsource(kind))
+    except (OSError, TypeError):
+        return {}
+    (definition,) = ast.parse(source).body
+    assert isinstance(definition, ast.ClassDef)
+    pairs = zip(definition.body, definition.body[1:], strict=False)
+    return {
+        before.target.id: " ".join(text.split())
+        for before, after in pairs
+        if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name)
+        if (text := _text(after))
+    }
+
+
+def _text(statement: ast.stmt) -> str:
+    """Text of a statement that is a string; empty for any other statement."""
+    if not isinstance(statement, ast.Expr):
+        return ""
+    value: Any = statement.value
+    is_text = isinstance(value, ast.Constant) and isinstance(value.value, str)
+    return value.value if is_text else ""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxrod.envs import make
-from jaxrod.envs.arm.nest import published_nest, random_nest
+from jaxrod.envs.tasks.unstructured_nest import published_nest, random_nest
 from playing import (
     KEY,
     check_vmap_is_a_loop,

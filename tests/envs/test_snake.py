@@ -9,9 +9,8 @@ import pytest
 
 import jaxrod
 from jaxrod.envs import make
-from jaxrod.envs.soft_bodies.crossing import crosses_itself
 from jaxrod.envs.soft_bodies.flat_ground import FlatGround
-from jaxrod.envs.tasks.snake import CONTROL_PERIOD, PERIOD
+from jaxrod.envs.tasks.snake import CONTROL_PERIOD, PERIOD, crosses_itself
 from jaxrod.rods.motion import motion_of
 from playing import (
     KEY,

@@ -21,7 +21,7 @@ from jaxrod.training.algorithms.actor_critic import (
     initial_critics,
 )
 from jaxrod.training.algorithms.replay import Transition
-from jaxrod.training.algorithms.tanh_gaussian import tanh_gaussian
+from jaxrod.training.algorithms.sac import tanh_gaussian
 from jaxrod.training.runs.checkpoint import Checkpoints
 
 SMALL = SACConfig(
