@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +15,12 @@ from jaxrod.effects.memory import memory_of, recalled, remembers, stirred
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.elasticity import stored_energy
+from jaxrod.rods.elasticity import elastic_law, internal_loads, stored_energy
 from jaxrod.rods.motion import Loads, Motion, accumulate
 from jaxrod.rods.rod import Rod, RodState, angular_velocities, check_state
 from jaxrod.rods.words import or_fields, scene_words
 from jaxrod.structure import pytree
 from jaxrod.validation import check_kind
-
-Law = Literal["consistent", "pyelastica"]
-"""Elastic laws: loads from a stored energy, and PyElastica 1.0's."""
 
 
 @runtime_checkable
@@ -52,9 +49,14 @@ class Method:
     """Whether `stable_dt` bounds the step."""
 
     @property
-    def law(self) -> Law:
-        """The elastic law, which stability and statics need to know."""
-        return "consistent"
+    def has_energy(self) -> bool:
+        """Whether internal loads are the gradient of the stored energy."""
+        return True
+
+    @property
+    def solves_damping(self) -> bool:
+        """Whether damping by rates is solved with the kick, not multiplied after it."""
+        return True
 
     @property
     def solves_drag(self) -> bool:
@@ -65,6 +67,15 @@ class Method:
         """Integrator with its constants computed for one call."""
         # Not abstract: checks of single effects make scenes that are never stepped.
         raise NotImplementedError
+
+    def loads(self, scene: Scene, motion: Motion) -> Loads:
+        """All loads on the rod: forces [N], and couples [N m] that turn its inertia.
+
+        Stability and frequencies ask for them.
+        """
+        internal = internal_loads(elastic_law(scene.rod), motion)
+        assert internal.forces is not None and internal.couples is not None
+        return external_loads(scene, motion, internal.forces, internal.couples)
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError if the scene does not fit this method in any state.

@@ -20,8 +20,8 @@ from jaxrod import RodState, Scene, consistent, control_spline, spline_couples
 from jaxrod.envs.arm.clean import CleanArm
 from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.protocol import Drawable
+from jaxrod.methods.laws import Law
 from jaxrod.methods.planar_verlet import PlaneName
-from jaxrod.scene import Law
 from jaxrod.tradeoff import Problem
 from jaxrod.validation import Numbers
 

@@ -20,10 +20,10 @@ from jaxrod.composition import make_scene
 from jaxrod.effects.actuation import ElementCouples
 from jaxrod.effects.clamps import clamp, fixed_end
 from jaxrod.effects.loads import exponential_damping
-from jaxrod.methods.laws import IN_SPACE
+from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Law, Scene
+from jaxrod.scene import Scene
 from jaxrod.stepping.runs import advance
 
 N_ELEMENTS = 20

@@ -21,9 +21,9 @@ from benchmarks.rod_steps.arms import (
 )
 from benchmarks.rod_steps.pyelastica import TIME_STEP, pyelastica_steps_per_s
 from jaxrod.effects.actuation import ElementCouples
-from jaxrod.methods.laws import IN_SPACE
+from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Law, Scene
+from jaxrod.scene import Scene
 from jaxrod.stepping.runs import advance
 
 BATCHES = (1, 64, 256, 1024, 4096)
@@ -208,7 +208,10 @@ def _check_against_one_rod(
     actuated = dataclasses.replace(
         scene, effects=(*scene.effects, ElementCouples(couples))
     )
-    start = jax.tree.map(lambda leaf: leaf[0], arms(1, scene.method.law)[2])
+    start = jax.tree.map(
+        lambda leaf: leaf[0],
+        arms(1, "consistent" if scene.method.has_energy else "pyelastica")[2],
+    )
     alone = advance(actuated, start, TIME_STEP, n_steps)
     _compare("a single rod", states, jax.tree.map(np.asarray, alone))
 

@@ -21,11 +21,9 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
-from jaxrod.methods.pyelastica import PyElasticaStepper
-from jaxrod.rods.elasticity import elastic_law, internal_loads
-from jaxrod.rods.motion import Loads, Motion, motion_of
+from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, external_loads, scene_of
+from jaxrod.scene import Scene, scene_of
 from jaxrod.statics.freedoms import freedoms
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
@@ -147,10 +145,10 @@ def linearised(
             position=vectors.add(still.position, displacement),
             orientation=orientation,
         )
-        loads = _loads(scene, moved)
+        loads = scene.method.loads(scene, moved)
         assert loads.forces is not None and loads.couples is not None
         couples = loads.couples
-        if scene.method.law == "consistent":
+        if scene.method.has_energy:
             # Change of couples in rotating frames, symmetrised.
             fixed = vectors.split(lax.stop_gradient(vectors.join(couples)))
             half = vectors.scale(0.5, vectors.cross(turn, fixed))
@@ -171,22 +169,6 @@ def linearised(
         return -free * lax.optimization_barrier(change(motion))
 
     return apply
-
-
-def _loads(scene: Scene, motion: Motion) -> Loads:
-    """All loads under the scene's law, with couples equal to inertia times rotation."""
-    if scene.method.law == "consistent":
-        internal = internal_loads(elastic_law(scene.rod), motion)
-    else:
-        step = jnp.ones((), scene.rod.rest_lengths.dtype)
-        internal = PyElasticaStepper.create(scene, step).internal_loads(motion)
-    assert internal.forces is not None and internal.couples is not None
-    loads = external_loads(scene, motion, internal.forces, internal.couples)
-    if scene.method.law == "consistent":
-        return loads
-    assert loads.couples is not None
-    stretch = motion.lengths / scene.rod.rest_lengths
-    return replace(loads, couples=vectors.scale(stretch, loads.couples))
 
 
 def _krylov(

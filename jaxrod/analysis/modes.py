@@ -43,7 +43,7 @@ def natural_frequencies(
     scene = scene_of(scene, state)
     if n_modes is not None:
         n_modes = check_count("n_modes", n_modes, 1)
-    if scene.method.law != "consistent":
+    if not scene.method.has_energy:
         raise ValueError(
             f"natural_frequencies needs the consistent law, got {scene.method!r}: "
             "PyElastica's loads are not the gradient of an energy"

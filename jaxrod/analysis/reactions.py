@@ -35,7 +35,7 @@ def reactions(scene: Scene, state: RodState) -> tuple[Reaction | None, ...]:
         TypeError: If `scene` or `state` is of another type.
     """
     scene = scene_of(scene, state)
-    if scene.method.law != "consistent":
+    if not scene.method.has_energy:
         raise ValueError(f"reactions need the consistent law, got {scene.method!r}")
     return _reactions(scene, state)
 

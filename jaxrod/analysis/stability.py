@@ -178,7 +178,7 @@ def compression(
     rod = scene.rod
     edges = vectors.inner_difference(vectors.split(state.positions))
     edges = vectors.scale(1 / rod.rest_lengths, edges)
-    if scene.method.law == "pyelastica":
+    if not scene.method.has_energy:
         shortest = jnp.min(vectors.safe_norm(edges))
         return jnp.minimum(shortest, 1), shortest
     extents = vectors.dot(directors(split_quaternion(state.orientations))[2], edges)
@@ -356,7 +356,7 @@ def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
     be below the one that takes all inertia of any node or element away.
     """
     rates, drags = _rates(scene)
-    slope = _DECAY_SLOPE if scene.method.law == "consistent" else _FACTOR_SLOPE
+    slope = _DECAY_SLOPE if scene.method.solves_damping else _FACTOR_SLOPE
     worst, slowest = (jnp.zeros_like(undamped) for _ in range(2))
     gone = jnp.full_like(undamped, jnp.inf)
     for rate, drag in zip(rates, drags, strict=True):
@@ -412,7 +412,7 @@ def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
 
     They are not above zero if nothing is stable, however soft the rod is.
     """
-    added = _added_by_decay if scene.method.law == "consistent" else _added_by_factor
+    added = _added_by_decay if scene.method.solves_damping else _added_by_factor
     factors = []
     for rate, drag, one in zip(*_rates(scene), no_damping(scene.rod), strict=True):
         factor = one

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.scene import Law
+
+Law = Literal["consistent", "pyelastica"]
+"""Elastic laws: loads from a stored energy, and those of PyElastica 1.0."""
 
 IN_SPACE: dict[Law, Consistent | PyElastica] = {
     "consistent": Consistent(),

@@ -20,7 +20,7 @@ from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Law, Method, Scene, constrain, constrain_rates
+from jaxrod.scene import Method, Scene, constrain, constrain_rates
 from jaxrod.structure import pytree, static
 
 _PARTS = (
@@ -50,9 +50,14 @@ class Planar(Method):
     """The law, as a method in space."""
 
     @property
-    def law(self) -> Law:
-        """Law of the method in space."""
-        return self.of.law
+    def has_energy(self) -> bool:
+        """Whether the law in space has an energy."""
+        return self.of.has_energy
+
+    @property
+    def solves_damping(self) -> bool:
+        """Whether the method in space solves damping with the kick."""
+        return self.of.solves_damping
 
     @property
     def solves_drag(self) -> bool:
@@ -64,6 +69,10 @@ class Planar(Method):
         if isinstance(self.of, PyElastica):
             return PlanarPyElasticaStepper.create(scene, self.plane, state, dt)
         return PlanarConsistentStepper.create(scene, self.plane, state, dt)
+
+    def loads(self, scene: Scene, motion: Motion) -> Loads:
+        """All loads, as in space."""
+        return self.of.loads(scene, motion)
 
     def check_evolving(self, scene: Scene) -> None:
         """Raises ValueError if a driven support holds nodes across the plane."""

@@ -37,7 +37,6 @@ from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
 from jaxrod.rods.rod import Rod, RodState, angular_velocities, with_angular_velocities
 from jaxrod.scene import (
-    Law,
     Method,
     Scene,
     constrain,
@@ -200,9 +199,24 @@ class PyElastica(Method):
     """PyElastica's law and stepping order in space; see the module."""
 
     @property
-    def law(self) -> Law:
-        """Name of PyElastica 1.0's law."""
-        return "pyelastica"
+    def has_energy(self) -> bool:
+        """False: a stretched element changes its section, and loads with it."""
+        return False
+
+    @property
+    def solves_damping(self) -> bool:
+        """False: rates are multiplied after the kick."""
+        return False
+
+    def loads(self, scene: Scene, motion: Motion) -> Loads:
+        """All loads; couples grow with the stretch, as inertia shrinks with it."""
+        step = jnp.ones((), scene.rod.rest_lengths.dtype)
+        own = PyElasticaStepper.create(scene, step).internal_loads(motion)
+        assert own.forces is not None and own.couples is not None
+        loads = external_loads(scene, motion, own.forces, own.couples)
+        assert loads.couples is not None
+        stretch = motion.lengths / scene.rod.rest_lengths
+        return replace(loads, couples=vectors.scale(stretch, loads.couples))
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> PyElasticaStepper:
         """Constants of the step."""

@@ -87,7 +87,7 @@ def equilibrium(
         TypeError: If `scene` or `state` is of another type.
     """
     scene = scene_of(scene, state)
-    if scene.method.law != "consistent":
+    if not scene.method.has_energy:
         raise ValueError(f"equilibrium needs the consistent law, got {scene.method!r}")
     dtype = scene.rod.rest_lengths.dtype
     max_iterations = check_count("max_iterations", max_iterations, 1)

@@ -60,7 +60,7 @@ def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
     bound = stable_dt(scene, safety=1.0)
     largest, where = float(bound.dt), ""
     near = float(dt) > COMPRESSED * largest
-    if state is not None and (near or scene.method.law == "pyelastica"):
+    if state is not None and (near or not scene.method.has_energy):
         factor, shortest = map(float, compression(scene, state))
         if factor < 1 - ROUNDING:
             largest *= factor

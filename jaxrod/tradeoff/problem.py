@@ -9,10 +9,11 @@ import jax
 import numpy as np
 
 from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.laws import Law
 from jaxrod.methods.planar import Planar
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.rods.rod import RodState, check_size
-from jaxrod.scene import Law, Scene
+from jaxrod.scene import Scene
 from jaxrod.tradeoff.resampling import resampled
 from jaxrod.validation import check_array
 
@@ -86,7 +87,7 @@ def problem_of(
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):
         raise ValueError("state must be finite")
     check_array("duration", duration, [()], "s", positive=True)
-    if scene.method.law != "consistent":
+    if not scene.method.has_energy:
         raise ValueError(
             "a scene of PyElastica's law has no setting to choose: its clamp and its "
             "law are wrong by more than its steps are"

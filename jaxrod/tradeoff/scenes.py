@@ -18,10 +18,10 @@ from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp, fixed_end
 from jaxrod.effects.control_splines import control_spline
 from jaxrod.effects.loads import exponential_damping, gravity
-from jaxrod.methods.laws import IN_SPACE
+from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Law, Scene
+from jaxrod.scene import Scene
 from jaxrod.tradeoff.problem import Problem
 
 N_CONTROLS = 6

@@ -14,11 +14,11 @@ import numpy as np
 from jaxrod.analysis.inertia_scaling import scale_inertia
 from jaxrod.analysis.stability import stable_dt
 from jaxrod.methods.implicit import implicit
-from jaxrod.methods.laws import IN_SPACE
+from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.methods.planar import planar
 from jaxrod.methods.torsion_free import torsion_free
 from jaxrod.rods.rod import RodState, compensated
-from jaxrod.scene import Law, Scene
+from jaxrod.scene import Scene
 from jaxrod.tradeoff.problem import Problem
 
 Integrator = Literal["explicit", "implicit"]
