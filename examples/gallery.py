@@ -47,7 +47,7 @@ def show(file, run, number, look):
     folder.mkdir(exist_ok=True)
     replay, measured, reference = run()
     print(f"{number}: {measured:.4g}, {reference:.4g}")
-    replay.picture(path=folder / f"{name}.png", **look)
+    jaxrod.viz.picture(replay, path=folder / f"{name}.png", **look)
     jaxrod.viz.save_html(replay, folder / f"{name}.html")
     print(f"{folder / name}.png, {folder / name}.html")
 
@@ -76,7 +76,9 @@ def entry(name):
     replay, measured, reference = scene.run()
     picture = DOCS / "gallery" / f"{name}.png"
     picture.parent.mkdir(exist_ok=True)
-    replay.picture(path=picture, width=720, height=480, small=True, **scene.LOOK)
+    jaxrod.viz.picture(
+        replay, path=picture, width=720, height=480, small=True, **scene.LOOK
+    )
     steps = rate(model, state, dt)
     title, *_ = inspect.getdoc(scene).split("\n")
     return "\n".join(

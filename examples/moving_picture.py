@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod.viz import Replay, Sphere
+from jaxrod.viz import Replay, Sphere, film
 
 SECONDS, EVERY = 3.6, 36  # [s]; control steps from frame to frame
 PICTURE = Path(__file__).parents[1] / "docs" / "arm.gif"
@@ -49,5 +49,5 @@ if __name__ == "__main__":
         spheres=[Sphere(target, 0.04, "target")],
         up="y",
     )
-    replay.film(PICTURE, width=480, height=360, speed=0.7, zoom=1.3, captions=False)
+    film(replay, PICTURE, width=480, height=360, speed=0.7, zoom=1.3, captions=False)
     print(PICTURE)

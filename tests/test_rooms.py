@@ -27,19 +27,13 @@ def room(module):
 
 
 def arrows():
-    """Pairs of modules of which the first imports the second when it runs."""
+    """Pairs of modules of which the first imports the second, be it for types alone."""
     known = modules()
     pairs = set()
     for module, file in known.items():
         tree = ast.parse(file.read_text())
-        for_types = {
-            id(inner)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-            for inner in ast.walk(node)
-        }
         for node in ast.walk(tree):
-            if not isinstance(node, ast.ImportFrom) or id(node) in for_types:
+            if not isinstance(node, ast.ImportFrom):
                 continue
             for name in node.names:
                 whole = f"{node.module}.{name.name}"

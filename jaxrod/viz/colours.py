@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import colorsys
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from jaxrod.viz.replay import Replay
+from jaxrod.viz.recording import Recording
 
 RAMP = ("#3b4cc0", "#3fa0c8", "#5ec27a", "#f2c14e", "#d1402f")
 """Colours from the lowest to the highest number of a field."""
@@ -31,7 +29,7 @@ Entry = tuple[str, str, str]
 """Entry of a legend: a CSS fill, words, and "ramp" or an empty string."""
 
 
-def rod_colours(replay: Replay) -> list[str]:
+def rod_colours(replay: Recording) -> list[str]:
     """A colour as "#rrggbb" for every rod, in order.
 
     If there is only one kind of rods, each rod has its own colour, or a hue from a
@@ -58,14 +56,14 @@ def _one_of(rod: int, rods: int) -> str:
     return "#" + "".join(f"{round(255 * c):02x}" for c in (red, green, blue))
 
 
-def mesh_colours(replay: Replay) -> list[str]:
+def mesh_colours(replay: Recording) -> list[str]:
     """A colour for every mesh, in order."""
     return [
         mesh.colour or BODIES[k % len(BODIES)] for k, mesh in enumerate(replay.meshes)
     ]
 
 
-def rod_legend(replay: Replay) -> list[Entry]:
+def rod_legend(replay: Recording) -> list[Entry]:
     """Legend of the rods' colours, when no field colours them."""
     colours = rod_colours(replay)
     if not replay.rods:
@@ -90,7 +88,7 @@ def rod_legend(replay: Replay) -> list[Entry]:
     return [(f"linear-gradient(90deg, {', '.join(some)})", words, "ramp")]
 
 
-def other_legend(replay: Replay) -> list[Entry]:
+def other_legend(replay: Recording) -> list[Entry]:
     """Legend of the colours of everything but rods."""
     entries = [
         (SPHERES[k % len(SPHERES)], sphere.name, "")

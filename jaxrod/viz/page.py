@@ -19,17 +19,15 @@ import re
 import zlib
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from jaxrod.files import write_atomically
 from jaxrod.viz import colours
 from jaxrod.viz.meshes import shaded
+from jaxrod.viz.recording import Recording
 from jaxrod.viz.rods import at_nodes
-
-if TYPE_CHECKING:
-    from jaxrod.viz.replay import Replay
 
 # The order matters, because later scripts use the definitions of earlier ones.
 _SCRIPTS = (
@@ -47,7 +45,7 @@ _STEPS = 65535
 
 
 def html(
-    replay: Replay, *, frames_per_second: float = 60.0, autoplay: bool = True
+    replay: Recording, *, frames_per_second: float = 60.0, autoplay: bool = True
 ) -> str:
     """Returns a self-contained page that plays the replay in 3-D.
 
@@ -77,7 +75,7 @@ def html(
 
 
 def save_html(
-    replay: Replay,
+    replay: Recording,
     path: str | os.PathLike[str],
     *,
     frames_per_second: float = 60.0,
@@ -95,7 +93,7 @@ def save_html(
     write_atomically(path, page.encode("utf-8"))
 
 
-def encode(replay: Replay) -> tuple[dict[str, Any], bytes]:
+def encode(replay: Recording) -> tuple[dict[str, Any], bytes]:
     """Packs a replay into a JSON header and compressed bytes.
 
     The bytes are zlib-compressed. They hold, in this order:
@@ -173,7 +171,7 @@ def encode(replay: Replay) -> tuple[dict[str, Any], bytes]:
     return header, zlib.compress(data, 9)
 
 
-def _series(replay: Replay) -> tuple[np.ndarray, list[Any], int]:
+def _series(replay: Recording) -> tuple[np.ndarray, list[Any], int]:
     """Levels of all moving things (S, T), their scales, and the number of points."""
     frames = replay.num_frames
     points = [r.positions.reshape(frames, -1, 3) for r in replay.rods]
@@ -196,7 +194,7 @@ def _series(replay: Replay) -> tuple[np.ndarray, list[Any], int]:
     return np.concatenate(series), scales, len(series[0]) // 3
 
 
-def _levels(replay: Replay, label: str) -> np.ndarray:
+def _levels(replay: Recording, label: str) -> np.ndarray:
     """Levels of a field at all nodes, (N, T): 0 to 254, or 255 for none."""
     low, high = replay.field_range(label)
     parts = []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import html as markup
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -28,8 +27,8 @@ class Replay:
     Make one with `Replay.from_states` (a scene or a system and its states),
     `Replay.from_rollout` (component-first arrays) or `Replay.from_nodes` (one xyz
     triple per node): they check and convert. `together` combines several in one view.
-    In a notebook a replay shows itself as a 3-D player; `picture` and `film` write
-    files.
+    In a notebook a replay shows itself as a 3-D player; `jaxrod.viz.picture` and
+    `jaxrod.viz.film` write files.
     """
 
     times: Float[np.ndarray, "num_frames"]
@@ -386,30 +385,6 @@ class Replay:
             axis = "xyz".index(self.up)
             low[axis] = min(low[axis], self.floor)
         return low, high
-
-    def picture(self, frame: int | Sequence[int], path: Any, **look: Any) -> None:
-        """Writes a still of one frame, or of several in one, as a PNG file.
-
-        Args:
-            frame: Index of the frame, 0 to T-1, negative from the end. With several
-                frames the last is drawn in full colour, the earlier ones paler.
-            path: The file to write; its folder must exist.
-            **look: Options of `jaxrod.viz.picture`.
-        """
-        from jaxrod.viz.drawing import picture
-
-        picture(self, frame, path, **look)
-
-    def film(self, path: str | os.PathLike[str], **look: Any) -> None:
-        """Writes the motion as a GIF, or as an MP4 if ffmpeg is installed.
-
-        Args:
-            path: The file to write, ending in .gif or .mp4; its folder must exist.
-            **look: Options of `jaxrod.viz.film`.
-        """
-        from jaxrod.viz.drawing import film
-
-        film(self, path, **look)
 
     def __repr__(self) -> str:
         """One line that describes the recording, without the numbers."""

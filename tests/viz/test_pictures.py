@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import jaxrod
-from jaxrod.viz import Arrows, Mesh, Replay, Sphere, surfaces
+from jaxrod.viz import Arrows, Mesh, Replay, Sphere, film, picture, surfaces
 from jaxrod.viz.bodies import leaning_plane
 from jaxrod.viz.geometry import Shapes, refined
 from jaxrod.viz.light import view_of
@@ -83,7 +83,7 @@ def test_finer_lines_pass_through_all_nodes():
 
 
 def still(replay, frame, path, **more):
-    replay.picture(frame, path, **{**SMALL, "captions": False, **more})
+    picture(replay, frame, path, **{**SMALL, "captions": False, **more})
     with Image.open(path) as image:
         return np.asarray(image.convert("RGB")).astype(int)
 
@@ -115,7 +115,7 @@ def test_a_field_colours_from_one_end_of_the_ramp_to_the_other(tmp_path):
     redness = sorted(colour[0] - colour[2] for colour in ends)
     assert redness[0] < -40 and redness[1] > 60
     with pytest.raises(ValueError, match=r"field must be one of \['share \[1\]'\]"):
-        replay.picture(0, tmp_path / "c.png", field="speed [m/s]")
+        picture(replay, 0, tmp_path / "c.png", field="speed [m/s]")
 
 
 def test_of_several_frames_the_last_is_in_full(tmp_path):
@@ -152,22 +152,22 @@ def test_bodies_and_arrows_are_part_of_a_frame():
 def test_a_film_holds_its_frames(tmp_path):
     replay = swinging_arm(num_frames=41, duration=2.0)
     path = tmp_path / "arm.gif"
-    replay.film(path, frames_per_second=3, **SMALL)
+    film(replay, path, frames_per_second=3, **SMALL)
     with Image.open(path) as gif:
         assert gif.n_frames == 7
         assert gif.size == (120, 90)
         assert gif.info["duration"] == pytest.approx(2000 / 6, abs=10)
     with pytest.raises(ValueError, match=r"must end in .gif or .mp4, got"):
-        replay.film(tmp_path / "arm.avi")
+        film(replay, tmp_path / "arm.avi")
     with pytest.raises(ValueError, match="speed must be positive"):
-        replay.film(path, speed=0.0)
+        film(replay, path, speed=0.0)
 
 
 def test_a_film_as_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     replay = swinging_arm(num_frames=3, duration=0.1)
     with pytest.raises(FileNotFoundError, match="needs ffmpeg"):
-        replay.film(tmp_path / "arm.mp4", **SMALL)
+        film(replay, tmp_path / "arm.mp4", **SMALL)
 
 
 def test_a_small_thing_keeps_its_colour_in_a_film(tmp_path):
@@ -182,8 +182,8 @@ def test_a_small_thing_keeps_its_colour_in_a_film(tmp_path):
         up="y",
     )
     size = {"width": 480, "height": 360}
-    replay.film(tmp_path / "arm.gif", frames_per_second=2, captions=False, **size)
-    replay.picture(-1, tmp_path / "arm.png", captions=False, **size)
+    film(replay, tmp_path / "arm.gif", frames_per_second=2, captions=False, **size)
+    picture(replay, -1, tmp_path / "arm.png", captions=False, **size)
     with (
         Image.open(tmp_path / "arm.gif") as gif,
         Image.open(tmp_path / "arm.png") as png,
