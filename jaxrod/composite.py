@@ -53,6 +53,10 @@ class Composite(ABC):
         """Whether it depends on time or has memory."""
 
     @abstractmethod
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+
+    @abstractmethod
     def recalling(self, state: Any) -> Any:
         """The model with the memory of its effects as in a state."""
 

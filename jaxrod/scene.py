@@ -164,6 +164,14 @@ class Scene:
             if depends_on_time(effect) or remembers((effect,))
         )
 
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+        if self.depends_on_time:
+            raise ValueError(
+                "this asks about one moment, but a number of the scene's effects is a "
+                "schedule: give scene.at(time)"
+            )
+
     def recalling(self, state: Any) -> Scene:
         """Scene with the memory of its effects as in a state."""
         if state.memory is None or not self.remembers:
@@ -207,17 +215,8 @@ def scene_of(scene: Scene, state: RodState) -> Scene:
             time.
     """
     check_scene_and_state(scene, state)
-    check_moment(scene)
+    scene.check_moment()
     return scene.recalling(state)
-
-
-def check_moment(scene: Scene) -> None:
-    """Raises a `ValueError` if a scene depends on time."""
-    if scene.depends_on_time:
-        raise ValueError(
-            "this asks about one moment, but a number of the scene's effects is a "
-            "schedule: give scene.at(time)"
-        )
 
 
 def check_memory(scene: Scene, state: RodState) -> None:

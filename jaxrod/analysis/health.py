@@ -38,7 +38,6 @@ from jaxrod.scene import (
     Model,
     Scene,
     check_memory,
-    check_moment,
     check_scene,
     momentum,
 )
@@ -187,7 +186,7 @@ def health(
     if isinstance(scene, Composite):
         return scene.health(state, dt, limits)
     check_scene(scene)
-    check_moment(scene)
+    scene.check_moment()
     check_size(scene.rod, state)
     check_memory(scene, state)
     scene = scene.recalling(state)

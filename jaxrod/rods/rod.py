@@ -157,6 +157,15 @@ class RodState:
         return or_fields(state_words, self)
 
     @property
+    def rates(self) -> tuple[Array, Array]:
+        """Velocities of nodes and angular momenta of elements."""
+        return self.velocities, self.angular_momenta
+
+    def with_rates(self, velocities: Array, spins: Array) -> RodState:
+        """The state with other rates."""
+        return replace(self, velocities=velocities, angular_momenta=spins)
+
+    @property
     def directors(self) -> Float[Array, "*batch 3 3 n"]:
         """Material axes: `[..., i, j, :]` is world component j of director i."""
         return directors_from_orientations(self.orientations)

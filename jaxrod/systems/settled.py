@@ -29,19 +29,16 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.analysis.stability import stable_dt
-from jaxrod.composite import Composite
 from jaxrod.effects.loads import ExponentialDamping
-from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Model, Scene, check_moment, kinetic_energy
+from jaxrod.rods.rod import Rod
+from jaxrod.scene import Model, Scene, kinetic_energy
 from jaxrod.stepping.checks import check_arguments, check_first
 from jaxrod.stepping.memory import with_memory
 from jaxrod.stepping.runs import advance, step
 from jaxrod.structure import pytree
-from jaxrod.systems.members.rigid_bodies import (
-    BodyState,
-    RigidBodies,
-    body_angular_momenta,
-)
+from jaxrod.systems.contact.neighbour_lists import RECORD
+from jaxrod.systems.members.member import Member
+from jaxrod.systems.stepping.assembly import member_of
 from jaxrod.validation import as_array, check_count
 
 SHARE = 1e-8
@@ -116,7 +113,7 @@ def settled(
     every = check_count("every", every, 1, 100_000)
     blocks = -(-check_count("max_steps", max_steps, 1) // every)
     check_first(scene, 0, 0)
-    _check_moment(scene)
+    scene.check_moment()
     size = check_arguments(
         scene, state, stable_dt(scene).dt if dt is None else dt, None
     )
@@ -230,28 +227,22 @@ def _each(state: Any, function: Callable[[Any], Any]) -> Any:
     if not isinstance(state, dict):
         return function(state)
     # The record of lists of neighbours belongs to no member.
-    known = (RodState, BodyState)
-    return {k: function(v) if isinstance(v, known) else v for k, v in state.items()}
+    return {k: own if k == RECORD else function(own) for k, own in state.items()}
 
 
 def _rates(state: Any) -> Any:
     """Velocities and angular momenta (angular velocities of bodies) of all members."""
-    if isinstance(state, dict):
-        known = (RodState, BodyState)
-        return {k: _rates(v) for k, v in state.items() if isinstance(v, known)}
-    if isinstance(state, BodyState):
-        return state.velocities, state.angular_velocities
-    return state.velocities, state.angular_momenta
+    if not isinstance(state, dict):
+        return state.rates
+    return {k: own.rates for k, own in state.items() if k != RECORD}
 
 
 def _with_rates(state: Any, rates: Any) -> Any:
     """The state with the given rates."""
-    if isinstance(state, dict):
-        moving = {name: _with_rates(state[name], own) for name, own in rates.items()}
-        return {**state, **moving}
-    if isinstance(state, BodyState):
-        return replace(state, velocities=rates[0], angular_velocities=rates[1])
-    return replace(state, velocities=rates[0], angular_momenta=rates[1])
+    if not isinstance(state, dict):
+        return state.with_rates(*rates)
+    moving = {name: state[name].with_rates(*own) for name, own in rates.items()}
+    return {**state, **moving}
 
 
 def _pushes(scene: Model, state: Any, dt: Array) -> Any:
@@ -263,13 +254,10 @@ def _pushes(scene: Model, state: Any, dt: Array) -> Any:
 def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array, Array]:
     """Largest force [N] and couple [N m] out of balance."""
     largest = [jnp.zeros((), dt.dtype)] * 2
-    for member, own in _members(scene, _with_rates(state, pushes)):
-        if isinstance(member, RigidBodies):
-            masses, spins = member.masses, body_angular_momenta(member, own)
-        else:
-            masses, spins = member.rod.node_masses, own.angular_momenta
-        # With a leading axis for equal rods, components are next to last.
-        for k, push in enumerate((masses[..., None, :] * own.velocities, spins)):
+    pushed = _with_rates(state, pushes)
+    for name, member in _members(scene).items():
+        own = pushed[name] if name else pushed
+        for k, push in enumerate(member.momenta(own)):
             size = jnp.max(jnp.sum(push * push, axis=-2))
             largest[k] = jnp.maximum(largest[k], size)
     force, couple = (jnp.sqrt(size) / (INSTANT * dt) for size in largest)
@@ -278,51 +266,38 @@ def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array,
 
 def _damped(scene: Any, rate: Array) -> Any:
     """The model with all members damped in addition, at a rate [1/s]."""
-    if isinstance(scene, Composite):
-        system: Any = scene
-        damped = {name: _damped(own, rate) for name, own in system.members.items()}
-        return replace(system, members=damped)
+
+    def one(model: Any) -> Any:
+        more = ExponentialDamping(rate, rate)
+        return replace(model, effects=(*model.effects, more))
+
     if isinstance(scene, Scene):
-        # Every number of equal rods has a leading axis.
-        rate = jnp.broadcast_to(rate, scene.rod.rest_lengths.shape[:-1])
-    return replace(scene, effects=(*scene.effects, ExponentialDamping(rate, rate)))
+        return one(scene)
+    members = {name: member.mapped(one) for name, member in _members(scene).items()}
+    return replace(scene, members=members)
 
 
 def _with_memories(state: Any, more: int) -> Any:
     """State with room for the memory of one more effect, or of one less."""
-    if isinstance(state, BodyState) or state.memory is None:
+    if getattr(state, "memory", None) is None:
         return state
     memory = (*state.memory, {}) if more > 0 else state.memory[:more]
     return replace(state, memory=memory)
 
 
-def _members(scene: Model, state: Any) -> list[tuple[Any, Any]]:
-    """Scenes and rigid bodies with their states."""
-    if isinstance(scene, Scene):
-        return [(scene, state)]
-    members: Any = scene
-    return [(own, state[name]) for name, own in members.members.items()]
+def _members(scene: Any) -> dict[str, Member]:
+    """What answers for each member, by name; for a scene, without a name."""
+    return {"": member_of(scene)} if isinstance(scene, Scene) else scene.asked()
 
 
 def _kinetic(scene: Model, state: Any) -> Array:
     return kinetic_energy(scene.rod if isinstance(scene, Scene) else scene, state)
 
 
-def _check_moment(scene: Model) -> None:
-    if isinstance(scene, Composite):
-        own: Any = scene
-        own.check_moment()
-    else:
-        check_moment(scene)
-
-
 def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
     """Smallest tolerances of all rods; `None` without rods."""
-    if isinstance(scene, Scene):
-        rods = [scene.rod]
-    else:
-        own: Any = scene
-        rods = [m.rod for m in own.members.values() if isinstance(m, Scene)]
+    members = _members(scene).values()
+    rods = [member.rod for member in members if member.rod is not None]
     if not rods:
         return None, None
     forces, couples = zip(*(_tolerances_of(rod) for rod in rods), strict=True)

@@ -20,7 +20,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_moment, check_scene_and_state
+from jaxrod.scene import Scene, check_scene_and_state
 from jaxrod.validation import check_count, is_traced
 
 
@@ -48,7 +48,7 @@ def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Ro
         TypeError: If `scene` or `state` is of another type.
     """
     check_scene_and_state(scene, state)
-    check_moment(scene)
+    scene.check_moment()
     if scene.remembers:
         raise ValueError("resampled needs a scene whose effects remember nothing")
     n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)

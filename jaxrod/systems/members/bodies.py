@@ -113,6 +113,11 @@ class Bodies(Member):
         """Their part of a step."""
         return BodiesStepper(RigidStepper.create(self.model, carried, dt))
 
+    def momenta(self, state: Any) -> tuple[Array, Array]:
+        """Momenta and angular momenta of the bodies, world frame."""
+        masses = self.model.masses[None]
+        return masses * state.velocities, body_angular_momenta(self.model, state)
+
     def kinetic_energy(self, state: Any) -> Array:
         """Kinetic energy [J]."""
         return body_kinetic_energy(self.model, state)

@@ -17,6 +17,7 @@ from jaxrod.analysis.health import HealthLimits
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
+from jaxrod.rods.rod import Rod
 from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.members.rigid_stepper import Carried
 from jaxrod.systems.members.steppers import MemberStepper
@@ -42,6 +43,11 @@ class Member(ABC):
     def remembers(self) -> bool:
         """Whether an effect has memory."""
         return False
+
+    @property
+    def rod(self) -> Rod | None:
+        """Parameters of the rod or of equal rods; `None` for bodies."""
+        return None
 
     @abstractmethod
     def mapped(self, function: Callable[[Any], Any]) -> Any:
@@ -87,6 +93,10 @@ class Member(ABC):
             carried: Masses that are attached to its bodies, if there are any.
             dt: Step size [s].
         """
+
+    @abstractmethod
+    def momenta(self, state: Any) -> tuple[Array, Array]:
+        """Momenta of nodes or bodies [kg m/s], angular ones of elements [kg m^2/s]."""
 
     @abstractmethod
     def kinetic_energy(self, state: Any) -> Array:

@@ -76,6 +76,15 @@ class BodyState:
     """Angular velocities, world frame [rad/s]."""
 
     @property
+    def rates(self) -> tuple[Array, Array]:
+        """Velocities and angular velocities."""
+        return self.velocities, self.angular_velocities
+
+    def with_rates(self, velocities: Array, spins: Array) -> BodyState:
+        """The state with other rates."""
+        return replace(self, velocities=velocities, angular_velocities=spins)
+
+    @property
     def directors(self) -> Float[Array, "3 3 k"]:
         """Body axes: `[i, j]` is world component j of axis i."""
         return directors_from_orientations(self.orientations)

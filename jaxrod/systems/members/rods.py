@@ -56,6 +56,11 @@ class OneRod(Member):
         """Whether an effect has memory."""
         return self.model.remembers
 
+    @property
+    def rod(self) -> Rod:
+        """Parameters of the rod."""
+        return self.model.rod
+
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
         """Result of a function of a scene and of other things, for every rod."""
         return function(self.model, *given)
@@ -117,6 +122,11 @@ class OneRod(Member):
         """Its part of a step."""
         del carried
         return RodStepper(_verlet(self.model, state, dt), parts)
+
+    def momenta(self, state: Any) -> tuple[Array, Array]:
+        """Momenta of nodes and angular momenta of elements, components next to last."""
+        masses = self.model.rod.node_masses
+        return masses[..., None, :] * state.velocities, state.angular_momenta
 
     def kinetic_energy(self, state: Any) -> Array:
         """Kinetic energy [J]."""

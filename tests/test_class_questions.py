@@ -1,0 +1,41 @@
+"""Code that asks what class an object is becomes less, never more."""
+
+from collections import Counter
+from pathlib import Path
+
+from class_questions import counted, questions
+
+ROOT = Path(__file__).resolve().parents[1]
+MOST = {
+    "class": 110,
+    "compared classes": 3,
+    "compared laws": 0,
+    "hasattr": 16,
+    "leading axes": 12,
+}
+"""Numbers of questions in the folder jaxrod. When `class` was first counted it was
+142."""
+
+
+def test_no_more_questions_are_asked():
+    found = counted(ROOT)["all of jaxrod"]
+    assert {kind: n for kind, n in found.items() if n > MOST[kind]} == {}
+
+
+def test_questions_are_counted():
+    source = """
+if isinstance(member, RigidBodies | Other) or hasattr(member, "rod"):
+    pass
+if type(a) is Scene or scene.method.law == "pyelastica":
+    pass
+if member.rod.rest_lengths.ndim > 1 or isinstance(x, int):
+    pass
+"""
+    kinds = Counter(kind for _, kind in questions(source, {"RigidBodies", "Scene"}))
+    assert kinds == {
+        "class": 1,
+        "hasattr": 1,
+        "compared classes": 1,
+        "compared laws": 1,
+        "leading axes": 1,
+    }
