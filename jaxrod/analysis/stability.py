@@ -37,11 +37,11 @@ But friction drags along a surface, and contact is stiff across it. The step tha
 allows alone is up to 1.62 times as large (the golden ratio, if both allow the same).
 Third, in PyElastica mode motions that decay by an exponent of more than 1.28 within a
 step are assumed to decay less. There the bound grows in proportion to the rate, while
-the limit may be infinite. Friction acts on nodes and on elements. Each gets its part by
-inertia without damping, so the bound of rods that only rotate with much damping is up
-to five times too small. Fourth, damping that is solved by itself after the kick
-(`internal_damping`, `short_wave_damping`) is not counted: with much of it steps up to
-25 times as large were stable.
+the limit may be infinite. Friction between members is divided between what moves and
+what turns by inertia without damping, so the bound of rods that only rotate with much
+damping is up to five times too small there. Fourth, damping that is solved by itself
+after the kick (`internal_damping`, `short_wave_damping`) is not counted: with much of
+it steps up to 25 times as large were stable.
 """
 
 from __future__ import annotations
@@ -355,16 +355,18 @@ def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
     equation. So it is with the largest rate of damping and no drag. The step must also
     be below the one that takes all inertia of any node or element away.
     """
-    rates, drags = _rates(scene)
+    rates, drags = damping_rates(scene) or (None, None), _drag_rates(scene, None)
+    least = _drag_rates(scene, None, whole=False)
     slope = _DECAY_SLOPE if scene.method.solves_damping else _FACTOR_SLOPE
     worst, slowest = (jnp.zeros_like(undamped) for _ in range(2))
     gone = jnp.full_like(undamped, jnp.inf)
-    for rate, drag in zip(rates, drags, strict=True):
+    for rate, drag, little in zip(rates, drags, least, strict=True):
         added = jnp.zeros_like(undamped) if rate is None else slope * rate * undamped
         taken = jnp.zeros_like(undamped) if drag is None else 0.5 * drag * undamped
+        sure = jnp.zeros_like(undamped) if little is None else 0.5 * little * undamped
         worst = jnp.maximum(worst, jnp.max(taken))
         slowest = jnp.maximum(slowest, jnp.max(added))
-        net = jnp.max(taken - added)
+        net = jnp.max(sure - added)
         runs_out = net > 0
         gone = jnp.minimum(
             gone, jnp.where(runs_out, 1 / jnp.where(runs_out, net, 1), jnp.inf)
@@ -388,23 +390,55 @@ def _total(scene: Scene, name: str) -> Array | None:
 
 def _is_damped(scene: Scene) -> bool:
     """Whether an effect of the scene has damping or drag; depends on structure only."""
-    drags = (_total(scene, "node_drag"), _total(scene, "element_drag"))
-    return damping_rates(scene) is not None or drags != (None, None)
+    return damping_rates(scene) is not None or _drag_rates(scene, None) != (None, None)
 
 
-def _rates(
-    scene: Scene,
-) -> tuple[tuple[Array | None, Array | None], tuple[Array | None, Array | None]]:
-    """Rates of damping and of explicit drag [1/s], each for nodes and for elements."""
+def _drag_rates(
+    scene: Scene, dt: Array | None, *, whole: bool = True
+) -> tuple[Array | None, Array | None]:
+    """Rates of explicit drag [1/s] of nodes and of elements.
+
+    Args:
+        scene: The scene.
+        dt: Step for whose damped inertias slip is divided between nodes and elements;
+            `None` for inertias without damping.
+        whole: Whether both get their parts of slip. If not, both get less than any
+            division gives them.
+    """
     rod = scene.rod
     transverse, polar = rod.inertias
     least = jnp.minimum(transverse, polar) if scene.method.twist else transverse
-    nodes, elements = _total(scene, "node_drag"), _total(scene, "element_drag")
-    drags = (
-        None if nodes is None else nodes / rod.node_masses,
-        None if elements is None else elements / least,
+    slips = _total(scene, "slip_drag"), _total(scene, "slip_couple")
+    ratio = jnp.ones((), rod.rest_lengths.dtype)
+    if slips[0] is not None and slips[1] is not None:
+        moved, turned = jnp.max(slips[0] / rod.node_masses), jnp.max(slips[1] / least)
+        none = moved <= 0
+        ratio = jnp.where(none, 1, turned / jnp.where(none, 1, moved))
+        rates = damping_rates(scene)
+        if dt is not None and rates is not None:
+            added = _added(scene)
+            factors = [1 + added(jnp.min(rate) * dt) for rate in rates]
+            ratio = ratio * factors[0] / factors[1]
+    parts = (ratio, 1 / ratio) if whole else (0 * ratio, 0 * ratio)
+    total: list[Array | None] = [None, None]
+    for effect in scene.effects:
+        bound = effect.stability_bound(rod)
+        for k, part in enumerate(
+            (None, None) if bound is None else bound.drags(*parts)
+        ):
+            if part is not None:
+                own = total[k]
+                total[k] = part if own is None else own + part
+    nodes_total, elements_total = total
+    return (
+        None if nodes_total is None else nodes_total / rod.node_masses,
+        None if elements_total is None else elements_total / least,
     )
-    return damping_rates(scene) or (None, None), drags
+
+
+def _added(scene: Scene) -> Callable[[Array], Array]:
+    """Function that gives what damping adds to inertia, over the inertia."""
+    return _added_by_decay if scene.method.solves_damping else _added_by_factor
 
 
 def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
@@ -412,12 +446,12 @@ def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
 
     They are not above zero if nothing is stable, however soft the rod is.
     """
-    added = _added_by_decay if scene.method.solves_damping else _added_by_factor
+    rates, drags = damping_rates(scene) or (None, None), _drag_rates(scene, dt)
     factors = []
-    for rate, drag, one in zip(*_rates(scene), no_damping(scene.rod), strict=True):
+    for rate, drag, one in zip(rates, drags, no_damping(scene.rod), strict=True):
         factor = one
         if rate is not None:
-            factor = factor + added(rate * dt)
+            factor = factor + _added(scene)(rate * dt)
         if drag is not None:
             factor = factor - 0.5 * dt * drag
         factors.append(factor.astype(one.dtype))

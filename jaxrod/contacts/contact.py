@@ -125,22 +125,15 @@ class Contact(Effect):
         if self.friction_drag is None:
             node_drag = None if drag is None else drag * at_nodes
             return StabilityBound(nodes=stiffness, node_drag=node_drag)
-        # Slip has a part from the velocity and a part from the spin. By Young's
-        # inequality its square is at most (1 + ratio) times the square of the former
-        # plus (1 + 1 / ratio) times the square of the latter.
         squares = rod.radii**2
-        inertia = jnp.min(rod.rotary_inertia, axis=0)
-        ratio = jnp.max(squares * rod.linear_density / inertia)
-        slip = self.friction_drag * (1 + ratio)
-        drag = slip if drag is None else jnp.maximum(drag, slip)
         around = vectors.pad(squares, 0, 1), vectors.pad(squares, 1, 0)
         largest = jnp.maximum(*around)
         lever = jnp.maximum(largest[1:], largest[:-1])
-        turning = self.friction_drag * (1 + 1 / ratio) * lever
         return StabilityBound(
             nodes=stiffness,
-            node_drag=drag * at_nodes,
-            element_drag=turning * at_elements,
+            node_drag=None if drag is None else drag * at_nodes,
+            slip_drag=self.friction_drag * at_nodes,
+            slip_couple=self.friction_drag * lever * at_elements,
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:

@@ -41,6 +41,31 @@ class StabilityBound:
     """Drag force on a node per speed, if `loads` contains it (explicit drag) [kg/s]."""
     element_drag: Array | None = None
     """Drag couple on an element per angular velocity, if in `loads` [N m s]."""
+    slip_drag: Array | None = None
+    """Friction on the surface at a node per speed of slip, perpendicular to what
+    `node_drag` drags [kg/s]. It drags what moves and what turns; each is given its
+    part by inertia, damping included."""
+    slip_couple: Array | None = None
+    """The same about the axes of an element: drag times lever squared [N m s]."""
+
+    def drags(self, moving: Array, turning: Array) -> tuple[Array | None, Array | None]:
+        """Drag on nodes and on elements, slip included.
+
+        Slip is the sum of a velocity and of a spin times a lever. By Young's inequality
+        its square is at most `1 + moving` times the square of the first and
+        `1 + turning` times that of the second, if the product of both numbers is one.
+        """
+        if self.slip_drag is None or self.slip_couple is None:
+            return self.node_drag, self.element_drag
+        nodes, elements = (
+            (1 + moving) * self.slip_drag,
+            (1 + turning) * self.slip_couple,
+        )
+        if self.node_drag is not None:
+            nodes = jnp.maximum(nodes, self.node_drag)
+        if self.element_drag is not None:
+            elements = elements + self.element_drag
+        return nodes, elements
 
 
 @pytree

@@ -140,6 +140,9 @@ def test_the_step_is_safe_and_close_with_much_friction_and_damping():
         {"damping": 10.0},
         {"drag": 3.0, "turning": 0.3},
         {"moving": 10.0, "turning": 10.0},
+        {"drag": 1.0, "turning": 100.0},
+        {"drag": 10.0, "turning": 1000.0},
+        {"drag": 10.0, "moving": 100.0},
     ]
     found = shares(2, jaxrod.consistent(), cases)
     assert np.all((found > 0.5) & (found < 1 + 2e-3))

@@ -271,4 +271,6 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
         elements=one(a.elements, b.elements),
         node_drag=one(a.node_drag, b.node_drag),
         element_drag=one(a.element_drag, b.element_drag),
+        slip_drag=one(a.slip_drag, b.slip_drag),
+        slip_couple=one(a.slip_couple, b.slip_couple),
     )
