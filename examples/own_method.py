@@ -53,7 +53,7 @@ def swing(method, steps, seconds=0.1):
 
 
 if __name__ == "__main__":
-    jaxrod.configure_cpu(1)
+    jaxrod.configure_cpu()
     for steps in (500, 1000):
         apart = swing(SymplecticEuler(), steps) - swing(CONSISTENT, steps)
         print(f"{steps} steps: {float(jnp.linalg.norm(apart)):.1e} m from Verlet's")

@@ -98,8 +98,19 @@ WITHOUT_JIT = {
 }
 
 
+LONG = {"a step of a system", "the gradient of a system", "the gradient, implicit"}
+
+
+def names_of(programs):
+    """Names of programs; those that compile for long are slow tests."""
+    return [
+        pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
+        for name in programs
+    ]
+
+
 @pytest.mark.default_precision
-@pytest.mark.parametrize("name", WITHOUT_JIT)
+@pytest.mark.parametrize("name", names_of(WITHOUT_JIT))
 def test_without_jit_it_is_the_same(name):
     wanted = WITHOUT_JIT[name]()
     with jax.disable_jit():
@@ -217,7 +228,7 @@ SOUND = {
 
 
 @pytest.mark.default_precision
-@pytest.mark.parametrize("name", SOUND)
+@pytest.mark.parametrize("name", names_of(SOUND))
 def test_nothing_stops_being_finite_on_the_way(name):
     with jax.debug_nans(True), jax.debug_infs(True):
         made = SOUND[name]()

@@ -282,8 +282,9 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
         words[1] = args.variant
     elif args.resume and variant is None:
         words[1] = args.variant or _default_variant(args.task)
-    chosen = settings.options(args.option)
-    words[2:2] = [f"{k}-{v}" for k, v in chosen.items() if isinstance(v, int | float)]
+    if args.task in envs.names():
+        chosen = settings.options(args.option).items()
+        words[2:2] = [f"{k}-{v}" for k, v in chosen if isinstance(v, int | float)]
     return Path("runs") / "-".join(word for word in words if word)
 
 
