@@ -18,7 +18,7 @@ from jaxrod.systems.joints.glue import Glue, GluedSide
 from jaxrod.systems.members.parts import Seen
 from jaxrod.systems.sites.coupling import AllSeen
 from jaxrod.systems.sites.places import Points
-from jaxrod.systems.sites.rows import picked, sum_of_loads
+from jaxrod.systems.sites.rows import gather, sum_of_loads
 
 
 @pytree
@@ -79,10 +79,10 @@ def surface_joint(made: Glue) -> SurfaceJoint:
 def _middles_and_arms(side: GluedSide, seen: Seen) -> tuple[Vec3, Vec3]:
     """Middles of elements, and from there to the joint [m]."""
     nodes, nexts = side.points.nodes, side.nexts
-    x, y, z = (picked(c, nexts) - picked(c, nodes) for c in seen.motion.position)
+    x, y, z = (gather(c, nexts) - gather(c, nodes) for c in seen.motion.position)
     rest: Any = seen.parts.rest_lengths
     lengths = jnp.sqrt(x * x + y * y + z * z)
-    thinner: Array = jnp.sqrt(picked(rest, side.points.elements) / lengths)
+    thinner: Array = jnp.sqrt(gather(rest, side.points.elements) / lengths)
     frame = directors(orientation_at(seen, side.points))
     arms = vectors.scale(thinner, to_world(frame, vectors.split(side.offsets)))
     return side.middles(seen, seen.motion.position), arms

@@ -286,7 +286,7 @@ def _with_memories(state: Any, more: int) -> Any:
 
 
 def _members(scene: Any) -> dict[str, Member]:
-    """What answers for each member, by name; for a scene, without a name."""
+    """Members by name, as their interface; of a scene, one without a name."""
     return {"": member_of(scene)} if isinstance(scene, Scene) else scene.asked()
 
 

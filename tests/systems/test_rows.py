@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxrod.systems.sites.places import Indices
-from jaxrod.systems.sites.rows import picked, replaced, summed
+from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set
 
 SIZE = 60
 INDICES = {
@@ -32,10 +32,10 @@ ROW = jnp.asarray(np.random.default_rng(2).normal(size=SIZE))
 def test_picked(name: str) -> None:
     """What numpy picks, bit for bit, of one row and of a batch."""
     index = (INDICES | REPEATED)[name]
-    found = jax.jit(picked, static_argnums=1)(ROW, Indices(index))
+    found = jax.jit(gather, static_argnums=1)(ROW, Indices(index))
     np.testing.assert_array_equal(found, np.asarray(ROW)[index])
     batch = jnp.stack([ROW, -ROW])
-    both = jax.vmap(lambda row: picked(row, Indices(index)))(batch)
+    both = jax.vmap(lambda row: gather(row, Indices(index)))(batch)
     np.testing.assert_array_equal(both, np.asarray(batch)[:, index])
 
 
@@ -46,7 +46,7 @@ def test_replaced(name: str) -> None:
     values = jnp.arange(len(index)) + 100.0
     expected = np.array(ROW)
     expected[index] = values
-    found = jax.jit(replaced, static_argnums=1)(ROW, Indices(index), values)
+    found = jax.jit(scatter_set, static_argnums=1)(ROW, Indices(index), values)
     np.testing.assert_array_equal(found, expected)
 
 
@@ -57,7 +57,7 @@ def test_summed(name: str) -> None:
     values = jnp.asarray(np.random.default_rng(3).normal(size=len(index)))
     expected = np.zeros(SIZE)
     np.add.at(expected, index, values)
-    found = jax.jit(summed, static_argnums=(1, 2))(values, Indices(index), SIZE)
+    found = jax.jit(scatter_add, static_argnums=(1, 2))(values, Indices(index), SIZE)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
@@ -66,7 +66,9 @@ def test_transposed(name: str) -> None:
     """Picking and adding up are each other's transpose."""
     index = Indices((INDICES | REPEATED)[name])
     values = jnp.asarray(np.random.default_rng(4).normal(size=len(index)))
-    _, back = jax.vjp(lambda row: picked(row, index), ROW)
-    np.testing.assert_allclose(back(values)[0], summed(values, index, SIZE), atol=1e-14)
-    _, back = jax.vjp(lambda row: summed(row, index, SIZE), values)
-    np.testing.assert_array_equal(back(ROW)[0], picked(ROW, index))
+    _, back = jax.vjp(lambda row: gather(row, index), ROW)
+    np.testing.assert_allclose(
+        back(values)[0], scatter_add(values, index, SIZE), atol=1e-14
+    )
+    _, back = jax.vjp(lambda row: scatter_add(row, index, SIZE), values)
+    np.testing.assert_array_equal(back(ROW)[0], gather(ROW, index))

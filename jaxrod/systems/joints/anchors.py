@@ -37,7 +37,7 @@ from jaxrod.systems.sites.places import (
     position_of,
     resolved,
 )
-from jaxrod.systems.sites.rows import picked, summed
+from jaxrod.systems.sites.rows import gather, scatter_add
 
 
 @pytree
@@ -61,7 +61,7 @@ class Anchors:
 
     def nodes(self, seen: Seen) -> Vec3:
         """Positions of the nodes [m]."""
-        x, y, z = (picked(c, self.points.nodes) for c in seen.motion.position)
+        x, y, z = (gather(c, self.points.nodes) for c in seen.motion.position)
         return x, y, z
 
     def positions(self, seen: Seen) -> Vec3:
@@ -70,7 +70,7 @@ class Anchors:
 
     def velocities(self, seen: Seen, point: Vec3) -> Vec3:
         """Velocities of the elements' material at some points [m/s]."""
-        x, y, z = (picked(c, self.points.nodes) for c in seen.motion.velocity)
+        x, y, z = (gather(c, self.points.nodes) for c in seen.motion.velocity)
         arm = vectors.subtract(point, self.nodes(seen))
         return vectors.add((x, y, z), vectors.cross(spin_at(seen, self.points), arm))
 
@@ -153,14 +153,16 @@ def spring_bounds(
         masses = own.node_masses[points.nodes.values]
         inertia = jnp.min(own.inertias, axis=0)[points.elements.values]
         sizes = own.n_nodes, own.inertias.shape[1]
-        nodes = summed(ease * masses * stiffness, points.nodes, sizes[0])
-        elements = summed(ease * inertia * stiffness, points.elements, sizes[1])
+        nodes = scatter_add(ease * masses * stiffness, points.nodes, sizes[0])
+        elements = scatter_add(ease * inertia * stiffness, points.elements, sizes[1])
         bound = StabilityBound(nodes=nodes, elements=elements)
         if drag is not None:
             bound = replace(
                 bound,
-                node_drag=summed(ease * masses * drag, points.nodes, sizes[0]),
-                element_drag=summed(ease * inertia * drag, points.elements, sizes[1]),
+                node_drag=scatter_add(ease * masses * drag, points.nodes, sizes[0]),
+                element_drag=scatter_add(
+                    ease * inertia * drag, points.elements, sizes[1]
+                ),
             )
         total[points.member] = added_bounds(total.get(points.member), bound)
     return total

@@ -35,7 +35,7 @@ from jaxrod.systems.sites.places import (
     position_of,
     resolved,
 )
-from jaxrod.systems.sites.rows import picked, replaced, sum_of_loads, summed
+from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set, sum_of_loads
 from jaxrod.validation import is_traced
 
 
@@ -86,7 +86,7 @@ class Attachment(Coupling):
         count = parts[self.bodies.member].count
 
         def total(field: Array) -> Array:
-            return summed(field, self.bodies.elements, count)
+            return scatter_add(field, self.bodies.elements, count)
 
         x, y, z = (total(component) for component in weighted)
         one, two, three = (
@@ -102,7 +102,7 @@ class Attachment(Coupling):
         return to_world(frame, vectors.split(self.places))
 
     def _velocities(self, seen: Seen, arms: Vec3) -> Vec3:
-        x, y, z = (picked(c, self.bodies.nodes) for c in seen.motion.velocity)
+        x, y, z = (gather(c, self.bodies.nodes) for c in seen.motion.velocity)
         swing = vectors.cross(spin_at(seen, self.bodies), arms)
         return vectors.add((x, y, z), swing)
 
@@ -110,7 +110,7 @@ class Attachment(Coupling):
         """Puts the nodes at their places on the bodies, with the velocities there."""
         body = seen[self.bodies.member]
         arms = self._arms(body)
-        x, y, z = (picked(c, self.bodies.nodes) for c in body.motion.position)
+        x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
         place = vectors.add((x, y, z), arms)
         motion = seen[self.points.member].motion
         nodes = self.points.nodes
@@ -136,26 +136,26 @@ class Attachment(Coupling):
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
         """Impulses of the nodes, passed on to their bodies."""
         name, nodes = self.points.member, self.points.nodes
-        masses = picked(before[name].parts.node_masses, nodes)
+        masses = gather(before[name].parts.node_masses, nodes)
         was, now = before[name].motion.velocity, after[name].motion.velocity
         gained = vectors.subtract(now, was)
-        x, y, z = (masses * picked(component, nodes) for component in gained)
+        x, y, z = (masses * gather(component, nodes) for component in gained)
         couple = vectors.cross(self._arms(before[self.bodies.member]), (x, y, z))
         return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
 
     def violation(self, seen: AllSeen) -> Array:
         """Largest distance of a node from its place, over the radius."""
         body, own = seen[self.bodies.member], seen[self.points.member]
-        x, y, z = (picked(c, self.bodies.nodes) for c in body.motion.position)
+        x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
         place = vectors.add((x, y, z), self._arms(body))
-        at, bt, ct = (picked(c, self.points.nodes) for c in own.motion.position)
+        at, bt, ct = (gather(c, self.points.nodes) for c in own.motion.position)
         apart = vectors.safe_norm(vectors.subtract((at, bt, ct), place))
         assert own.parts.radii is not None
         return jnp.max(apart) / jnp.min(own.parts.radii)
 
 
 def _put(field: Vec3, index: Indices, value: Vec3) -> Vec3:
-    x, y, z = (replaced(a, index, b) for a, b in zip(field, value, strict=True))
+    x, y, z = (scatter_set(a, index, b) for a, b in zip(field, value, strict=True))
     return x, y, z
 
 

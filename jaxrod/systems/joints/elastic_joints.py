@@ -40,7 +40,7 @@ from jaxrod.structure import pytree
 from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.sites.places import Points
-from jaxrod.systems.sites.rows import picked, sum_of_loads, summed
+from jaxrod.systems.sites.rows import gather, scatter_add, sum_of_loads
 
 
 @pytree
@@ -223,13 +223,13 @@ def _inverse(matrix: Matrix) -> tuple[Array, Array]:
 
 def orientation_at(seen: Seen, points: Points) -> Quaternion:
     """Orientations of some elements."""
-    w, x, y, z = (picked(c, points.elements) for c in seen.motion.orientation)
+    w, x, y, z = (gather(c, points.elements) for c in seen.motion.orientation)
     return w, x, y, z
 
 
 def spin_at(seen: Seen, points: Points) -> Vec3:
     """Angular velocities of some elements, world frame [rad/s]."""
-    x, y, z = (picked(c, points.elements) for c in seen.angular_velocities)
+    x, y, z = (gather(c, points.elements) for c in seen.angular_velocities)
     return x, y, z
 
 
@@ -247,10 +247,10 @@ def turning_bounds(
     total: dict[str, StabilityBound] = {}
     for points, own in ((a, inertia[0]), (b, inertia[1])):
         size = parts[points.member].inertias.shape[1]
-        elements = summed(stiffness * ease * own, points.elements, size)
+        elements = scatter_add(stiffness * ease * own, points.elements, size)
         drag = None
         if damping is not None:
-            drag = summed(damping * ease * own, points.elements, size)
+            drag = scatter_add(damping * ease * own, points.elements, size)
         bound = StabilityBound(elements=elements, element_drag=drag)
         total[points.member] = added_bounds(total.get(points.member), bound)
     return total

@@ -39,7 +39,7 @@ from jaxrod.systems.joints.elastic_joints import (
     spin_at,
 )
 from jaxrod.systems.joints.welds import elastic_joints
-from jaxrod.systems.members.parts import Parts, Seen, in_one_row
+from jaxrod.systems.members.parts import Parts, Seen, flatten_rods
 from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.sites.places import (
     Indices,
@@ -49,7 +49,7 @@ from jaxrod.systems.sites.places import (
     points_of,
     resolved,
 )
-from jaxrod.systems.sites.rows import picked, sum_of_loads, summed
+from jaxrod.systems.sites.rows import gather, scatter_add, sum_of_loads
 from jaxrod.systems.stepping.stepper import added
 from jaxrod.validation import Numbers, as_array, check_count
 
@@ -68,7 +68,7 @@ class GluedSide:
     def middles(self, seen: Seen, field: Vec3) -> Vec3:
         """Values of a field on nodes at the middles of the elements."""
         x, y, z = (
-            0.5 * (picked(c, self.points.nodes) + picked(c, self.nexts)) for c in field
+            0.5 * (gather(c, self.points.nodes) + gather(c, self.nexts)) for c in field
         )
         return x, y, z
 
@@ -115,11 +115,13 @@ class GluedSide:
 
         def on_nodes(rate: Array) -> Array:
             size = parts.n_nodes
-            one = summed(rate * first, self.points.nodes, size)
-            return one + summed(rate * following, self.nexts, size)
+            one = scatter_add(rate * first, self.points.nodes, size)
+            return one + scatter_add(rate * following, self.nexts, size)
 
         def on_elements(rate: Array) -> Array:
-            return summed(rate * least, self.points.elements, parts.inertias.shape[1])
+            return scatter_add(
+                rate * least, self.points.elements, parts.inertias.shape[1]
+            )
 
         return StabilityBound(
             nodes=on_nodes(rate),
@@ -432,7 +434,7 @@ def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
     # The state is concrete even while other numbers are traced.
     with jax.ensure_compile_time_eval():
         if state.positions.ndim == 3:
-            row = in_one_row(row)
+            row = flatten_rods(row)
         positions, orientations = map(np.asarray, row)
         middles = 0.5 * (positions[:, first] + positions[:, first + 1])
         frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))

@@ -45,7 +45,7 @@ from jaxrod.systems.joints.springs import optional_number
 from jaxrod.systems.members.parts import Seen
 from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.sites.places import Place, position_of
-from jaxrod.systems.sites.rows import sum_of_loads, summed
+from jaxrod.systems.sites.rows import scatter_add, sum_of_loads
 from jaxrod.systems.system import System
 from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_traced
 
@@ -170,13 +170,13 @@ class PoseSpring(Coupling):
         lever = vectors.dot(arm, arm) > 0
 
         def on_nodes(rate: Array) -> Array:
-            return summed(rate * ease * masses, points.nodes, own.n_nodes)
+            return scatter_add(rate * ease * masses, points.nodes, own.n_nodes)
 
         def on_elements(rate: Array, turning: Array | None) -> Array:
             total = jnp.where(lever, rate * ease * inertia, zero)
             if turning is not None:
                 total = total + turning
-            return summed(total, points.elements, own.inertias.shape[1])
+            return scatter_add(total, points.elements, own.inertias.shape[1])
 
         drag, none = self.damping, jnp.zeros_like(self.stiffness)
         damps = drag is not None or self.turning_damping is not None

@@ -28,7 +28,7 @@ from jaxrod.systems.sites.places import (
     position_of,
     resolved,
 )
-from jaxrod.systems.sites.rows import picked, replaced, summed
+from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set
 from jaxrod.validation import is_traced
 
 _APART = 1e-3
@@ -71,13 +71,13 @@ class Tie(Coupling):
         for number, points in enumerate(self.points):
             motion = seen[points.member].motion
             x, y, z = (
-                replaced(component, points.nodes, shared[k][number])
+                scatter_set(component, points.nodes, shared[k][number])
                 for k, component in enumerate(getattr(motion, field))
             )
             kept: dict[str, Any] = {field: (x, y, z)}
             if field == "position" and motion.remainder is not None:
                 u, v, w = (
-                    replaced(c, points.nodes, jnp.zeros(len(points.nodes), c.dtype))
+                    scatter_set(c, points.nodes, jnp.zeros(len(points.nodes), c.dtype))
                     for c in motion.remainder
                 )
                 kept["remainder"] = (u, v, w)
@@ -116,24 +116,24 @@ class Tie(Coupling):
         masses, speeds, held = [], [], []
         for points in self.points:
             own = seen[points.member]
-            masses.append(picked(own.parts.node_masses, points.nodes))
+            masses.append(gather(own.parts.node_masses, points.nodes))
             values = getattr(own.motion, field)[axis]
-            speeds.append(picked(values, points.nodes))
+            speeds.append(gather(values, points.nodes))
             if own.parts.held is None:
                 held.append(jnp.zeros_like(masses[-1]))
             else:
-                held.append(picked(own.parts.held[axis], points.nodes))
+                held.append(gather(own.parts.held[axis], points.nodes))
         group = self._group()
         mass, speed, fast = map(jnp.concatenate, (masses, speeds, held))
 
         def total(field: Array) -> Array:
-            return summed(field, group, self.n_groups)
+            return scatter_add(field, group, self.n_groups)
 
         free = total(mass * speed) / total(mass)
         count = total(fast)
         led = total(fast * speed) / jnp.where(count > 0, count, 1)
         shared = jnp.where(count > 0, led, free)
-        return [picked(shared, groups) for groups in self.groups]
+        return [gather(shared, groups) for groups in self.groups]
 
     def _group(self) -> Indices:
         """Number of the group of every tied node, all members in one row."""
@@ -144,7 +144,7 @@ class Tie(Coupling):
         places, radii = [], []
         for points in self.points:
             own = seen[points.member]
-            places.append([picked(c, points.nodes) for c in own.motion.position])
+            places.append([gather(c, points.nodes) for c in own.motion.position])
             assert own.parts.radii is not None
             radii.append(jnp.min(own.parts.radii))
         group = self._group()
@@ -152,8 +152,8 @@ class Tie(Coupling):
         squares = []
         for axis in range(3):
             place = jnp.concatenate([own[axis] for own in places])
-            mean = summed(place, group, self.n_groups) / count
-            squares.append((place - picked(mean, group)) ** 2)
+            mean = scatter_add(place, group, self.n_groups) / count
+            squares.append((place - gather(mean, group)) ** 2)
         apart = jnp.sqrt(squares[0] + squares[1] + squares[2])
         return jnp.max(apart) / jnp.min(jnp.stack(radii))
 

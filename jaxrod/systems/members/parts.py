@@ -85,7 +85,7 @@ def parts_of(rod: Rod) -> Parts:
     )
 
 
-def in_one_row(tree: Any) -> Any:
+def flatten_rods(tree: Any) -> Any:
     """Leaves `(k, ..., n)` reshaped to `(..., k n)`."""
 
     def one(leaf: Array) -> Array:
@@ -95,7 +95,7 @@ def in_one_row(tree: Any) -> Any:
     return jax.tree.map(one, tree)
 
 
-def in_rows(tree: Any, count: int) -> Any:
+def unflatten_rods(tree: Any, count: int) -> Any:
     """Leaves `(..., k n)` reshaped to `(k, ..., n)`."""
 
     def one(leaf: Array) -> Array:

@@ -30,7 +30,7 @@ from jaxrod.scene import (
 from jaxrod.statics.freedoms import free_rates
 from jaxrod.structure import pytree
 from jaxrod.systems.members.member import Member
-from jaxrod.systems.members.parts import Parts, in_one_row, in_rows, parts_of
+from jaxrod.systems.members.parts import Parts, flatten_rods, parts_of, unflatten_rods
 from jaxrod.systems.members.rigid_stepper import Carried
 from jaxrod.systems.members.steppers import MemberStepper, RodsStepper, RodStepper
 
@@ -182,17 +182,17 @@ class EqualRods(OneRod):
     def parts(self) -> Parts:
         """Constants, as couplings see them."""
         count, n = self.shape
-        rows = in_one_row(jax.vmap(parts_of)(self.model.rod))
+        rows = flatten_rods(jax.vmap(parts_of)(self.model.rod))
         parts: Parts = replace(rows, count=count, n_elements=n)
         return parts
 
     def row(self, tree: Any) -> Any:
         """Fields of every rod, with all nodes and elements in one row."""
-        return in_one_row(tree)
+        return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
         """Fields in one row, divided among the rods."""
-        return in_rows(tree, self.count)
+        return unflatten_rods(tree, self.count)
 
     def stepper(
         self, state: Any, parts: Parts, carried: Carried | None, dt: Array

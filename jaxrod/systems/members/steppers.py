@@ -16,7 +16,7 @@ from jaxrod.methods.now import Now, remembering, scene_at
 from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
-from jaxrod.systems.members.parts import Parts, Seen, in_one_row, in_rows
+from jaxrod.systems.members.parts import Parts, Seen, flatten_rods, unflatten_rods
 from jaxrod.systems.members.rigid_stepper import RigidStepper
 
 
@@ -157,11 +157,11 @@ class RodsStepper(RodStepper):
 
     def row(self, tree: Any) -> Any:
         """Fields of every rod, with all nodes and elements in one row."""
-        return in_one_row(tree)
+        return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
         """Fields in one row, divided among the rods."""
-        return in_rows(tree, self.count)
+        return unflatten_rods(tree, self.count)
 
 
 @pytree

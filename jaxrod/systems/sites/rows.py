@@ -1,4 +1,4 @@
-"""Gather, replacement and summation of entries of a row, by static indices.
+"""Gather and scatter of entries of a row, by static indices.
 
 There are no scatter operations: each entry of a row collects the values that go to it.
 So sums are the same in every run, on every device. Stretches of consecutive indices are
@@ -34,7 +34,7 @@ It is this large because in reverse mode XLA's CPU compiler (0.10.1, with the fu
 that `configure_cpu` asks for) gives up on some programs that gather entries."""
 
 
-def picked(row: Array, index: Indices) -> Array:
+def gather(row: Array, index: Indices) -> Array:
     """Entries of a row at some indices (gather)."""
     size = row.shape[0]
     stretches = _stretches(index)
@@ -48,7 +48,7 @@ def picked(row: Array, index: Indices) -> Array:
     return row[index.values]
 
 
-def replaced(row: Array, index: Indices, values: Array) -> Array:
+def scatter_set(row: Array, index: Indices, values: Array) -> Array:
     """A row with new entries at some indices, which must be distinct."""
     size = row.shape[0]
     if _stretches(index) is None and len(index) <= FEW:
@@ -58,10 +58,10 @@ def replaced(row: Array, index: Indices, values: Array) -> Array:
         return row
     there = np.zeros(size, bool)
     there[index.values] = True
-    return jnp.where(there, summed(values, index, size), row)
+    return jnp.where(there, scatter_add(values, index, size), row)
 
 
-def summed(values: Array, index: Indices, size: int) -> Array:
+def scatter_add(values: Array, index: Indices, size: int) -> Array:
     """A row of the given size with values summed at their indices (scatter-add)."""
     stretches = _stretches(index)
     if stretches is not None:
@@ -140,7 +140,7 @@ def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads
 def _spread(vector: Vec3 | None, index: Indices, size: int) -> Vec3 | None:
     if vector is None:
         return None
-    x, y, z = (summed(component, index, size) for component in vector)
+    x, y, z = (scatter_add(component, index, size) for component in vector)
     return x, y, z
 
 

@@ -46,7 +46,7 @@ class Assembly:
     """Shapes of each member's elements or bodies, as the system was made."""
 
     def asked(self) -> dict[str, Member]:
-        """The members, by name, as what answers for each of them."""
+        """The members, by name, behind their common interface."""
         return {name: member_of(model) for name, model in self.members.items()}
 
     @property
