@@ -15,15 +15,15 @@ from jaxrod.systems.stepping.listing import searched, with_found
 @jax.jit
 def system_kinetic_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
     """Kinetic energy of all members [J]."""
-    asked = system.asked()
-    return _total(member.kinetic_energy(state[k]) for k, member in asked.items())
+    members = system.interfaces()
+    return _total(member.kinetic_energy(state[k]) for k, member in members.items())
 
 
 @jax.jit
 def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
     """Elastic energy, and potentials of effects and couplings [J]."""
-    asked = system.asked()
-    total = _total(member.potential_energy(state[k]) for k, member in asked.items())
+    members = system.interfaces()
+    total = _total(member.potential_energy(state[k]) for k, member in members.items())
     seen, prepared = seen_at_rest(system, state)
     for coupling in prepared:
         total = total + coupling.energy(seen)
@@ -33,15 +33,15 @@ def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array
 @jax.jit
 def system_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
     """Linear momentum, world frame [kg m/s]."""
-    asked = system.asked()
-    return _total(member.momentum(state[k]) for k, member in asked.items())
+    members = system.interfaces()
+    return _total(member.momentum(state[k]) for k, member in members.items())
 
 
 @jax.jit
 def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
     """Angular momentum about the origin, world frame [kg m^2/s]."""
-    asked = system.asked()
-    return _total(member.angular_momentum(state[k]) for k, member in asked.items())
+    members = system.interfaces()
+    return _total(member.angular_momentum(state[k]) for k, member in members.items())
 
 
 def seen_at_rest(
@@ -55,7 +55,7 @@ def seen_at_rest(
     prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
     seen = {
         name: Seen(parts[name], member.motion(state[name]))
-        for name, member in system.asked().items()
+        for name, member in system.interfaces().items()
     }
     return seen, with_found(prepared, searched(prepared, seen))
 

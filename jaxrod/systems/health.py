@@ -63,7 +63,7 @@ def system_health(
     system = system.recalling(state)
     members = {
         name: member.health(state[name], dt, limits)
-        for name, member in system.asked().items()
+        for name, member in system.interfaces().items()
     }
     seen, couplings = seen_at_rest(system, state)
     found = [coupling.violation(seen) for coupling in couplings]

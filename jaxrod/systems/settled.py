@@ -287,7 +287,7 @@ def _with_memories(state: Any, more: int) -> Any:
 
 def _members(scene: Any) -> dict[str, Member]:
     """Members by name, as their interface; of a scene, one without a name."""
-    return {"": member_of(scene)} if isinstance(scene, Scene) else scene.asked()
+    return {"": member_of(scene)} if isinstance(scene, Scene) else scene.interfaces()
 
 
 def _kinetic(scene: Model, state: Any) -> Array:

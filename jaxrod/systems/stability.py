@@ -58,7 +58,7 @@ def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemS
             bounds[name] = added_bounds(bounds.get(name), bound)
     limits: list[Array] = []
     steps: list[StableStep | None] = []
-    for name, member in system.asked().items():
+    for name, member in system.interfaces().items():
         bound = bounds.get(name, StabilityBound())
         limit, step = member.stable_step(bound, safety)
         limits.append(limit)

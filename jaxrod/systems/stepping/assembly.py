@@ -45,7 +45,7 @@ class Assembly:
     shapes: tuple[tuple[int, ...], ...] = static(default=())
     """Shapes of each member's elements or bodies, as the system was made."""
 
-    def asked(self) -> dict[str, Member]:
+    def interfaces(self) -> dict[str, Member]:
         """The members, by name, behind their common interface."""
         return {name: member_of(model) for name, model in self.members.items()}
 
@@ -63,7 +63,7 @@ class Assembly:
     @property
     def remembers(self) -> bool:
         """Whether an effect on a rod has memory."""
-        return any(member.remembers for member in self.asked().values())
+        return any(member.remembers for member in self.interfaces().values())
 
     @property
     def evolves(self) -> bool:
@@ -84,7 +84,9 @@ class Assembly:
 
     def _replaced(self, function: Callable[[Any], Any]) -> Self:
         """The system with a function of every member and of the couplings."""
-        members = {name: one.mapped(function) for name, one in self.asked().items()}
+        members = {
+            name: one.mapped(function) for name, one in self.interfaces().items()
+        }
         return replace(self, members=members, couplings=function(self.couplings))
 
     def recalling(self, state: SystemState) -> Assembly:
@@ -93,13 +95,13 @@ class Assembly:
             return self
         members = {
             name: member.recalling(state[name]) if member.remembers else member.model
-            for name, member in self.asked().items()
+            for name, member in self.interfaces().items()
         }
         return replace(self, members=members)
 
     def parts(self) -> dict[str, Parts]:
         """Constants of all members as couplings see them, without what holds them."""
-        return {name: member.parts() for name, member in self.asked().items()}
+        return {name: member.parts() for name, member in self.interfaces().items()}
 
     def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
         """The integrator, with constants computed once for one call."""
@@ -115,7 +117,7 @@ class Assembly:
                 )
         members = {
             name: member.stepper(state[name], parts[name], carried.get(name), dt)
-            for name, member in self.asked().items()
+            for name, member in self.interfaces().items()
         }
         return SystemStepper(members, couplings, dt)
 
@@ -137,7 +139,7 @@ def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
     """Constants of all members, with what supports hold of their nodes at time 0."""
     parts = system.parts()
     # What is held does not depend on the place to which it is driven.
-    for name, member in system.at(0.0).asked().items():
+    for name, member in system.at(0.0).interfaces().items():
         held = member.held(state[name])
         if held is not None:
             parts[name] = replace(parts[name], held=held)

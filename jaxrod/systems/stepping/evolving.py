@@ -51,7 +51,7 @@ class EvolvingSystem:
         """Carry in the middle of the first step."""
         memories = {
             name: member.memory(state[name])
-            for name, member in self.system.asked().items()
+            for name, member in self.system.interfaces().items()
         }
         now = SystemNow(self.first, memories)
         return self._at(now, 0.5).begin(state), now

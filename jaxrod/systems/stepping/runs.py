@@ -47,7 +47,7 @@ def check_system_state(system: Assembly, state: Any) -> None:
             "system must be one system, got a batch: use jax.vmap, as in "
             "jax.vmap(jaxrod.advance, in_axes=(0, 0, None, None))(systems, ...)"
         )
-    for name, member in system.asked().items():
+    for name, member in system.interfaces().items():
         member.check_state(name, state[name], system.dtype)
 
 
@@ -95,7 +95,8 @@ def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
     A system with lists of neighbours also gets a record of contacts that they miss.
     """
     own = {
-        name: member.with_memory(state[name]) for name, member in system.asked().items()
+        name: member.with_memory(state[name])
+        for name, member in system.interfaces().items()
     }
     if lists_neighbours(system):
         record = state.get(RECORD)
