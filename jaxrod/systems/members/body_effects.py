@@ -66,7 +66,7 @@ def _try(name: str, effect: Effect, bodies: RigidBodies) -> None:
     """Asks an effect for its loads, energy and rates, without computing them."""
     count, dtype = bodies.n_elements, bodies.masses.dtype
 
-    def interfaces(bodies: Any) -> Any:
+    def asked(bodies: Any) -> Any:
         own = at_clock(effect, clock_at(0.0, dtype))
         rows = jnp.zeros((3, count), dtype)
         turns = jnp.concatenate([rows[:1] + 1, rows])
