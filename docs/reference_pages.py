@@ -32,6 +32,7 @@ TITLES = {
 PACKAGES = {
     "jaxrod.control": "Control",
     "jaxrod.envs": "Environments",
+    "jaxrod.extend": "Effects, couplings and methods of your own",
     "jaxrod.training": "Learners",
     "jaxrod.viz": "Drawing",
 }
@@ -66,6 +67,8 @@ def _entries(names: list[tuple[str, str]], seen: set[int]) -> str:
     lines = ["```{eval-rst}"]
     for package, name in names:
         thing = getattr(importlib.import_module(package), name)
+        if inspect.ismodule(thing):
+            continue
         lines += ["", f".. currentmodule:: {package}", ""]
         if inspect.isclass(thing):
             lines += [f".. autoclass:: {name}", "   :members:"]
