@@ -275,7 +275,7 @@ def following(
     substeps: int | None = None,
     episode_length: int = 500,
 ) -> Following:
-    """Makes the following task.
+    """Makes the task of following a target; see the module.
 
     Args:
         variant: "clean", the only one: the library's own physics.

@@ -106,7 +106,10 @@ class CubicForce(ForceLength):
     _ends: ClassVar[tuple[float, float]] = _outlets()
 
     def energy(self, stretch: Array) -> Array:
-        """Integral of the cubic and of the parabolas [1]."""
+        """Integral of the force fraction from a stretch of 1 [1].
+
+        Over the cubic and the parabolas at its ends; constant beyond them.
+        """
         first, last = self._ends
         whole = _CUBIC.integ(lbnd=1.0)
         inside = jnp.clip(stretch, first, last)

@@ -54,7 +54,7 @@ class Sine(Schedule):
     r"""Phase $\varphi$, in periods [1]."""
 
     def __call__(self, clock: Clock) -> Array:
-        """The value at a time, as exact after a million periods as in the first."""
+        """The value at the clock's time; accurate after any number of periods."""
         angle = 2 * jnp.pi * (clock.phase(self.period) + self.phase)
         return self.mean + self.amplitude * jnp.sin(angle)
 

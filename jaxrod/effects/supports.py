@@ -144,7 +144,7 @@ class Hinge(Effect):
         return 0.5 * self._stiffness(rod) * vectors.dot(apart, apart)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Stiffness of the joint, on the end element."""
+        """The joint's stiffness against rotation of the end element [N m]."""
         return StabilityBound(
             elements=place(self._stiffness(rod), rod.n_elements, self.end)
         )

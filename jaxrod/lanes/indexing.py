@@ -18,7 +18,8 @@ import numpy as np
 from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_CHOICES = 64
-"""Largest number of places to which varying indices may point; more are left to XLA."""
+"""Largest number of positions that a dynamic slice with varying starts may have; a
+program with more is left to XLA."""
 
 
 @rule("dynamic_slice")

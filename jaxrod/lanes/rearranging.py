@@ -59,7 +59,7 @@ def reversed_along(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("concatenate")
 def concatenated(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a concatenation along an existing axis."""
+    """Rule of `concatenate`: joins arrays of nodes, without adding operations."""
     return np.concatenate(arrays, axis=equation.params["dimension"])
 
 

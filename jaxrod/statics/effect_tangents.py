@@ -125,10 +125,11 @@ def coloured(
     push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
 ) -> BlockTridiagonal:
-    """Matrix of a linear function whose blocks depend on neighbours only.
+    """Block-tridiagonal matrix of a linear function of blocks of size `m`.
 
-    Every third block can then be moved at once (colouring), which takes `3 m`
-    directions, whatever the number of blocks.
+    Each block of the result depends on the same block of the input and on its two
+    neighbours. Every third block is perturbed at once (colouring), so `3 m` evaluations
+    are enough for any number of blocks.
     """
     n, m = like.shape
     colour = jnp.arange(n) % 3

@@ -56,7 +56,11 @@ def _touches(shape: Body, half: float) -> bool:
 
 
 def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
-    """A fixed body at its position; of an unbounded one, the part near a box."""
+    """Mesh of a fixed body.
+
+    Spheres, capsules, cylinders and boxes are drawn whole, others within a box and a
+    margin around it.
+    """
     known = _centred(body)
     if known is not None:
         solid = solid_of(body)

@@ -109,7 +109,7 @@ class OwnedFolder:
                 raise ValueError(f"{self.path / name} was not written by jaxrod")
 
     def _there(self) -> list[str]:
-        """Names of existing files and folders that are written here."""
+        """Files and folders of such a folder that exist; empty folders do not count."""
         return [name for name in self._files if os.path.lexists(self.path / name)] + [
             name
             for name in self._folders

@@ -50,7 +50,7 @@ class RayTask:
         return _size(log_of(self._folder)) > self._said_before
 
     def ended(self) -> Ended | None:
-        """Its outcome; None if it has not ended or its files are not visible yet."""
+        """Outcome of the run; None while it runs or its files may still appear."""
         import ray
 
         if not ray.wait([self._reference], timeout=0)[0]:

@@ -29,7 +29,7 @@ def share_of_gap(gap: Array, radius: Array, length: Array) -> Array:
 
 
 def from_node(starts: Array, ends: Array, place: Array) -> Array:
-    """Rest arc length from stretches of a rod to a place on it [m]."""
+    """Rest arc length from intervals of a rod to a place on it; zero inside [m]."""
     return jnp.maximum(jnp.maximum(starts - place, place - ends), 0)
 
 

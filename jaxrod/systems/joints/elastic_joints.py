@@ -187,7 +187,7 @@ def natural_stiffness(
 
 
 def _half_compliance(own: Parts, points: Points) -> Vec3 | None:
-    """Rotation per moment of half an element, for each [1/(N m)]; `None` for bodies."""
+    """Compliance of half an element about d1, d2, d3 [1/(N m)]; `None` for bodies."""
     if not own.is_rod:
         return None
     assert own.rest_lengths is not None and own.bend_twist_stiffness is not None

@@ -205,7 +205,7 @@ class BodiesStepper:
         return self.rigid.pushed(motion, impulses)
 
     def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
-        """The stepper with the effects on the bodies as they are at a time."""
+        """The stepper with schedules of the bodies' effects evaluated at a time."""
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))
 

@@ -114,7 +114,7 @@ def _layout(name: str, state: Any) -> Layout:
 def resolved(
     name: str, place: Place, layouts: Mapping[str, Layout]
 ) -> tuple[str, int, int]:
-    """Member, node and element of a place.
+    """Name of the member of a place, and its node and element in the member's row.
 
     Args:
         name: Name of the argument, for messages.
@@ -123,7 +123,7 @@ def resolved(
 
     Raises:
         ValueError: If there is no such place.
-        TypeError: If `place` is not of the form of a place.
+        TypeError: If `place` is not a sequence such as `("arm", "finish")`.
     """
     if isinstance(place, str) or not isinstance(place, Sequence) or not place:
         raise TypeError(

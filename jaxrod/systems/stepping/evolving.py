@@ -86,7 +86,7 @@ class EvolvingSystem:
         return kicked, SystemNow(now.step + 1, after)
 
     def _at(self, now: SystemNow, fraction: float) -> SystemStepper:
-        """The stepper with the system as it is a fraction of a step later."""
+        """The stepper with schedules at a fraction of a step after `now.step`."""
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
         members = {
