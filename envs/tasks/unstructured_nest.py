@@ -100,10 +100,10 @@ class UnstructuredNest(ObstacleTask):
     """Contact points per element. When the arm is stretched twofold its nodes are 5 cm
     apart. A thin cylinder between two of them would push them further apart."""
     nearest_obstacles = 4
-    """Number of nearest cylinders that each contact point considers, chosen at the start
-    of a control step. Few places in the nest have a fifth cylinder within the arm's
-    radius. There, or if the arm moves several centimetres in a control step, contact may
-    be noticed one control step late."""
+    """Number of nearest cylinders that each contact point considers, chosen at the
+    start of a control step. Few places in the nest have a fifth cylinder within the
+    arm's radius. There, or if the arm moves several centimetres in a control step,
+    contact may be noticed one control step late."""
 
     @property
     def name(self) -> str:
