@@ -46,7 +46,7 @@ def nest(n_rods=200):
     rods, state = jax.vmap(rod_in_layer)(jnp.arange(n_rods))
     # For the nest that it becomes, which is denser than what is laid in.
     room = {"pairs": 80 * n_rods, "candidates": 320 * n_rods}
-    lists = jaxrod.neighbour_lists(skin=1.0, refresh_every=12, **room)
+    lists = jaxrod.neighbour_lists(skin=1.0, refresh_every=10, **room)
     touch = {"stiffness": 1e3, "damping": 0.02, "friction": 0.3, "partners": 4}
     contact = jaxrod.crossing_contact("rods", **touch, lists=lists)
     scenes, state = {"rods": jax.vmap(scene)(rods)}, {"rods": state}

@@ -30,9 +30,9 @@ class Tether(extend.Coupling):
         gap, stretch = self.gap(seen)
         force = vectors.scale(self.stiffness * stretch / (self.length + stretch), gap)
         given = []
-        for end, own in ((self.a, force), (self.b, vectors.scale(-1.0, force))):
+        for end, push in ((self.a, force), (self.b, vectors.scale(-1.0, force))):
             view = seen[end.points.member]
-            given.append((end.points, end.loads(view, own, end.positions(view))))
+            given.append((end.points, end.loads(view, push, end.positions(view))))
         return extend.sum_of_loads(*given, seen=seen)
 
     def energy(self, seen):

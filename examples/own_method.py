@@ -35,7 +35,9 @@ class EulerStepper:
 
 @extend.pytree
 class SymplecticEuler(extend.Method):
-    """Kick, then drift."""
+    """Kick, then drift; drag is solved with the kick."""
+
+    solves_drag = True
 
     def stepper(self, scene, state, dt):
         """The stepper of a run, with its constants."""
@@ -44,9 +46,8 @@ class SymplecticEuler(extend.Method):
 
 def swing(method, steps, seconds=0.1):
     """Place of the tip of an arm that was let go, after some steps [m]."""
-    rod, state = jaxrod.straight_rod(
-        8, length=0.3, radius=0.01, density=1000.0, youngs_modulus=1e6
-    )
+    material = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6}
+    rod, state = jaxrod.straight_rod(8, length=0.3, **material)
     effects = jaxrod.clamp(state), jaxrod.gravity((0.0, -9.81, 0.0))
     scene = jaxrod.make_scene(rod, *effects, method=method)
     return jaxrod.advance(scene, state, seconds / steps, steps).tip

@@ -412,7 +412,7 @@ def _drag_rates(
     ratio = jnp.ones((), rod.rest_lengths.dtype)
     if slips[0] is not None and slips[1] is not None:
         moved, turned = jnp.max(slips[0] / rod.node_masses), jnp.max(slips[1] / least)
-        none = moved <= 0
+        none = (moved <= 0) | (turned <= 0)
         ratio = jnp.where(none, 1, turned / jnp.where(none, 1, moved))
         rates = damping_rates(scene)
         if dt is not None and rates is not None:

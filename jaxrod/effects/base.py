@@ -55,16 +55,13 @@ class StabilityBound:
         its square is at most `1 + moving` times the square of the first and
         `1 + turning` times that of the second, if the product of both numbers is one.
         """
-        if self.slip_drag is None or self.slip_couple is None:
-            return self.node_drag, self.element_drag
-        nodes, elements = (
-            (1 + moving) * self.slip_drag,
-            (1 + turning) * self.slip_couple,
-        )
-        if self.node_drag is not None:
-            nodes = jnp.maximum(nodes, self.node_drag)
-        if self.element_drag is not None:
-            elements = elements + self.element_drag
+        nodes, elements = self.node_drag, self.element_drag
+        if self.slip_drag is not None:
+            slip = (1 + moving) * self.slip_drag
+            nodes = slip if nodes is None else jnp.maximum(slip, nodes)
+        if self.slip_couple is not None:
+            slip = (1 + turning) * self.slip_couple
+            elements = slip if elements is None else slip + elements
         return nodes, elements
 
 

@@ -41,6 +41,7 @@ from jaxrod.systems.stepping.assembly import (
     member_shapes,
 )
 from jaxrod.systems.stepping.runs import (
+    check_single,
     check_system_run,
     check_system_state,
     system_stepper,
@@ -78,6 +79,7 @@ class System(Assembly, Composite):
 
     def stable_step(self, safety: ArrayLike) -> StableSystemStep:
         """The largest step at which the system is stable, times a safety factor."""
+        check_single(self)
         return stable_system_dt(self, safety)
 
     def health(

@@ -219,6 +219,10 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
     systems, states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), (system, pair))
     with pytest.raises(ValueError, match=r"use jax\.vmap"):
         jaxrod.advance(systems, states, 1e-4, 1)
+    with pytest.raises(ValueError, match=r"use jax\.vmap"):
+        jaxrod.stable_dt(systems)
+    steps = jax.vmap(lambda one: jaxrod.stable_dt(one).dt)(systems)
+    assert steps == pytest.approx(float(jaxrod.stable_dt(system).dt))
 
 
 @pytest.mark.parametrize(
@@ -237,6 +241,24 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
 def test_effects_that_do_not_act_on_bodies(given, effect, words):
     ball = replace(given[0]["ball"], effects=(jaxrod.gravity(), effect))
     with pytest.raises(ValueError, match=words):
+        jaxrod.make_system({"ball": ball})
+
+
+@jaxrod.pytree
+class Fading(jaxrod.Effect):
+    """Damping of a rate that may be a schedule."""
+
+    rate: jax.Array
+
+    def damping_rates(self, bodies):
+        return self.rate, self.rate
+
+
+def test_a_schedule_of_damping_of_bodies_is_refused(given):
+    """Rates are worked out once: the first one would be kept in silence."""
+    fading = Fading(jaxrod.ramp(0.5, 0.0, 1.0))
+    ball = replace(given[0]["ball"], effects=(fading,))
+    with pytest.raises(ValueError, match=r"'ball': damping rates are worked out once"):
         jaxrod.make_system({"ball": ball})
 
 

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import jaxrod
+import jaxrod.extend
 from benchmarks.plectoneme.element_contact import element_contact
+from jaxrod.effects.base import StabilityBound
+from jaxrod.systems.joints.elastic_joints import added_bounds
 from systems.members import SOFT, rod
 
 RADIUS, N = SOFT["radius"], 3
@@ -140,7 +143,7 @@ POINT = 0.3 / N / 5
 FRICTION = {"stiffness": 1e8, "damping": 1e6, "friction": 0.5}
 # Scene, and how far above the bound the limit may be. Bounds of contact count all of a
 # rod as touching as many as there may be: they are sharp where it does.
-SHARP, SAFE = 1.02, 2.1
+SHARP, SAFE = 1.02, 2.2
 CASES = {
     "rod_contact of two rods, partners=1": (
         lambda: stacked(2, LINE, partners=1),
@@ -185,7 +188,7 @@ CASES = {
     # As if all of the rod touched, as it does where it is wound around.
     "body_contact of one point of a rod on a heavy ball": (
         lambda: on_body(BALL, 1e5),
-        3.0,
+        3.3,
     ),
     "body_contact of one point of a rod on a light ball": (
         lambda: on_body(BALL, 10.0),
@@ -232,3 +235,50 @@ def test_bounds_of_couplings_are_safe_and_not_far_off(name, record):
         limit_over_bound(*build()),
         between=(0.99, far),
     )
+
+
+def test_the_step_of_a_system_with_a_free_body_has_a_gradient():
+    """Where nothing acts on a body, nothing limits its step."""
+    scenes, _ = rods((0.0, 0.0, 0.0))
+    ball, _ = jaxrod.rigid_body(
+        jaxrod.sphere((0.0, 0.0, 1.0), 0.05), density=100.0, dtype=jnp.float64
+    )
+    system = jaxrod.make_system(scenes | {"ball": ball})
+
+    def step(system):
+        return jaxrod.stable_dt(system).dt
+
+    for leaf in jax.tree.leaves(jax.grad(step, allow_int=True)(system)):
+        if jnp.issubdtype(leaf.dtype, jnp.floating):
+            assert jnp.all(jnp.isfinite(leaf))
+
+
+@jaxrod.extend.pytree
+class Tethers(jaxrod.extend.Coupling):
+    """Bounds of springs: one number for all nodes of a member, or one for each."""
+
+    stiffness: jax.Array
+
+    def stability_bounds(self, parts):
+        return {"ropes": jaxrod.extend.StabilityBound(nodes=self.stiffness)}
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_one_bound_for_all_nodes_is_that_of_each(count):
+    made = [rod(N, 0.3, (0.0, 0.2 * k, 0.0))[0] for k in range(count)]
+    ropes = jax.tree.map(lambda *rods: jnp.stack(rods), *made)
+    scenes = jax.vmap(jaxrod.make_scene)(ropes)
+    steps = [
+        jaxrod.stable_dt(jaxrod.make_system({"ropes": scenes}, Tethers(stiffness))).dt
+        for stiffness in (jnp.float64(1e8), jnp.full(count * (N + 1), 1e8))
+    ]
+    assert steps[0] == pytest.approx(float(steps[1]), rel=1e-12)
+
+
+def test_slip_counts_in_the_sum_of_bounds():
+    """Bounds that are added allow no longer step than the dashpots of both."""
+    slip = StabilityBound(slip_drag=jnp.float64(2.0), slip_couple=jnp.float64(3.0))
+    even = jnp.float64(1.0)
+    for total in (added_bounds(slip, slip), added_bounds(slip, StabilityBound())):
+        assert total.drags(even, even)[0] >= 4.0
+        assert total.drags(even, even)[1] >= 6.0

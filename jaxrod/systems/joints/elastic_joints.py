@@ -266,11 +266,15 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
             return y if x is None else x
         return x + y
 
+    # Slip of one may be along what the other drags: they are added.
+    even = jnp.asarray(1.0)
+    drags = [
+        one(*sides)
+        for sides in zip(a.drags(even, even), b.drags(even, even), strict=True)
+    ]
     return StabilityBound(
         nodes=one(a.nodes, b.nodes),
         elements=one(a.elements, b.elements),
-        node_drag=one(a.node_drag, b.node_drag),
-        element_drag=one(a.element_drag, b.element_drag),
-        slip_drag=one(a.slip_drag, b.slip_drag),
-        slip_couple=one(a.slip_couple, b.slip_couple),
+        node_drag=drags[0],
+        element_drag=drags[1],
     )

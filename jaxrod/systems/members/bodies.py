@@ -160,8 +160,10 @@ class Bodies(Member):
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
         """The step at which explicit springs and dashpots on bodies are stable [s]."""
         least = jnp.min(self.model.principal_inertias, axis=0)
-        moving = _limit(self.model.masses, bound.nodes, bound.node_drag)
-        turning = _limit(least, bound.elements, bound.element_drag)
+        one = jnp.ones((), self.dtype)
+        nodes, elements = bound.drags(one, one)
+        moving = _limit(self.model.masses, bound.nodes, nodes)
+        turning = _limit(least, bound.elements, elements)
         limit = jnp.min(jnp.minimum(moving, turning))
         return jnp.asarray(safety) * limit, None
 
@@ -171,6 +173,8 @@ def _limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array
     zero = jnp.zeros_like(inertia)
     k = zero if stiffness is None else stiffness
     c = zero if drag is None else drag
-    below = c + jnp.sqrt(c * c + 4 * k * inertia)
-    free = below <= 0
-    return jnp.where(free, jnp.inf, 4 * inertia / jnp.where(free, 1, below))
+    square = c * c + 4 * k * inertia
+    free = square <= 0
+    # Two wheres: at zero the root has no derivative.
+    below = c + jnp.sqrt(jnp.where(free, 1, square))
+    return jnp.where(free, jnp.inf, 4 * inertia / below)

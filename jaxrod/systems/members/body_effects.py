@@ -16,7 +16,7 @@ from jaxtyping import Array
 from jaxrod.effects.base import Effect
 from jaxrod.effects.memory import remembers
 from jaxrod.effects.own_classes import check_own_class
-from jaxrod.effects.time import at_clock, clock_at
+from jaxrod.effects.time import at_clock, clock_at, depends_on_time
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.rods.motion import Motion
@@ -59,6 +59,11 @@ def check_body_effects(name: str, bodies: RigidBodies) -> None:
                 raise _unfit(name, effect, f"it has {hook}, which bodies have not")
         if remembers((effect,)):
             raise _unfit(name, effect, "it remembers, which effects on bodies do not")
+        if kind.damping_rates is not Effect.damping_rates and depends_on_time(effect):
+            raise ValueError(
+                f"member {name!r}: damping rates are worked out once, but "
+                f"{kind.__name__}, which has some, depends on time"
+            )
         _try(name, effect, bodies)
 
 

@@ -2,7 +2,8 @@
 
 A system holds scenes, each of one rod or of equal rods with a leading axis, and rigid
 bodies. A `Member` answers for one of them, so that nothing else has to know which one
-it is. A new kind of member is one more class.
+it is. A new kind of member needs a model, its state, a `Member` and a stepper, and
+entries in `member_of`, `make_system` and `jaxrod.systems.sites.places`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Member(ABC):
 
     @abstractmethod
     def mapped(self, function: Callable[[Any], Any]) -> Any:
-        """The model with a function of every scene, or of the bodies."""
+        """The model after a function was applied to each scene, or to the bodies."""
 
     @abstractmethod
     def recalling(self, state: Any) -> Any:
@@ -75,7 +76,7 @@ class Member(ABC):
 
     @abstractmethod
     def held(self, state: Any) -> Vec3 | None:
-        """One for each node along each axis where a support holds it, else zero."""
+        """One per node and axis that a support holds, else zero; `None` for none."""
 
     @abstractmethod
     def motion(self, state: Any) -> Motion:

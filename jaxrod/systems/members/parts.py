@@ -96,9 +96,11 @@ def flatten_rods(tree: Any) -> Any:
 
 
 def unflatten_rods(tree: Any, count: int) -> Any:
-    """Leaves `(..., k n)` reshaped to `(k, ..., n)`."""
+    """Leaves `(..., k n)` reshaped to `(k, ..., n)`; single numbers, `(k,)`."""
 
     def one(leaf: Array) -> Array:
+        if jnp.ndim(leaf) == 0:
+            return jnp.broadcast_to(leaf, (count,))
         return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], count, -1), -2, 0)
 
     return jax.tree.map(one, tree)

@@ -37,7 +37,7 @@ from jaxrod.systems.members.steppers import MemberStepper, RodsStepper, RodStepp
 
 @dataclass(frozen=True)
 class OneRod(Member):
-    """A scene."""
+    """One rod with its effects, as a member."""
 
     model: Scene
 
@@ -62,7 +62,7 @@ class OneRod(Member):
         return self.model.rod
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of a scene and of other things, for every rod."""
+        """Calls a function with each rod's scene and its part of other arguments."""
         return function(self.model, *given)
 
     def mapped(self, function: Callable[[Any], Any]) -> Any:

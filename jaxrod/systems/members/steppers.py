@@ -21,7 +21,11 @@ from jaxrod.systems.members.rigid_stepper import RigidStepper
 
 
 class MemberStepper(Protocol):
-    """One member's part of a step; a `Motion` is as the member's own stepper has it."""
+    """One member's part of a step.
+
+    Motions have the stepper's own form: a leading axis for equal rods, the common
+    centre of mass for bodies.
+    """
 
     def enter(self, state: Any) -> Motion:
         """Motion of a state."""
@@ -70,7 +74,7 @@ class RodStepper:
     """Constants of the rod, or of all rods in one row."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of a stepper and of other things, for every rod."""
+        """Calls a function with each rod's stepper and its part of other arguments."""
         return function(self.verlet, *given)
 
     def enter(self, state: Any) -> Motion:
@@ -104,13 +108,12 @@ class RodStepper:
         return Seen(self.parts, self.row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The changed motion."""
+        """The member's motion, from the couplings' view of it."""
         changed: Motion = self.rows(seen)
         return changed
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Not supported: nodes of rods pass impulses on but do not take any."""
-        # Only attachments push, and their check does not let a rod be the body.
+        """Not supported: a rod takes no impulses."""
         raise NotImplementedError("impulses act on rigid bodies")
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
@@ -197,7 +200,6 @@ class BodiesStepper:
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
         """Not supported: bodies follow nothing."""
-        # Ties and attachments check that what follows is a node of a rod.
         raise NotImplementedError("nothing ties a rigid body to follow another member")
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:

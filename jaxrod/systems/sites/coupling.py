@@ -27,8 +27,9 @@ class Coupling:
     is unchanged. Nodes and elements of a member are in one row
     (`jaxrod.systems.members.parts`).
 
-    Forces come in pairs: all loads of a coupling together have no force, and no couple
-    about any point. Ties (`constrain`, `exchange`, `constrain_rates`) hold exactly.
+    Unless a coupling acts from outside, as a pose spring does, its forces come in pairs
+    without a total force or moment. Nothing checks this. Ties (`constrain`, `exchange`,
+    `constrain_rates`) hold exactly.
     """
 
     def check(self, parts: AllParts) -> None:

@@ -83,7 +83,7 @@ class Assembly:
         return self._replaced(at_largest) if self.depends_on_time else self
 
     def _replaced(self, function: Callable[[Any], Any]) -> Self:
-        """The system with a function of every member and of the couplings."""
+        """The system after a function was applied to every member and the couplings."""
         members = {
             name: one.mapped(function) for name, one in self.interfaces().items()
         }

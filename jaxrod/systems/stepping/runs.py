@@ -42,13 +42,18 @@ def check_system_state(system: Assembly, state: Any) -> None:
         )
     if RECORD in state:
         _check_record(state[RECORD])
+    check_single(system)
+    for name, member in system.interfaces().items():
+        member.check_state(name, state[name], system.dtype)
+
+
+def check_single(system: Assembly) -> None:
+    """Raises a ValueError if a system is a batch of systems."""
     if system.shapes and member_shapes(system.members) != system.shapes:
         raise ValueError(
             "system must be one system, got a batch: use jax.vmap, as in "
             "jax.vmap(jaxrod.advance, in_axes=(0, 0, None, None))(systems, ...)"
         )
-    for name, member in system.interfaces().items():
-        member.check_state(name, state[name], system.dtype)
 
 
 def _check_record(record: Any) -> None:
