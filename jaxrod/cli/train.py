@@ -89,8 +89,10 @@ def run(args: argparse.Namespace) -> int:
         kept = {k: v for k, v in stored["settings"].items() if k not in given}
         with reading(source / "config.json"):
             config = settings.configure(config, kept, [], trust)
-            learner.validate(config, 1)
-            check_steps(stored["steps"], updates_of(learner, config))
+            if not given:
+                # Otherwise these are not yet the run's settings: `train` checks them.
+                learner.validate(config, 1)
+                check_steps(stored["steps"], updates_of(learner, config))
     config = settings.configure(config, {}, words)
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
     # Before a user's own task is imported, which may start computing at once.

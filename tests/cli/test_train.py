@@ -289,3 +289,11 @@ def test_a_run_is_found_again_where_it_was_put(words, folder):
     assert train._folder(args, variant) == Path(folder)
     args = parser.parse_args(["train", *words, "--resume"])
     assert train._folder(args, None) == Path(folder)
+
+
+def test_a_run_is_resumed_by_the_words_that_began_it(run, tmp_path):
+    """Its stored steps are less than one update of the default settings."""
+    words = ["train", "trivial", *TINY, "--out", tmp_path / "run", "--no-replay"]
+    for more in ([], ["--resume"]):
+        code, _, err = run(*words, *more)
+        assert code == 0, err

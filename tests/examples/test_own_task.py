@@ -73,4 +73,5 @@ def test_it_trains_goes_on_and_is_evaluated_and_drawn(shell, tmp_path, monkeypat
     assert found["task"] == config["task"] and found["lengths"] == [100, 100]
     out = shell("render", folder, "--seconds", "0.1", *trust)
     assert str(folder / "replay.html") in out.split()
-    assert "own_task.py:make_task, ppo, seed 0" in (folder / "replay.html").read_text()
+    title = "own_task.py:make_task (height = 0.2), ppo, seed 0"
+    assert title in (folder / "replay.html").read_text()
