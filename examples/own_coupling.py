@@ -1,4 +1,4 @@
-"""A coupling of one's own: a tether, slack within its length and elastic beyond.
+"""A custom coupling: a tether, slack within its length and elastic beyond.
 
 A ball is tied to the tip of an arm and dropped: it falls, is caught, and bounces.
 """

@@ -1,4 +1,4 @@
-"""A method of one's own: symplectic Euler steps of the consistent law.
+"""A custom method: symplectic Euler steps of the consistent law.
 
 Position Verlet drifts half a step, kicks, and drifts half a step. Symplectic Euler
 kicks and drifts a whole step: as stable, and of first order.
@@ -14,7 +14,7 @@ CONSISTENT = jaxrod.consistent()
 
 @extend.pytree
 class EulerStepper:
-    """What the loop of a run repeats."""
+    """The step that the loop of a run repeats."""
 
     verlet: object  # the stepper of the consistent law
     dt: object  # step [s]

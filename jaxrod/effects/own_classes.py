@@ -76,6 +76,7 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
 
 def _check_loads(kind: type, found: Any, n_elements: int) -> None:
     """Raises unless the returned value is `Loads` of the right shape."""
+    # The class is one of effects, which `type` does not show.
     name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
     if not isinstance(found, Loads):
         raise TypeError(

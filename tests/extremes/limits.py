@@ -60,7 +60,7 @@ def drawn(seed: int) -> Kind:
 
 
 def excursion(scene: Any, state: Any, dt: float, flat: bool) -> float:
-    """How far a disturbed rod is from its place, over its length."""
+    """Distance of a disturbed rod from its place, over its length."""
     length = float(scene.rod.length)
     noise = NOISE * length * np.random.default_rng(0).normal(size=state.positions.shape)
     if flat:

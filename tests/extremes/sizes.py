@@ -70,7 +70,7 @@ def arm(radius: float, method: str, dtype: Any) -> tuple[Any, Any]:
 
 
 def in_own_units(radius: float, method: str, dtype: Any) -> dict[str, Any]:
-    """What comes out, in units of the radius and of the time of sound across it."""
+    """Results, in units of the radius and of the time of sound across it."""
     scene, state = arm(radius, method, dtype)
     found = {}
     limit = jaxrod.stable_dt(scene, 0.5).dt

@@ -238,7 +238,7 @@ def test_bounds_of_couplings_are_safe_and_not_far_off(name, record):
 
 
 def test_the_step_of_a_system_with_a_free_body_has_a_gradient():
-    """Where nothing acts on a body, nothing limits its step."""
+    """Nothing limits the step of a body on which nothing acts."""
     scenes, _ = rods((0.0, 0.0, 0.0))
     ball, _ = jaxrod.rigid_body(
         jaxrod.sphere((0.0, 0.0, 1.0), 0.05), density=100.0, dtype=jnp.float64
