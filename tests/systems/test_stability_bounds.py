@@ -282,3 +282,7 @@ def test_slip_counts_in_the_sum_of_bounds():
     for total in (added_bounds(slip, slip), added_bounds(slip, StabilityBound())):
         assert total.drags(even, even)[0] >= 4.0
         assert total.drags(even, even)[1] >= 6.0
+    dragged = StabilityBound(node_drag=jnp.float64(4.0))
+    assert added_bounds(slip, dragged).drags(even, even)[0] >= 8.0
+    alone = StabilityBound(slip_drag=jnp.float64(2.0))
+    assert alone.drags(even, even)[0] >= 4.0
