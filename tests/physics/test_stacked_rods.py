@@ -53,7 +53,7 @@ def test_each_of_stacked_rods_has_its_own_numbers(shape, changed):
     pairs = list(uneven_rods(int(np.prod(shape)), changed))
     derived = {
         jaxrod.Rod: properties(jaxrod.Rod),
-        jaxrod.RodState: ["directors", "tip"],
+        jaxrod.RodState: ["rates", "directors", "tip"],
     }
     assert len(derived[jaxrod.Rod]) == 10
     assert properties(jaxrod.RodState) == derived[jaxrod.RodState]
