@@ -80,7 +80,7 @@ typecheck: $(INSTALLED)
 	cd build/typecheck && $(CURDIR)/$(BIN)/mypy \
 	    --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache -p jaxrod \
 	    -p benchmarks.paper -p benchmarks.rod_steps -p benchmarks.tradeoff \
-	    -m benchmarks.algorithms
+	    -p benchmarks.algorithms
 
 # The site, from what is installed: pip install -e ".[docs]" -c constraints.txt first.
 docs: $(INSTALLED)

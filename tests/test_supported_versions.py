@@ -11,7 +11,8 @@ from jaxrod.installation import jax_version
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/supported_versions.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-PROGRAMS = sorted((ROOT / "benchmarks/jax_faults").glob("*.py"))
+FAULTS = ROOT / "benchmarks/jax_faults"
+PROGRAMS = sorted(set(FAULTS.glob("*.py")) - {FAULTS / "run.py"})
 
 
 def table(heading):

@@ -1,7 +1,7 @@
 """The `clean` variants as problems for the trade-off between speed and accuracy.
 
 The numbers of elements and steps of a task are chosen and recorded with these problems
-(`python -m benchmarks.clean_settings`).
+(`python -m benchmarks clean_settings`).
 """
 
 from __future__ import annotations

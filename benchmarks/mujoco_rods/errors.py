@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.mujoco_rods import references, scenes
-from benchmarks.mujoco_rods.run import Run
+from benchmarks.mujoco_rods.problem import Run
 
 AT_REST = 1e-7
 """Speed below which a rod that should be at rest is [m/s]."""

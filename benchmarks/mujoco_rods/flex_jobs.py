@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.mujoco_rods import scenes
-from benchmarks.mujoco_rods.run import Problem, Run
+from benchmarks.mujoco_rods.problem import Problem, Run
 
 SHORT_EDGE = 1e-4
 """Length of an edge within the wall, over that of an element [1]."""

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from benchmarks.mujoco_rods.run import Problem, Run
+from benchmarks.mujoco_rods.problem import Problem, Run
 
 METHODS: dict[str, Any] = {
     "in a plane": jaxrod.planar("zx"),

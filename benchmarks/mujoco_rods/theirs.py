@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxrod
 from benchmarks.mujoco_rods import ours
-from benchmarks.mujoco_rods.run import Problem, Run
+from benchmarks.mujoco_rods.problem import Problem, Run
 
 
 def build(problem: Problem, dt: float) -> tuple[Any, Any]:

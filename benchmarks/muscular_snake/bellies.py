@@ -1,7 +1,5 @@
 """How far the bellies of our muscles are from a slender rod, in the third period.
 
-    python -m benchmarks.muscular_snake.bellies
-
 Prints for long and short muscles the largest angle between an element and its section's
 normal, and the least and largest stretch, looked at 40 times.
 """
@@ -20,7 +18,7 @@ FROM, TO = 400_000, 600_000
 """Steps."""
 
 
-def main() -> None:
+def measure_bellies() -> None:
     """Steps ours, and prints a table."""
     jax.config.update("jax_enable_x64", True)
     system, state = scene.ours()
@@ -48,7 +46,3 @@ def main() -> None:
             f"| {group} | {np.degrees(np.max(lean)):.0f} | {np.min(least):.4f} | "
             f"{np.max(most):.2f} |"
         )
-
-
-if __name__ == "__main__":
-    main()

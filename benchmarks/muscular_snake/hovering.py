@@ -1,7 +1,5 @@
 """Where a rod comes to rest above a plane: PyElastica's plane carries a rod in the air.
 
-    python -m benchmarks.muscular_snake.hovering
-
 The body of the muscular snake without muscles, straight and free, on its plane: heights
 of the centre of mass after being let go at a height, and after a vertical wave along
 it that has no momentum. Both libraries, processor time some ten seconds.
@@ -121,7 +119,7 @@ def ours(height: float, speed: float) -> tuple[float, float]:
     return float(late[-1]), float(jnp.mean(late))
 
 
-def main() -> None:
+def hover() -> None:
     """Prints heights in mm."""
     jax.config.update("jax_enable_x64", True)
     print("| let go at [mm] | wave [mm/s] | PyElastica: end, mean [mm] | ours |")
@@ -134,7 +132,3 @@ def main() -> None:
             f"{b[0]:.3f}, {b[1]:.3f} |",
             flush=True,
         )
-
-
-if __name__ == "__main__":
-    main()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+from benchmarks.paper.cell_records import Record, Records
 from benchmarks.paper.published import result_of_run
-from benchmarks.paper.records import Record, Records
 from jaxrod.viz import ReferenceScore
 from jaxrod.viz.grid_curves import grid_curves
 

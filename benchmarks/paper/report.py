@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
+from benchmarks.paper.cell_records import Record
 from benchmarks.paper.published import result_of_run
-from benchmarks.paper.records import Record
 from jaxrod.cli.sweeps.view import duration
 from jaxrod.files import write_atomically
 

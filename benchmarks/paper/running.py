@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
+from benchmarks.paper.cell_records import Record, Records
 from benchmarks.paper.figures import draw_figures
 from benchmarks.paper.plan import Cell
-from benchmarks.paper.records import Record, Records
 from benchmarks.paper.report import write_report
 from jaxrod.cli.sweeps.planned import differs
 from jaxrod.cli.sweeps.process import (

@@ -1,15 +1,11 @@
 """PyElastica's solenoid between guides: a rod that is pulled and turned 13 times.
 
-    python -m benchmarks.plectoneme.pulled [FORCE [TURNS [CONTACT]]]
-
 Prints twist, writhe and link, the largest angle of a joint, and which elements have
 passed through each other since the last moment that was looked at, from two turns
-before the rod buckles on. FORCE is in newtons, CONTACT in N/m^2.
+before the rod buckles on.
 """
 
 from __future__ import annotations
-
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +26,14 @@ A_TURN, PULLING, LOOKED = 2.0, 1.0, 0.05
 """For a turn, until it is pulled, between looks [s]."""
 
 
-def main(force: float = 300.0, turns: float = 13.0, contact: float = 1e7) -> None:
-    """Steps and prints rows where something passes, and every quarter of a turn."""
+def pull(force: float = 300.0, turns: float = 13.0, contact: float = 1e7) -> None:
+    """Steps and prints rows where something passes, and every quarter of a turn.
+
+    Args:
+        force: Pull along the rod [N].
+        turns: Turns of the end.
+        contact: Stiffness of contact [N/m^2].
+    """
     jax.config.update("jax_enable_x64", True)
     made = guided(
         N,
@@ -79,7 +81,3 @@ def main(force: float = 300.0, turns: float = 13.0, contact: float = 1e7) -> Non
             flush=True,
         )
     print(f"elements are {LENGTH / N / RADIUS:.2g} radii long")
-
-
-if __name__ == "__main__":
-    main(*(float(text) for text in sys.argv[1:]))

@@ -16,9 +16,9 @@ from types import ModuleType
 import jaxrod
 
 PROGRAMS = {
-    "reproduce": "benchmarks.paper.command",
-    "tradeoff": "benchmarks.tradeoff.command",
-    "benchmark": "benchmarks.rod_steps.command",
+    "reproduce": "benchmarks.paper.run",
+    "tradeoff": "benchmarks.tradeoff.run",
+    "benchmark": "benchmarks.rod_steps.run",
 }
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from benchmarks import algorithms
+from benchmarks.algorithms import run as algorithms
 from benchmarks.paper import settings
 
 

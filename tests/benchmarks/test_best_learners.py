@@ -1,4 +1,4 @@
-"""`benchmarks/best_learners.py`: learners one after the other, and what they earn."""
+"""`best_learners`: learners one after the other, and what they earn."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import best_learners
-from benchmarks.best_learners_page import same_episodes, section
+from benchmarks.best_learners import run as best_learners
+from benchmarks.best_learners.page import section
+from benchmarks.same_episodes.page import same_episodes
 
 
 @pytest.mark.slow

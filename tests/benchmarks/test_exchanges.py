@@ -1,4 +1,4 @@
-"""`benchmarks/exchanges.py`: what devices send each other, by the program's text."""
+"""What devices send each other, by the program's text."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import sys
 import jax
 import pytest
 
-from benchmarks.exchanges import Exchange, exchanges
+from benchmarks.scaling.exchanges import Exchange, exchanges
 
 PROGRAM = """
 import dataclasses, json, sys
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
-from benchmarks.exchanges import exchanges
-from benchmarks.scaling import updates
+from benchmarks.scaling.exchanges import exchanges
+from benchmarks.scaling.run import updates
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import find_algorithm
 name, settings = sys.argv[1], json.loads(sys.argv[2])

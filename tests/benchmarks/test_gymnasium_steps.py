@@ -4,7 +4,8 @@ import sys
 
 import pytest
 
-from benchmarks import gymnasium_steps
+from benchmarks.gymnasium_steps import bursts
+from benchmarks.gymnasium_steps import run as gymnasium_steps
 
 
 def test_rod_steps_and_motion_follow_from_control_steps():
@@ -25,7 +26,7 @@ def test_the_arm_says_what_its_control_step_is():
     from jaxrod.envs.gym import GymnasiumEnv
 
     env = GymnasiumEnv("tracking", variant="clean", substeps=5, n_elements=10)
-    said = gymnasium_steps._content(env)
+    said = bursts._content(env)
     assert said == {"elements": 10, "steps": 5, "seconds": pytest.approx(1.4e-3)}
 
 

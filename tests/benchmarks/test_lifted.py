@@ -1,10 +1,12 @@
 """How often policies lift the gripper's ball is counted as the program says."""
 
+import argparse
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import lifted
+from benchmarks.lifted import run as lifted
 from jaxrod.envs import make
 from jaxrod.envs.tasks.gripper import LIFT, SLACK
 
@@ -40,7 +42,7 @@ def test_it_prints_a_line_for_each_policy_and_start(monkeypatch, capsys):
     monkeypatch.setattr(lifted.jaxrod, "configure_cpu", lambda: None)
     monkeypatch.setattr(lifted, "played", played)
     monkeypatch.setattr(lifted, "load_policy", {"RUN/policy": still}.get)
-    assert lifted.main(["RUN/policy"]) == 0
+    assert lifted.run(argparse.Namespace(policies=["RUN/policy"])) == 0
     assert capsys.readouterr().out.splitlines() == [
         "scripted, lowered=0: return 2.0 ± 1.0, least 1.0, lifted 50%, flagged 0%",
         "RUN/policy, lowered=0: return 2.0 ± 1.0, least 1.0, lifted 0%, flagged 50%",

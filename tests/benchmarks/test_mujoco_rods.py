@@ -8,14 +8,14 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import j0, jn_zeros
 
-from benchmarks.mujoco_rods import errors, flex_jobs, references, run, scenes
+from benchmarks.mujoco_rods import errors, flex_jobs, problem, references, scenes
 from benchmarks.mujoco_rods.flex_jobs import Setting
 
 G = scenes.GRAVITY
 
 
 def found(tips, nodes=None, speed=0.0):
-    return run.Run(np.asarray(tips), np.asarray(nodes), speed, 1e-3, 1.0, 0.5)
+    return problem.Run(np.asarray(tips), np.asarray(nodes), speed, 1e-3, 1.0, 0.5)
 
 
 def test_small_deflections_are_linear():
@@ -159,9 +159,11 @@ def test_a_job_says_all_that_a_rod_needs():
     pytest.importorskip("mujoco")
     from benchmarks.mujoco_rods import flex
 
-    clamped = flex_jobs.job(run.cantilever(), Setting("held", 1e-3, short_edge=True))
-    swung = flex_jobs.job(run.swinging(), Setting("held", 1e-4))
-    sprung = flex_jobs.job(run.swinging(), Setting("springs", 1e-4))
+    clamped = flex_jobs.job(
+        problem.cantilever(), Setting("held", 1e-3, short_edge=True)
+    )
+    swung = flex_jobs.job(problem.swinging(), Setting("held", 1e-4))
+    sprung = flex_jobs.job(problem.swinging(), Setting("springs", 1e-4))
     for job in (clamped, swung, sprung):
         read = flex.Job(**job)
         assert len(read.rest) == len(read.start) == len(read.masses)
@@ -190,8 +192,8 @@ def test_the_rods_are_near_their_references_in_jaxrod():
     from benchmarks.mujoco_rods import ours
 
     plane = ours.METHODS["in a plane"]
-    bent = ours.run(run.cantilever(), plane)
+    bent = ours.run(problem.cantilever(), plane)
     assert abs(errors.measure_deflection(bent)[1]) < 1.5e-3
-    assert abs(errors.measure_period(ours.run(run.swinging(), plane))[0]) < 2e-4
-    shape, sag, rest = errors.measure_shape(ours.run(run.hanging(), plane))
+    assert abs(errors.measure_period(ours.run(problem.swinging(), plane))[0]) < 2e-4
+    shape, sag, rest = errors.measure_shape(ours.run(problem.hanging(), plane))
     assert shape < 6e-4 and abs(sag) < 3e-4 and rest < 1e-4

@@ -1,4 +1,4 @@
-"""`benchmarks/optimum.py`: ceilings by construction, and a page of its records."""
+"""`optimum`: ceilings by construction, and a page of its records."""
 
 import dataclasses
 import json
@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import optimum, optimum_page
+from benchmarks.optimum import page as optimum_page
+from benchmarks.optimum import run as optimum
 from jaxrod.envs import make
 
 
@@ -65,7 +66,7 @@ def test_the_page_says_what_the_records_do(tmp_path, monkeypatch):
     monkeypatch.setattr(optimum_page, "ROOT", tmp_path)
     monkeypatch.setattr(optimum_page, "RECORDS", records)
     monkeypatch.setattr(optimum_page, "LEARNERS", records / "learners")
-    cells = tmp_path / "benchmarks" / "clean" / "cells"
+    cells = tmp_path / "benchmarks" / "clean" / "records" / "cells"
     cells.mkdir(parents=True)
     for seed, score in enumerate((600, 700)):
         cell = {

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.paper.cell_records import COLUMNS
 from benchmarks.paper.plan import plan
-from benchmarks.paper.records import COLUMNS
 from jaxrod import __version__
 from jaxrod.cli.sweeps import process
 from jaxrod.training.runs.lock import only_process
@@ -340,7 +340,7 @@ CLEAN = "Case3 Case4 --variant clean --algorithms sac td3 --seeds 0 1 2 3 4"
 def test_the_benchmarks_that_are_kept_are_of_the_grid_as_it_is(
     words, folder, cells, run
 ):
-    kept = Path(__file__).parents[2] / "benchmarks" / folder
+    kept = Path(__file__).parents[2] / "benchmarks" / folder / "records"
     code, out, _ = run("reproduce", *words.split(), "--dry-run", "--out", kept)
     assert code == 0
     states = [line.split()[1] for line in out.splitlines() if line.startswith("Case")]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks import validation
+from benchmarks.validation import run as validation
 
 RUN = """<testsuites><testsuite>
 <testcase file="tests/physics/test_time.py" name="a" line="3"><properties>

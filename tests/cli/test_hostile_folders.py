@@ -12,8 +12,8 @@ import sys
 import numpy as np
 import pytest
 
+from benchmarks.paper.cell_records import COLUMNS
 from benchmarks.paper.plan import plan
-from benchmarks.paper.records import COLUMNS
 from extremes.damage import Malicious
 from jaxrod.cli import settings, train
 from jaxrod.cli.runs import open_run

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 import jaxrod
-from benchmarks.buckling import LENGTH, PERIOD, PRESSED, SD, TRUTH, Buckling
-from benchmarks.fit_rows import noisy, scaled
+from benchmarks.identification.buckling import (
+    LENGTH,
+    PERIOD,
+    PRESSED,
+    SD,
+    TRUTH,
+    Buckling,
+)
+from benchmarks.identification.fit_rows import noisy, scaled
 
 TIME = 0.7
 

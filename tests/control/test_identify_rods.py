@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.identification import DROPPED, MATERIAL, Drop, Poses, noisy
+from benchmarks.identification.run import DROPPED, MATERIAL, Drop, Poses, noisy
 from jaxrod.control import identify
 
 pytestmark = pytest.mark.slow

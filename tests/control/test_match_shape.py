@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from benchmarks.identification import Shapes
+from benchmarks.identification.run import Shapes
 from jaxrod.control import match_shape
 
 

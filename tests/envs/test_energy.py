@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from extremes.actions import turned
+from benchmarks.extremes.actions import turned
 from jaxrod.envs import make
 from physics.validation import record as record
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from extremes.actions import CONTROL_POINTS, DT, N_ELEMENTS, run, turned
+from benchmarks.extremes.actions import CONTROL_POINTS, DT, N_ELEMENTS, run, turned
 from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT
 from physics.rods import arm
 

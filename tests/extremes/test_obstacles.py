@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from extremes.obstacles import run
+from benchmarks.extremes.obstacles import run
 
 
 @pytest.mark.slow

@@ -322,7 +322,8 @@ print(jaxrod.lane_choices()[-1].why)
 def test_the_doctor_and_the_benchmark_say_why_batches_are_slower():
     done = with_unknown_header("""
 from jaxrod import cli
-from benchmarks.rod_steps import command, measuring
+from benchmarks.rod_steps import measuring
+from benchmarks.rod_steps import run as command
 assert cli.main(["doctor"]) == 0
 report = measuring.Report((), ())
 machine = dict(processor="x", devices="y", versions={}, load_average_before=0, cores=1)

@@ -1,6 +1,6 @@
 """A test's measured value and its bar: asserted here, tabulated in docs/validation.md.
 
-`benchmarks/validation.py` runs the tests and collects what they recorded.
+`python -m benchmarks validation` runs the tests and collects what they recorded.
 """
 
 from __future__ import annotations

@@ -1,0 +1,293 @@
+"""Settings of the learners beside the reference's: docs/algorithms.md.
+
+What the reference had, and why ours is another, is `reference.csv`; our values are
+those of the code: the defaults of the learners, and `benchmarks.paper.settings` by
+case. A setting that is missing there, or told otherwise than it is, is an error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks.paper.settings import CLEAN, GRID, Planned
+from benchmarks.shared.files import ROOT
+from jaxrod.files import write_atomically
+from jaxrod.training import LearnerConfig, find_algorithm
+
+REFERENCE = Path(__file__).with_name("reference.csv")
+PAGE = ROOT / "docs" / "algorithms.md"
+CASES = tuple(case for case in GRID if case != "trivial")
+LEARNERS = tuple(sorted(GRID["tracking"]))
+"""Those of the published grid: the others have no reference."""
+OTHERS = ("dagger", "shac")
+
+BEGINNING = """\
+# Algorithms and their settings
+
+Written by `python -m benchmarks algorithms` from the settings in the code and
+`benchmarks/algorithms/reference.csv`; do not edit.
+
+Five learners of the published benchmark, and below them two that differentiate the
+simulation; all compiled: acting, memory and gradient steps never leave the device.
+The reference is the implementation the published benchmark used (Stable Baselines
+2.10.1, one environment, default settings but for those named); its on-policy PPO is
+`PPO1`. `jaxrod train TASK --algorithm NAME --set help` lists all settings, and the
+docstrings of `jaxrod.training.PPOConfig`, `TRPOConfig`, `SACConfig`, `TD3Config` and
+`DDPGConfig` say what they mean, those of `LearnerConfig`, `OnPolicyConfig` and
+`OffPolicyConfig` what all or several have. Every setting is in one of the first two
+tables with its default, and every one that the grid sets in the first or the third.
+
+A decision is one control step, or `action_repeat` of them under the same action, whose
+rewards are added up. Control steps are what is counted everywhere. An exported policy
+says for how many its actions are to be held (its `action_repeat`); evaluations and
+replays do so.
+
+Off-policy learners alternate: `num_envs * rollout_steps` decisions, then
+`gradient_steps` gradient steps. By default that is 1024 control steps and 64 gradient
+steps on 256 transitions: one gradient step for every 16 control steps, 16 transitions
+learned from for every one seen. The reference makes one for each control step (DDPG:
+one for two) on 64 (SAC) or 128 transitions: 64 to 128 for one. A gradient step costs
+as much as dozens of control steps of an arm, so this ratio is the first thing to turn
+when samples are scarcer than time; `num_envs` is the second: no whole episode ends
+before `num_envs` times its length has been acted, so scarce samples want few
+environments.
+
+## What differs from the reference
+
+Every deviation of the published grid from what the paper ran. Rows of a case hold
+there instead of those of all cases: `jaxrod reproduce` runs every case with these
+settings, the same for all seeds (`benchmarks/paper/settings.py`), and with the whole
+updates that fit into its control steps. [Reproducing the benchmark](reproduce.md) says
+more of the reasons, [what was tried](../benchmarks/paper/tried.md) has the runs that
+settings were chosen by, and [the results](../benchmarks/paper/records/results.md) what
+they led to. A semicolon separates values in the order of the algorithms named.
+"""
+IN_OUR_PHYSICS = """\
+## What differs where obstacles are met in the library's physics
+
+In the variant `clean` a control step of the same two tasks takes a twelfth
+(`structured`) and a ninth of the time ([how fast the tasks are](environments.md)),
+and the number of control steps is nobody's: more environments, two to six million
+control steps, actions that are held for 4 or 7 ms. With `--variant clean`,
+`jaxrod reproduce` has these instead of the rows of these cases above; TRPO and DDPG,
+which were not tried there, keep those rows.
+"""
+
+BY_GRADIENTS = """\
+## What learns by gradients of the simulation
+
+`dagger` fits a network to what a planner does
+([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts, and in every decision the
+planner, whose model is the simulation, makes the policy's action better by a
+Gauss-Newton step on the task's residuals `lookahead` control steps later, the action
+being held. All that was said so far is fitted by least squares. It needs a task with
+`predict` and `residuals` ([planning](planning.md)), learns from no reward, and is
+measured beside PPO in [learning by gradients](first_order.md). The planner's own
+control steps are in `progress.csv` as `model_steps`, beside those that are acted.
+Settings that are not listed are those that all learners have
+(`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are refused.
+
+`shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) climbs the
+gradient of what a short window earns, through the simulation, and of the value of where
+it ends; with `critic=false` it is the analytic policy gradient (APG). It earns minus
+the task's smooth cost, or with `objective=reward` the reward, whose bonuses have no
+slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.csv`.
+
+One learner after the other: `jaxrod.training.beginning_with(PPO, policy)` is PPO whose
+first policy is one that was learned before, by `dagger` say, instead of chance. Its
+configuration needs the policy's `hidden_sizes` and a small `initial_log_std`.
+`python -m benchmarks best_learners TASK` trains so in `tracking` and `reaching`:
+[what that earns](optimum.md).
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One row of `reference.csv`."""
+
+    algorithms: str
+    """Names of learners, or "all"."""
+    cases: str
+    """Names of tasks, or "all"."""
+    setting: str
+    """Name of a setting; "steps"; empty for what is no setting."""
+    reference: str
+    """The reference's value, or what it does."""
+    ours: str
+    """What we do; empty where the code says it."""
+    why: str
+    """Why ours differs; empty where it does not."""
+
+    def named(self) -> list[str]:
+        """The learners it is about."""
+        return _listed(self.algorithms, LEARNERS)
+
+    def value(self) -> Any:
+        """Our value of the setting, the same for all that the row is about.
+
+        Raises:
+            ValueError: it is not the same.
+        """
+        values = [
+            _default(name, self.setting)
+            if self.cases == "all"
+            else _planned(GRID[case][name], self.setting)
+            for case in _listed(self.cases, CASES)
+            for name in self.named()
+        ]
+        if any(value != values[0] for value in values):
+            raise ValueError(f"{self} is told of several values: {values}")
+        return values[0]
+
+
+def page(rows: Iterable[Row]) -> str:
+    """The document.
+
+    Raises:
+        ValueError: the rows are not of the settings as they are.
+    """
+    rows = list(rows)
+    check(rows)
+    different = [row for row in rows if row.why]
+    same = [row for row in rows if not row.why]
+    heads = ("Algorithm", "Case", "Setting", "Reference", "Ours", "Why")
+    lines = [BEGINNING, *_table(heads, map(_told, different)), ""]
+    lines += ["## What is as in the reference", ""]
+    cells = ((row.algorithms, f"`{row.setting}`", row.reference) for row in same)
+    lines += [*_table(("Algorithm", "Setting", "Value"), cells), "", IN_OUR_PHYSICS]
+    lines += _table(("Cases", "Algorithms", "Setting", "Value"), _grouped(CLEAN))
+    lines += ["", BY_GRADIENTS]
+    lines += _table(("Algorithm", "Setting", "Default"), _of_others())
+    return "\n".join(lines) + "\n"
+
+
+def check(rows: list[Row]) -> None:
+    """Raises ValueError unless every setting is told once, and as it is."""
+    for name in LEARNERS:
+        fields = dataclasses.fields(find_algorithm(name).config_type())
+        _once(name, (field.name for field in fields), rows, name, "all")
+        for case in CASES:
+            settings = GRID[case][name].settings
+            _once(f"{name} in {case}", settings, rows, name, case)
+    for row in rows:
+        if row.cases == "all" and row.setting:
+            as_there = _same(row.reference, row.value())
+            if as_there and row.why:
+                raise ValueError(f"{row} gives a reason, but it is as in the reference")
+            if not as_there and not row.why:
+                raise ValueError(f"{row} is {row.value()} now: why?")
+
+
+def _once(
+    what: str, settings: Iterable[str], rows: list[Row], name: str, case: str
+) -> None:
+    """Raises ValueError unless the rows of a learner tell each setting once."""
+    told = Counter(
+        row.setting
+        for row in rows
+        if row.setting not in ("", "steps")
+        and name in row.named()
+        and (row.cases == "all" if case == "all" else case in row.cases.split(", "))
+    )
+    wanted = Counter(list(settings))
+    if told != wanted:
+        wrong = sorted((told - wanted) + (wanted - told))
+        raise ValueError(
+            f"{REFERENCE.name} must tell each setting of {what} once: "
+            f"{', '.join(wrong)}"
+        )
+
+
+def _told(row: Row) -> tuple[str, ...]:
+    """A row as the page has it."""
+    setting, reference, ours = f"`{row.setting}`", row.reference, row.ours
+    if row.setting == "steps":
+        setting, reference = "—", f"{reference} control steps"
+        ours = f"{row.value():,}".replace(",", " ")
+    elif row.setting:
+        ours = _shown(row.value())
+    else:
+        setting = "—"
+    return row.algorithms, row.cases, setting, reference, ours, row.why
+
+
+def _grouped(grid: Mapping[str, Mapping[str, Planned]]) -> Iterator[tuple[str, ...]]:
+    """Rows (cases, algorithms, setting, value) of a grid, as few as there can be."""
+    users: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for case, plans in grid.items():
+        for name, plan in plans.items():
+            for setting, value in plan.settings.items():
+                by_case = users.setdefault((setting, _shown(value)), {})
+                by_case.setdefault(case, []).append(name)
+    for (setting, shown), by_case in users.items():
+        for names in dict.fromkeys(", ".join(names) for names in by_case.values()):
+            cases = [case for case, some in by_case.items() if ", ".join(some) == names]
+            yield ", ".join(cases), names, f"`{setting}`", shown
+
+
+def _of_others() -> Iterator[tuple[str, ...]]:
+    """Rows (algorithm, setting, default) of what is not in the published grid."""
+    usual = LearnerConfig()
+    for name in OTHERS:
+        config = find_algorithm(name).config_type()
+        for field in dataclasses.fields(config):
+            value = getattr(config, field.name)
+            if value != getattr(usual, field.name, None):
+                yield name, f"`{field.name}`", _shown(value)
+
+
+def _listed(words: str, everything: Iterable[str]) -> list[str]:
+    return list(everything) if words == "all" else words.split(", ")
+
+
+def _default(algorithm: str, setting: str) -> Any:
+    return getattr(find_algorithm(algorithm).config_type(), setting)
+
+
+def _planned(plan: Planned, setting: str) -> Any:
+    return plan.steps if setting == "steps" else plan.settings[setting]
+
+
+def _shown(value: Any) -> str:
+    """A value in a table."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _same(reference: str, value: Any) -> bool:
+    """Whether a value is what a cell says, as text or as a number."""
+    try:
+        return float(reference.replace(" ", "")) == value
+    except ValueError:
+        return reference == _shown(value)
+
+
+def _table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
+    rule = "|---" * len(heads) + "|"
+    cells = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
+    return [cells[0], rule, *cells[1:]]
+
+
+def read(file: Path = REFERENCE) -> list[Row]:
+    """The rows of `reference.csv`."""
+    with file.open(newline="", encoding="utf-8") as stream:
+        return [Row(**row) for row in csv.DictReader(stream)]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Takes no arguments."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Writes the document."""
+    write_atomically(PAGE, page(read()).encode())
+    return 0

@@ -1,1 +1,0 @@
-"""Accuracy of the settings of the `clean` tasks."""

@@ -1,0 +1,168 @@
+"""Control steps per second of every task: docs/environments.md.
+
+All tasks, or those named: other rows stay as they are. Steps a batch of every task and
+variant in float32 under random actions, spread over all cores as training spreads it,
+restarts and scores included, without a policy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Float
+
+import jaxrod
+from benchmarks.shared.arguments import add_names
+from benchmarks.shared.files import ROOT
+from jaxrod.envs import VectorEnvironment, VectorState, make
+from jaxrod.files import write_atomically
+from jaxrod.installation.machine import processor_and_versions
+from jaxrod.lanes.choice import slower
+from jaxrod.training.algorithm import DEVICE_AXIS
+from jaxrod.training.runs.devices import device_mesh, place
+
+ARMS = ("tracking", "reaching", "structured", "unstructured")
+TASKS = (
+    *((name, variant) for name in ARMS for variant in ("clean", "paper")),
+    *((name, "clean") for name in ("following", "snake", "octopus", "gripper")),
+)
+BATCHES = (16, 64, 256)
+"""Environments per core."""
+MOTION = 7.0
+"""Simulated time of a core's environments together in one timed call, about [s]."""
+WINDOWS = 5
+WINDOW_SECONDS = 2.0
+HEADER = """\
+# How fast the tasks are
+
+Written by `python -m benchmarks environments`; do not edit. Control steps per second,
+float32, with {batches} environments on each of {cores} cores, under new random
+actions in every step; medians of {windows} windows of {seconds:g} s, compiling not
+counted. The time of a control step, the elements of a rod and the simulation steps per
+control step are the tasks' own: the octopus has eight arms, the gripper three fingers
+and a ball. {lanes}
+{machine}.
+
+| task | variant | control step [ms] | elements | steps | {columns} | flagged |
+|---|---|---:|---:|---:|{rule}---:|
+"""
+
+
+def row(name: str, variant: str) -> str:
+    """Measures one task."""
+    env = make(name, variant=variant)
+    found = [measured(env, batch) for batch in BATCHES]
+    speeds = " | ".join(f"{speed:,.0f}" for speed, _ in found)
+    flagged = statistics.mean(share for _, share in found)
+    sizes = f"{1e3 * env.control_period:.3g} | {env.n_elements} | {env.substeps}"
+    return f"| {name} | {variant} | {sizes} | {speeds} | {flagged:.1e} |"
+
+
+def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
+    """Control steps per second of a batch, and the share of them that was flagged."""
+    steps, call = stepping(env, envs_per_core, jax.devices())
+    shares: list[float] = []
+
+    def timed() -> float:
+        start = time.perf_counter()
+        flagged = call()
+        wall = time.perf_counter() - start
+        shares.append(flagged)
+        return wall
+
+    timed()
+    calls = max(1, round(WINDOW_SECONDS / timed()))
+    wall = statistics.median(
+        sum(timed() for _ in range(calls)) / calls for _ in range(WINDOWS)
+    )
+    return steps / wall, statistics.mean(shares)
+
+
+def stepping(
+    env: Any, envs_per_device: int, devices: Sequence[jax.Device]
+) -> tuple[int, Callable[[], float]]:
+    """What steps a batch that is spread over devices, under random actions.
+
+    Returns:
+        Control steps of a call, and the call, which returns the share that was
+        flagged. The first one compiles.
+    """
+    batch = VectorEnvironment(env)
+    params = env.default_params()
+    mesh = device_mesh(devices)
+    spread, whole = PartitionSpec(DEVICE_AXIS), PartitionSpec()
+    steps = max(1, round(MOTION / env.control_period / envs_per_device))
+
+    @jax.jit
+    @partial(
+        jax.shard_map,
+        mesh=mesh,
+        in_specs=(spread, whole),
+        out_specs=(spread, spread),
+        # Nothing is exchanged between devices.
+        check_vma=False,
+    )
+    def play(
+        state: VectorState, params: Any
+    ) -> tuple[VectorState, Float[Array, " devices"]]:
+        def step(state: VectorState, _: None) -> tuple[VectorState, Array]:
+            draw = jax.vmap(
+                lambda key, tick: jax.random.uniform(
+                    jax.random.fold_in(key, tick), (env.action_size,), minval=-1.0
+                )
+            )
+            state, outcome = batch.step(state, draw(state.keys, state.ticks), params)
+            return state, jnp.mean(outcome.info["flagged"])
+
+        state, flagged = jax.lax.scan(step, state, length=steps)
+        return state, jnp.mean(flagged)[None]
+
+    num_envs = envs_per_device * len(devices)
+    state = batch.reset(jax.random.key(0), num_envs, params, spread_phases=True)
+    state, params = place(state, spread, mesh), place(params, whole, mesh)
+
+    def call() -> float:
+        nonlocal state
+        state, flagged = jax.block_until_ready(play(state, params))
+        return float(jnp.mean(flagged))
+
+    return steps * num_envs, call
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the tasks."""
+    known = dict.fromkeys(name for name, _ in TASKS)
+    add_names(parser, "tasks", known, "TASK")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures and writes the page."""
+    jaxrod.configure_cpu()
+    target = ROOT / "docs" / "environments.md"
+    page = HEADER.format(
+        lanes=slower() or "Batches run in [lanes](performance.md).",
+        machine=f"Measured on: {processor_and_versions()}",
+        cores=jax.device_count(),
+        batches=f"{', '.join(map(str, BATCHES[:-1]))} or {BATCHES[-1]}",
+        columns=" | ".join(f"{batch} per core" for batch in BATCHES),
+        rule="---:|" * len(BATCHES),
+        windows=WINDOWS,
+        seconds=WINDOW_SECONDS,
+    )
+    before = target.read_text().splitlines()
+    for name, variant in TASKS:
+        head = f"| {name} | {variant} |"
+        kept = [line for line in before if line.startswith(head)]
+        line = row(name, variant) if name in args.tasks or not kept else kept[0]
+        print(line, flush=True)
+        page += line + "\n"
+    write_atomically(target, page.encode())
+    return 0

@@ -1,0 +1,198 @@
+"""Page and picture of learning by gradients, from the records."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from benchmarks.shared.files import ROOT
+from jaxrod.files import read_json, write_atomically
+
+RECORDS = ROOT / "benchmarks" / "first_order" / "records"
+CASES = {"tracking": 1, "reaching": 2}
+COLOURS = {"ppo": "tab:orange", "dagger": "tab:blue", "shac": "tab:green"}
+BASELINE = "ppo"
+
+HEADER = """\
+# Learning by gradients
+
+Written by `python -m benchmarks first_order`; do not edit. `dagger`
+([algorithms](algorithms.md)) fits a network to a planner that differentiates the
+simulation; `ppo` uses rewards alone. Cases 1 and 2, variant `clean`, float32, one core.
+Scores are mean returns without noise of {episodes} episodes, the same for all (seed 1
+of `evaluate`): mean over the seeds, smallest and largest in brackets. Times are of
+training, compiling included, evaluations not; other work shared the machine, so the
+processor's time says more than the wall-clock. **Model steps** are control steps that
+the planner simulates beside those that are acted, backward passes not counted.
+
+![Score against steps and time](../benchmarks/first_order/records/first_order.png)
+
+"""
+TRIED = """
+## What was tried besides
+
+On the same episodes:
+
+- `dagger` in `reaching`, its run planned for 1,000,000 control steps, comes to 5,965,
+  5,906, 5,822, 6,328 and 5,841 with seeds 0 to 4, in 82 to 92 s of the processor.
+- `dagger` in `tracking`, seed 0, with `plan_iterations` 1 instead of 2 comes to 8,854
+  after 1,007,616 control steps.
+- `shac` as it is by default, seed 0, comes to 1,159 in `reaching` after 2,002,944
+  control steps and 80 s of the processor, 51 of which it compiles. PPO is better in
+  less time. Nothing else of its settings was tried on arms, nor was `tracking`.
+
+`python -m benchmarks first_order TASK:ALGORITHM --seeds 0` makes a run.
+"""
+COLUMNS = (
+    "task",
+    "learner",
+    "seeds",
+    "score",
+    "control steps",
+    "model steps",
+    "processor [s]",
+    "of it compiling [s]",
+    "wall-clock [s]",
+)
+REACHED = """
+## What PPO's final score takes
+
+The first evaluation of each seed at or above the mean of PPO's final scores, and its
+share of what PPO's runs take in the mean; mean over the seeds that get there, largest
+in brackets.
+
+"""
+REACHED_COLUMNS = (
+    "task",
+    "learner",
+    "score of PPO",
+    "seeds that reach it",
+    "control steps",
+    "share",
+    "processor [s]",
+    "share",
+    "wall-clock [s]",
+    "share",
+)
+SEEDS = """
+## Every seed
+
+| task | learner | seed | score | standard deviation of its episodes | flagged |
+|---|---|---:|---:|---:|---:|
+"""
+
+
+def write_pages() -> None:
+    """Writes the page and its picture from the records there are."""
+    records = [read_json(file) for file in sorted(RECORDS.glob("*.json"))]
+    cells = {
+        (task, name): found
+        for task in CASES
+        for name in COLOURS
+        if (found := [r for r in records if _of(r) == (task, name)])
+    }
+    if not cells:
+        return
+    page = HEADER.format(episodes=records[0]["episodes"]) + _head(COLUMNS)
+    reached, seeds = REACHED + _head(REACHED_COLUMNS), SEEDS
+    for (task, name), runs in cells.items():
+        head = f"| {CASES[task]} `{task}` | `{name}` "
+        last = [run["rows"][-1] for run in runs]
+        page += (
+            f"{head}| {len(runs)} | {_spread(row['return'] for row in last)} "
+            f"| {_mean(last, 'control_steps'):,.0f} "
+            f"| {_mean(last, 'model_steps'):,.0f} "
+            f"| {_mean(last, 'processor_s'):.0f} "
+            f"| {_mean(runs, 'compile_processor_s'):.0f} "
+            f"| {_mean(last, 'wall_s'):.0f} |\n"
+        )
+        for run, row in zip(runs, last, strict=True):
+            seeds += (
+                f"{head}| {run['seed']} | {row['return']:,.0f} "
+                f"| {row['deviation']:,.0f} | {row['flagged']:.0%} |\n"
+            )
+        if name != BASELINE and (task, BASELINE) in cells:
+            reached += head + _reached(runs, cells[task, BASELINE])
+    machines = sorted({record["machine"] for record in records})
+    reached += f"\nMeasured on: {'; '.join(machines)}.\n"
+    settings = "\n## Settings that are not the defaults\n\n"
+    for (task, name), runs in cells.items():
+        told = {json.dumps(run["settings"]) for run in runs}
+        settings += f"- `{name}` in `{task}`: {', '.join(sorted(told))}\n"
+    target = ROOT / "docs" / "first_order.md"
+    write_atomically(target, (page + reached + seeds + settings + TRIED).encode())
+    picture(cells)
+
+
+def _reached(runs: list[dict[str, Any]], baseline: list[dict[str, Any]]) -> str:
+    """The end of a row: what it takes to score as the baseline does in the end."""
+    ends = [run["rows"][-1] for run in baseline]
+    score = _mean(ends, "return")
+    firsts = [
+        next((row for row in run["rows"] if row["return"] >= score), None)
+        for run in runs
+    ]
+    there = [row for row in firsts if row is not None]
+    line = f"| {score:,.0f} | {len(there)} of {len(runs)} "
+    for key in ("control_steps", "processor_s", "wall_s"):
+        if there:
+            share = _mean(there, key) / _mean(ends, key)
+            line += f"| {_spread((r[key] for r in there), least=False)} | {share:.2f} "
+        else:
+            line += "| — | — "
+    return line + "|\n"
+
+
+def _head(columns: tuple[str, ...]) -> str:
+    """The first two lines of a table, numbers to the right from the third column."""
+    rule = "|---|---" + "|---:" * (len(columns) - 2)
+    return f"| {' | '.join(columns)} |\n{rule}|\n"
+
+
+def _of(record: dict[str, Any]) -> tuple[str, str]:
+    return record["task"], record["algorithm"]
+
+
+def _mean(rows: list[dict[str, Any]], key: str) -> float:
+    return float(np.mean([row[key] for row in rows]))
+
+
+def _spread(values: Iterable[float], *, least: bool = True) -> str:
+    """Mean, and the smallest and the largest, or the largest alone, in brackets."""
+    found = np.array(list(values))
+    smallest = f"{found.min():,.0f} to " if least else ""
+    return f"{found.mean():,.0f} ({smallest}{found.max():,.0f})"
+
+
+def picture(cells: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
+    """Score against control steps and processor time, every seed."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    tasks = [task for task in CASES if any(cell[0] == task for cell in cells)]
+    figure = Figure(figsize=(9, 3.2 * len(tasks)), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(tasks), 2, squeeze=False, sharey="row")
+    axes_of = {"control_steps": "control steps", "processor_s": "processor time [s]"}
+    for (task, name), runs in cells.items():
+        for axes, (key, words) in zip(
+            panels[tasks.index(task)], axes_of.items(), strict=True
+        ):
+            for number, run in enumerate(runs):
+                axes.plot(
+                    [row[key] for row in run["rows"]],
+                    [row["return"] for row in run["rows"]],
+                    color=COLOURS[name],
+                    linewidth=1,
+                    label=None if number else name,
+                )
+            axes.set_xscale("log" if key == "control_steps" else "linear")
+            axes.set_xlabel(words)
+            axes.grid(alpha=0.3)
+    for task, row in zip(tasks, panels, strict=True):
+        row[0].set_ylabel(f"{task}: return without noise")
+        row[0].legend()
+    figure.savefig(RECORDS / "first_order.png", dpi=120, metadata={"Software": None})

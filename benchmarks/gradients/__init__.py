@@ -1,1 +1,0 @@
-"""Derivatives through time of named scenes: errors, cost, memory."""

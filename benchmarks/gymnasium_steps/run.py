@@ -1,0 +1,101 @@
+"""Control steps per second of one environment behind Gymnasium.
+
+Each id made by `gymnasium.make`, with Gymnasium's usual wrappers, under random actions,
+on one core and with `configure_cpu(1)`. Ids of other packages are `module:id`. Best and
+median of many short bursts: other work on the machine is no property of an environment.
+Compiling is not counted. A burst that is longer than the system's slices of time is
+interrupted where the machine is busy; the steps in a second of processor time are not.
+
+`--softrobot` names a Python that has gym-softrobot, of an environment of its own, say
+(`python -m venv x; x/bin/pip install gym-softrobot`). Its `SoftArmTracking-v0`,
+PyElastica's arm in much the same task, is measured by the same function on the same
+core: half of the time before ours, half behind. The two differ in what a control step
+is, so steps of the rod and seconds of its motion stand beside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jaxrod
+from benchmarks.gymnasium_steps.bursts import BURST, OURS, THEIRS, bursts
+from benchmarks.shared.clocks import pin_to_one_core
+from jaxrod.installation.machine import processor_and_versions
+
+BURSTS = Path(__file__).with_name("bursts.py")
+SECONDS = 30.0
+"""Bursts end after so long."""
+
+
+def in_other_python(python: str, seconds: float) -> dict[str, Any]:
+    """The bursts of gym-softrobot's arm, in a process of another Python.
+
+    Raises:
+        ValueError: it cannot be measured there.
+    """
+    try:
+        done = subprocess.run(
+            [python, "-W", "ignore", str(BURSTS), THEIRS, str(seconds)],
+            capture_output=True,
+            text=True,
+        )
+    except OSError as error:
+        raise ValueError(f"--softrobot {python}: {error.strerror}") from None
+    if done.returncode or not done.stdout:
+        last = done.stderr.strip().rpartition("\n")[2] or "it said nothing"
+        raise ValueError(f"--softrobot {python} could not measure {THEIRS}: {last}")
+    measured: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return measured
+
+
+def line(name: str, measured: dict[str, Any]) -> str:
+    """What was measured of an id, in words."""
+    best, median = max(measured["speeds"]), statistics.median(measured["speeds"])
+    busy = BURST * len(measured["speeds"]) / measured["busy"]
+    words = (
+        f"{name}: best {best:,.0f}, median {median:,.0f} control steps/s, {busy:,.0f} "
+        "in a second of processor time"
+    )
+    steps = measured["steps"]
+    if steps:
+        words += (
+            f"; of {steps} steps of {measured['elements']} elements: "
+            f"{busy * steps:,.0f} rod-steps in it"
+        )
+    if measured["seconds"]:
+        words += f", {busy * measured['seconds']:.2f} s of motion"
+    return words
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the environments."""
+    parser.add_argument("ids", nargs="*", default=[OURS], help=f"by default {OURS}")
+    parser.add_argument(
+        "--softrobot", metavar="PYTHON", help=f"measure {THEIRS} beside, in this Python"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures and prints."""
+    pin_to_one_core()
+    jaxrod.configure_cpu(1)
+    print(processor_and_versions(), f"; load {os.getloadavg()[0]:.1f}", sep="")
+    theirs: dict[str, Any] = {}
+    half = SECONDS / 2
+    if args.softrobot:
+        python = str(Path(args.softrobot).absolute())
+        theirs = in_other_python(python, half)
+    for name in args.ids:
+        print(line(name, bursts(name, SECONDS)))
+    if args.softrobot:
+        again = in_other_python(python, half)
+        theirs["speeds"] += again["speeds"]
+        theirs["busy"] += again["busy"]
+        print(line(THEIRS, theirs))
+    return 0

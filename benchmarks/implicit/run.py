@@ -1,0 +1,182 @@
+"""Implicit steps, where they pay and where they do not: docs/implicit.md.
+
+Each scene is a rod clamped at one end and let go under a lateral acceleration, in
+float64 on one core. Errors are the largest distance of the tip from an implicit
+reference, extrapolated from two step sizes, over the distance it travels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+import jaxrod
+from benchmarks.shared.files import ROOT
+from jaxrod.files import write_atomically
+from jaxrod.installation.machine import processor_and_versions
+from jaxrod.rods.rod import RodState
+from jaxrod.scene import Scene
+
+SAMPLES = 20
+RADIUS = 0.8
+"""Spectral radius of the implicit steps."""
+HEADER = """\
+# Where implicit steps pay
+
+Written by `python -m benchmarks implicit`; do not edit. {machine}, one core, float64.
+Rods 1 m long, clamped and let go under a lateral acceleration; no damping. Error: the
+largest distance of the tip from the reference, over its travel. Cost: wall-clock time
+per simulated second. "Scaled" has its transverse inertia enlarged (`scale_inertia`).
+
+A step of `jaxrod.implicit({radius})` costs about a hundred explicit ones. It pays where
+the motion asks for steps a thousand times longer than the stable one, and not below.
+"""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A rod, what pulls at it, and the steps to try.
+
+    Attributes:
+        name: What it is.
+        n_elements: Number of elements.
+        radius: [m].
+        youngs_modulus: [Pa].
+        density: [kg/m^3].
+        acceleration: Lateral, of gravity [m/s^2].
+        duration: Simulated time [s].
+        steps: Implicit step sizes to try, falling [s].
+    """
+
+    name: str
+    n_elements: int
+    radius: float
+    youngs_modulus: float
+    density: float
+    acceleration: float
+    duration: float
+    steps: tuple[float, ...]
+
+
+STUDIES = (
+    Study(
+        "Steel wire, 2 mm thick, n = 20",
+        20,
+        1e-3,
+        2e11,
+        7850.0,
+        9.81,
+        1.0,
+        (1e-2, 5e-3, 2.5e-3),
+    ),
+    Study(
+        "Rope, 4 mm thick, 10 MPa, n = 50, pulled slowly (g/1000)",
+        50,
+        2e-3,
+        1e7,
+        1000.0,
+        9.81e-3,
+        2.0,
+        (1e-1, 5e-2, 2e-2),
+    ),
+    Study(
+        "The same rope dropped (g)",
+        50,
+        2e-3,
+        1e7,
+        1000.0,
+        9.81,
+        0.5,
+        (2.5e-2, 1.25e-2, 5e-3),
+    ),
+    Study(
+        "Arm, 10 cm thick, 1 GPa, n = 20",
+        20,
+        0.05,
+        1e9,
+        1000.0,
+        9.81,
+        0.2,
+        (5e-3, 2e-3, 1e-3),
+    ),
+)
+
+
+def tips(scene: Scene, state: RodState, dt: float, duration: float) -> np.ndarray:
+    """The tip at equal intervals of time `(samples, 3)` [m]."""
+    per_sample = max(1, round(duration / SAMPLES / dt))
+    exact = duration / SAMPLES / per_sample
+    found = []
+    for _ in range(SAMPLES):
+        state = jaxrod.advance(scene, state, exact, per_sample)
+        found.append(state.tip)
+    return np.asarray(found)
+
+
+def cost(scene: Scene, state: RodState, dt: float, duration: float) -> float:
+    """Wall-clock time per simulated second, the best of three."""
+    steps = max(1, round(duration / dt))
+
+    def timed() -> float:
+        start = time.perf_counter()
+        jax.block_until_ready(jaxrod.advance(scene, state, duration / steps, steps))
+        return time.perf_counter() - start
+
+    timed()
+    return min(timed() for _ in range(3)) / duration
+
+
+def rows(study: Study) -> list[str]:
+    """The table of one study."""
+    rod, state = jaxrod.straight_rod(
+        study.n_elements,
+        length=1.0,
+        radius=study.radius,
+        density=study.density,
+        youngs_modulus=study.youngs_modulus,
+    )
+    gravity = jaxrod.gravity((study.acceleration, 0.0, 0.0))
+    explicit = jaxrod.make_scene(rod, jaxrod.clamp(state), gravity)
+    implicit = replace(explicit, method=jaxrod.implicit(RADIUS))
+    scaling = jaxrod.scale_inertia(explicit)
+    fine, finer = (
+        tips(implicit, state, study.steps[-1] / k, study.duration) for k in (4, 8)
+    )
+    exact = finer + (finer - fine) / 3
+    travel = float(np.max(np.abs(exact - np.asarray(state.tip))))
+    tries = [("implicit", implicit, dt) for dt in study.steps]
+    tries += [("explicit, scaled", scaling.scene, 0.95 * float(scaling.dt))]
+    tries += [("explicit", explicit, 0.95 * float(scaling.dt_before))]
+    lines = []
+    for name, scene, dt in tries:
+        error = np.max(
+            np.linalg.norm(tips(scene, state, dt, study.duration) - exact, axis=1)
+        )
+        wall = cost(scene, state, dt, study.duration)
+        lines.append(f"| {name} | {dt:.2e} | {error / travel:.2%} | {wall:.2g} |")
+        print(study.name, lines[-1], flush=True)
+    return lines
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Takes no arguments."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures and writes the page."""
+    jaxrod.configure_cpu(1)
+    jax.config.update("jax_enable_x64", True)
+    lines = [HEADER.format(machine=processor_and_versions(), radius=RADIUS)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", jaxrod.UnstableStepWarning)
+        for study in STUDIES:
+            lines += [f"## {study.name}\n", "| steps | dt [s] | error | cost [s/s] |"]
+            lines += ["|---|---:|---:|---:|", *rows(study), ""]
+    target = ROOT / "docs" / "implicit.md"
+    write_atomically(target, "\n".join(lines).encode())
+    return 0

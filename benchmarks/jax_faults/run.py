@@ -1,0 +1,38 @@
+"""Programs that show why releases of JAX are refused.
+
+Each runs in a process of its own, which a faulty release may kill. They need JAX and
+NumPy, not jaxrod: run this with the Python of an environment that has the release.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAMS = ("wrong_rows", "seven_axes", "slow_writes")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the programs."""
+    # Not by `benchmarks.shared`, some of which needs jaxrod.
+    parser.add_argument(
+        "programs", nargs="*", metavar="PROGRAM", help=f"{', '.join(PROGRAMS)} (all)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the programs.
+
+    Returns:
+        0, or 1 if one was killed or failed.
+    """
+    failed = False
+    for name in args.programs or PROGRAMS:
+        file = Path(__file__).with_name(f"{name}.py")
+        code = subprocess.run([sys.executable, str(file)]).returncode
+        if code:
+            print(f"{name}: exit status {code}")
+            failed = True
+    return int(failed)

@@ -1,0 +1,240 @@
+"""Lanes and XLA side by side on one core: docs/performance.md.
+
+`speed`: rod-steps per second of scenes of many kinds, a batch of 256. `gradient`: the
+value and gradient of 1000 steps, a batch of 64. `length`: elements from 5 to 1000.
+`batch`: rods from 1 to 65536. All by default; what is not measured keeps its rows.
+
+Both programs are compiled first; then windows of both alternate, and the least of five
+is taken of each. Counted is processor time of one core, compiling apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+from benchmarks.shared.arguments import add_names
+from benchmarks.shared.files import ROOT
+from benchmarks.shared.page_tables import measured_table
+from jaxrod.envs import make
+
+PAGE = ROOT / "docs" / "performance.md"
+WINDOWS = 5
+MODES = ("always", "never")
+HEADS = {
+    "speed": (
+        "| scene, batch of 256 | lanes [million rod-steps/s] | XLA | ratio "
+        "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+    ),
+    "gradient": (
+        "| value and gradient of 1000 steps, batch of 64 | lanes [us per rod-step] "
+        "| XLA | ratio | of lanes' forward pass | first call, lanes [s] | XLA |\n"
+        "|---|---:|---:|---:|---:|---:|---:|"
+    ),
+    "length": (
+        "| elements, batch of 256 | lanes [million rod-steps/s] | XLA | ratio "
+        "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+    ),
+    "batch": (
+        "| rods of 20 elements | lanes [million rod-steps/s] | XLA | ratio "
+        "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+    ),
+}
+
+Program = Callable[[], Any]
+
+
+def arm(n: int, *, dtype: str = "float32", **how: Any) -> tuple[Any, Any, Any]:
+    """A clamped, damped arm under gravity with couples on its elements."""
+    rod, state = jaxrod.straight_rod(
+        n,
+        length=1.0,
+        radius=0.05,
+        density=1000.0,
+        youngs_modulus=1e7,
+        direction=(1.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+        dtype=dtype,
+    )
+    effects = [
+        jaxrod.clamp(state),
+        jaxrod.exponential_damping(4.0),
+        jaxrod.gravity((0.0, -9.81, 0.0)),
+    ]
+    if "method" not in how:
+        couples = jnp.zeros((3, n), state.positions.dtype).at[0].set(0.3)
+        effects.append(jaxrod.ElementCouples(couples))
+    scene = jaxrod.make_scene(rod, *effects, **how)
+    return scene, state, 0.5 * jaxrod.stable_dt(scene).dt
+
+
+def of_task(name: str) -> tuple[Any, Any, Any]:
+    """The scene of a task under some action, as an environment steps it."""
+    env = make(name, variant="clean")
+    params = env.default_params()
+    _, state = env.reset(jax.random.key(0), params)
+    turning = {"tracking": 2, "reaching": 3, "structured": 1, "unstructured": 2}[name]
+    random = np.random.default_rng(0)
+    n_controls = params.arm.spline.n_controls
+    controls = random.uniform(-0.3, 0.3, (3, n_controls))
+    controls[turning:] = 0
+    scene = params.arm.scene(jnp.asarray(controls), state.arm)
+
+    def single(leaf: Any) -> Any:
+        floating = jnp.issubdtype(leaf.dtype, jnp.floating)
+        return jnp.asarray(leaf, jnp.float32) if floating else leaf
+
+    return jax.tree.map(single, (scene, state.arm, params.dt))
+
+
+SPEED: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
+    "n = 20, clamped, damped, actuated": lambda: arm(20),
+    "n = 10": lambda: arm(10),
+    "n = 50": lambda: arm(50),
+    "n = 100": lambda: arm(100),
+    "n = 20, float64": lambda: arm(20, dtype="float64"),
+    "n = 20, planar": lambda: _planar(20),
+    "n = 20, without twist": lambda: arm(20, method=jaxrod.torsion_free()),
+    "`tracking`, clean, n = 30": lambda: of_task("tracking"),
+    "`reaching`, clean, n = 20": lambda: of_task("reaching"),
+    "`structured`, clean, n = 40, contact": lambda: of_task("structured"),
+    "`unstructured`, clean, n = 40, contact": lambda: of_task("unstructured"),
+}
+
+
+def _planar(n: int) -> tuple[Any, Any, Any]:
+    scene, state, _ = arm(n)
+    effects = (
+        *scene.effects[:3],
+        jaxrod.ElementCouples(jnp.zeros((3, n), jnp.float32).at[2].set(0.3)),
+    )
+    flat = jaxrod.make_scene(scene.rod, *effects, method=jaxrod.planar("xy"))
+    return flat, state, 0.5 * jaxrod.stable_dt(flat).dt
+
+
+def batch_of(state: Any, rods: int) -> Any:
+    """Equal states of many rods."""
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (rods, *leaf.shape)), state)
+
+
+def compiled(
+    function: Callable[..., Any], arguments: Iterable[Any]
+) -> tuple[dict[str, Program], dict[str, float]]:
+    """Programs of a function by lanes and by XLA, and what their first calls took."""
+    programs, seconds = {}, {}
+    for mode in MODES:
+        jaxrod.use_lanes(mode)
+        program = jax.jit(lambda *a: function(*a))
+        given = tuple(arguments)
+        begin = time.perf_counter()
+        jax.block_until_ready(program(*given))
+        seconds[mode] = time.perf_counter() - begin
+        programs[mode] = lambda p=program, g=given: jax.block_until_ready(p(*g))
+    return programs, seconds
+
+
+def timed(programs: dict[str, Program], window: float) -> dict[str, float]:
+    """Processor time of a call of each [s], the least of windows that alternate."""
+    calls = {}
+    for name, program in programs.items():
+        begin = time.process_time()
+        program()
+        once = time.process_time() - begin
+        calls[name] = max(1, round(window / max(once, 1e-6)))
+    found: dict[str, list[float]] = {name: [] for name in programs}
+    for _ in range(WINDOWS):
+        for name, program in programs.items():
+            begin = time.process_time()
+            for _ in range(calls[name]):
+                program()
+            found[name].append((time.process_time() - begin) / calls[name])
+    return {name: min(times) for name, times in found.items()}
+
+
+def forward_row(
+    label: str, model: tuple[Any, Any, Any], rods: int, window: float
+) -> str:
+    """One row of steps per second."""
+    scene, state, dt = model
+    steps = max(20, min(1000, 400_000 // (rods * scene.rod.n_elements)))
+
+    def run(states: Any, n: Any) -> Any:
+        one = lambda state: jaxrod.advance(scene, state, dt, n)
+        return jax.vmap(one)(states)
+
+    programs, first = compiled(run, (batch_of(state, rods), jnp.int32(steps)))
+    per = {k: t / (steps * rods) for k, t in timed(programs, window).items()}
+    lanes, xla = 1e-6 / per["always"], 1e-6 / per["never"]
+    return (
+        f"| {label} | {lanes:.3g} | {xla:.3g} | {lanes / xla:.1f} | "
+        f"{first['always']:.1f} | {first['never']:.1f} |"
+    )
+
+
+def gradient_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
+    """One row of values and gradients."""
+    scene, state, dt = model
+    rods, steps, n = 64, 1000, scene.rod.n_elements
+
+    def final(couples: Any) -> Any:
+        effects = (*scene.effects[:-1], replace(scene.effects[-1], couples=couples))
+        moved = jaxrod.advance(replace(scene, effects=effects), state, dt, steps)
+        return jnp.sum(moved.positions[:, -1] ** 2)
+
+    couples = 0.1 * jnp.ones((rods, 3, n), state.positions.dtype)
+    forward, _ = compiled(jax.vmap(final), (couples,))
+    both, first = compiled(jax.vmap(jax.value_and_grad(final)), (couples,))
+    ahead = timed(forward, window)["always"] / (rods * steps)
+    per = {k: t / (steps * rods) for k, t in timed(both, window).items()}
+    lanes, xla = 1e6 * per["always"], 1e6 * per["never"]
+    return (
+        f"| {label} | {lanes:.3g} | {xla:.3g} | {xla / lanes:.1f} | "
+        f"{per['always'] / ahead:.1f} | {first['always']:.1f} | {first['never']:.1f} |"
+    )
+
+
+def rows(table: str, window: float) -> Iterable[str]:
+    """The rows of a table, as they are measured."""
+    if table == "speed":
+        for label, model in SPEED.items():
+            yield forward_row(label, model(), 256, window)
+    elif table == "gradient":
+        yield gradient_row("n = 20", arm(20), window)
+        yield gradient_row("n = 20, float64", arm(20, dtype="float64"), window)
+    elif table == "length":
+        for n in (5, 10, 20, 50, 100, 200, 1000):
+            yield forward_row(f"{n}", arm(n), 256, window)
+    else:
+        for rods in (1, 2, 4, 8, 16, 64, 256, 1024, 8192, 65536):
+            yield forward_row(f"{rods}", arm(20), rods, window)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the tables."""
+    add_names(parser, "tables", HEADS, "TABLE")
+    parser.add_argument("--seconds", type=float, default=1.0, help="of a window")
+    parser.add_argument("--dry", action="store_true", help="write nothing")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures, prints and writes."""
+    jax.config.update("jax_enable_x64", True)
+    jaxrod.configure_cpu(1)
+    for table in args.tables:
+        measured_table(
+            PAGE,
+            table,
+            HEADS[table],
+            partial(rows, table, args.seconds),
+            dry=args.dry,
+        )
+    return 0

@@ -1,1 +1,0 @@
-"""Cables and a cantilever in jaxrod, MuJoCo 4's flex rods and PyElastica."""

@@ -1,1 +1,0 @@
-"""PyElastica's muscular snake in both libraries."""

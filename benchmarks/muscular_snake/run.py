@@ -1,0 +1,43 @@
+"""PyElastica's muscular snake as it crawls, in both libraries.
+
+WHICH is `ours`; ours with PyElastica's law of some parts, `ours+rods+joints+damping`;
+`theirs`, PyElastica; or `our_ground`, PyElastica with our law of the ground. Prints
+where the body's centre of mass is after every quarter of a period, and how far it goes
+in each period. A period is 200,000 steps.
+
+`hovering` prints where a rod comes to rest above a plane in both libraries, `bellies`
+how far the bellies of our muscles are from a slender rod in the third period.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from benchmarks.muscular_snake.bellies import measure_bellies
+from benchmarks.muscular_snake.crawling import crawl
+from benchmarks.muscular_snake.hovering import hover
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares what to step, and for how long."""
+    parser.add_argument("which", metavar="WHICH", help="see above")
+    parser.add_argument(
+        "periods", type=int, nargs="?", default=6, help="of crawling (6)"
+    )
+    parser.add_argument(
+        "numbers",
+        type=float,
+        nargs="*",
+        help="arguments of `scene.ours`, `scene.theirs` or `our_ground`",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Steps and prints a table."""
+    if args.which == "hovering":
+        hover()
+    elif args.which == "bellies":
+        measure_bellies()
+    else:
+        crawl(args.which, args.periods, *args.numbers)
+    return 0

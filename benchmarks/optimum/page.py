@@ -1,0 +1,202 @@
+"""Page and picture of what tasks can earn, from the records."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from benchmarks.best_learners.page import section
+from benchmarks.same_episodes.page import same_episodes
+from benchmarks.shared.files import ROOT
+from jaxrod.files import read_json, write_atomically
+
+RECORDS = ROOT / "benchmarks" / "optimum" / "records"
+LEARNERS = ROOT / "benchmarks" / "best_learners" / "records"
+SAME = ROOT / "benchmarks" / "same_episodes" / "records"
+CASES = {"tracking": 1, "reaching": 2, "structured": 3, "unstructured": 4}
+PLANS = ("", "held")
+"""Of a task: the line through knots that `mpc` makes by default, or one action."""
+
+
+def learners(case: int) -> list[tuple[str, float, int]]:
+    """Recorded learners: name, mean noise-free return, seeds; the best of a variant."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for folder in ("clean", "paper"):
+        cells = ROOT / "benchmarks" / folder / "records" / "cells"
+        for file in sorted(cells.glob("*.json")):
+            cell = read_json(file)
+            score = cell.get("evaluation_score")
+            if cell["case"] == f"Case{case}" and score is not None:
+                key = cell["algorithm"], cell["variant"]
+                found.setdefault(key, []).append(score)
+    best: dict[str, tuple[str, float, int]] = {}
+    for (algorithm, variant), scores in found.items():
+        mean = float(np.mean(scores))
+        if variant not in best or mean > best[variant][1]:
+            best[variant] = (f"{algorithm} ({variant})", mean, len(scores))
+    return [best[variant] for variant in ("clean", "paper") if variant in best]
+
+
+HEADER = """\
+# How good is good: what the tasks of the arm can earn
+
+Written by `python -m benchmarks optimum`; do not edit. For those of the four tasks of
+the arm that have a record (`python -m benchmarks optimum TASK`), variant `clean`, on
+the same episodes (seed {seed} of `evaluate`; what is random there depends on how long
+actions are held):
+
+- **ceiling**: the reward with the tip on the target, or as near to it as the arm's
+  length from its base allows, and in `reaching` with the goal's orientation. By
+  construction, for each episode. It leaves out the way there, the clamp at the base and
+  the strength of muscles; nobody is known to reach it. That an arm can be stretched, by
+  a few percent when it is swung, is left out as well, so it is no bound to the last
+  digit.
+- **planned**: `jaxrod.control.mpc`, which plans with the rod itself and does not know
+  what is random, untrained; *held* is a plan of one action only
+  (`python -m benchmarks optimum TASK_held`);
+- **learned**: the best learner of each recorded grid by the mean over its seeds, its
+  policies without exploration noise. They were measured on other episodes, those of the
+  `paper` variant under the published physics, too. Their shares are of the mean
+  ceiling here;
+- **random**: actions drawn anew as often as the planner acts.
+
+![Shares of the ceiling](../benchmarks/optimum/records/optimum.png)
+
+| task | episodes | ceiling | planned | share | least share | random | learned |
+|---|---:|---:|---:|---:|---:|---:|---|
+"""
+TIMES = """
+## What a plan takes
+
+Processor time of one core, compiling not counted, and compiling on its own. A plan has
+to be ready within its period to act in real time; here the simulation waits for it.
+Times of a single arm are XLA's and lanes' where the plan itself is a batch (rows of the
+Jacobian, samples).
+
+| task | period [ms] | plan, of a batch [ms] | plan, single arm [ms] | compiling [s] |
+|---|---:|---:|---:|---:|
+"""
+SETTINGS = """
+## Settings
+
+Control steps of 1.4 ms; see `jaxrod.control.mpc`. Costs are the tasks' own
+([planning](planning.md)), not their rewards.
+
+| task | {} |
+|---|{}
+"""
+NAMES = (
+    "method",
+    "shape",
+    "horizon",
+    "knots",
+    "replan",
+    "hold",
+    "iterations",
+    "first",
+    "starts",
+    "effort",
+    "smoothness",
+)
+
+
+def write_pages(seed: int) -> None:
+    """Writes the page and its picture from the records."""
+    records = [
+        read_json(file)
+        for task in CASES
+        for plan in PLANS
+        if (file := RECORDS / f"{task}{plan and '_' + plan}.json").exists()
+    ]
+    if not records:
+        return
+    page = HEADER.format(seed=seed)
+    times = TIMES
+    settings = SETTINGS.format(" | ".join(NAMES), "---:|" * len(NAMES))
+    for record in records:
+        planned, ceiling = np.array(record["mpc"]), np.array(record["ceiling"])
+        mean = ceiling.mean()
+        known = "; ".join(
+            f"{name} {score:,.0f} ({score / mean:.1%}, {seeds} seeds)"
+            for name, score, seeds in learners(record["case"])
+        )
+        flagged = record["mpc_flagged"]
+        title = f"{record['case']} `{record['task']}`{_spaced(record['plan'])}"
+        page += (
+            f"| {title} | {record['episodes']} "
+            f"| {mean:,.0f} | {planned.mean():,.0f}"
+            f"{f', {flagged} flagged' if flagged else ''} "
+            f"| {planned.mean() / mean:.1%} | {np.min(planned / ceiling):.1%} "
+            f"| {np.mean(record['random']):,.0f} | {known} |\n"
+        )
+        times += (
+            f"| {title} | {record['period_ms']:.1f} "
+            f"| {record['plan_ms']:.1f} | {record['single_plan_ms']:.1f} "
+            f"| {record['compile_s']:.0f} |\n"
+        )
+        values = " | ".join(_shown(record["settings"][name]) for name in NAMES)
+        settings += f"| {title} | {values} |\n"
+    machines = sorted({record["machine"] for record in records})
+    measured_on = f"\nMeasured on: {'; '.join(machines)}.\n"
+    page += section(LEARNERS, CASES) + same_episodes(LEARNERS, SAME, CASES)
+    page += times + measured_on + settings
+    write_atomically(ROOT / "docs" / "optimum.md", page.encode())
+    picture(records)
+
+
+def _spaced(plan: str) -> str:
+    return f", {plan}" if plan else ""
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def picture(records: list[dict[str, Any]]) -> None:
+    """Bars of the shares of the ceiling."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    own = {(r["task"], r["plan"]): r for r in records}
+    tasks = [task for task in CASES if any(r["task"] == task for r in records)]
+    some = [next(r for r in records if r["task"] == task) for task in tasks]
+    kinds: list[tuple[str, str, list[float]]] = [
+        ("random", "0.75", [_share(r, np.mean(r["random"])) for r in some]),
+        *(
+            (f"learned {words}", colour, [_share(r, _learned(r, words)) for r in some])
+            for words, colour in (("(paper)", "tab:orange"), ("(clean)", "tab:red"))
+        ),
+    ]
+    for plan, colour in zip(PLANS, ("tab:blue", "tab:cyan"), strict=True):
+        found = [own.get((task, plan)) for task in tasks]
+        shares = [_share(r, np.mean(r["mpc"])) if r else np.nan for r in found]
+        kinds.append(("planned" + _spaced(plan), colour, shares))
+    for place, (name, colour, shares) in enumerate(kinds):
+        bars = axes.bar(
+            np.arange(len(tasks)) + 0.17 * (place - 2),
+            np.maximum(np.nan_to_num(shares), 0),
+            0.15,
+            color=colour,
+            label=name,
+        )
+        words = ["" if np.isnan(share) else f"{share:.0f}" for share in shares]
+        axes.bar_label(bars, words, fontsize=8)
+    axes.set_xticks(range(len(tasks)), tasks)
+    axes.set_ylabel("share of the ceiling [%]")
+    axes.set_ylim(0, 112)
+    axes.axhline(100, color="black", linewidth=0.8)
+    axes.legend(ncols=5, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    figure.savefig(RECORDS / "optimum.png", dpi=120, metadata={"Software": None})
+
+
+def _share(record: dict[str, Any], earned: Any) -> float:
+    return float(100 * earned / np.mean(record["ceiling"]))
+
+
+def _learned(record: dict[str, Any], variant: str) -> float:
+    scores = [s for name, s, _ in learners(record["case"]) if variant in name]
+    return scores[0] if scores else float("nan")

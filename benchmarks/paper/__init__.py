@@ -1,1 +1,0 @@
-"""`jaxrod reproduce`: the published grid of cases, algorithms and seeds."""

@@ -1,1 +1,0 @@
-"""PyElastica's plectoneme in both libraries."""

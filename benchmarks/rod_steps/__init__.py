@@ -1,1 +1,0 @@
-"""`jaxrod benchmark`: rod-steps per second, PyElastica beside it."""

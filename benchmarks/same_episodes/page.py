@@ -1,0 +1,55 @@
+"""A table of what a planner earns in the learners' episodes, for docs/optimum.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxrod.files import read_json
+
+SAME = """
+### Whether more could be had
+
+A planner that plans one action and holds it for the {hold} control steps for which the
+learners hold theirs acts the same episodes, untrained
+(`python -m benchmarks same_episodes`). What it earns can be earned by this arm, so what
+learners lack there is not a matter of reach or strength:
+
+| task | episodes | planned | share | below half | learned | share | below half by all \
+seeds | of these, planned above half | episodes with half of what the learners lack |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|
+"""
+
+
+def same_episodes(learners: Path, folder: Path, tasks: dict[str, int]) -> str:
+    """What a planner earns in the learners' episodes; empty where there is no record.
+
+    Args:
+        learners: holds a record of every run of the learners.
+        folder: holds a record of every task that was planned.
+        tasks: names and numbers, in the order in which they are told.
+    """
+    rows = ""
+    hold = 0
+    for task, case in tasks.items():
+        file, runs = folder / f"{task}.json", sorted(learners.glob(f"{task}-*.json"))
+        if not file.exists() or not runs:
+            continue
+        record = read_json(file)
+        hold, planned = record["hold"], np.array(record["returns"])
+        known = [read_json(run) for run in runs]
+        most = np.array(known[0]["ceiling"])
+        earned = np.array([one["returns"] for one in known])
+        there = most > 0
+        short = there & np.all(earned < 0.5 * most, axis=0)
+        lacking = np.sort(np.maximum(most - earned.mean(axis=0), 0))[::-1]
+        half = int(np.searchsorted(np.cumsum(lacking), 0.5 * lacking.sum())) + 1
+        rows += (
+            f"| {case} `{task}` | {most.size} | {planned.mean():,.0f} "
+            f"| {planned.mean() / most.mean():.1%} "
+            f"| {np.sum(there & (planned < 0.5 * most))} | {earned.mean():,.0f} "
+            f"| {earned.mean() / most.mean():.1%} | {short.sum()} "
+            f"| {np.sum(short & (planned >= 0.5 * most))} | {half} |\n"
+        )
+    return SAME.format(hold=hold) + rows if rows else ""

@@ -1,1 +1,0 @@
-"""`jaxrod tradeoff`: error against cost, PyElastica and MuJoCo's cable beside it."""
