@@ -11,15 +11,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from benchmarks.shared.arguments import add_names
+
 PROGRAMS = ("wrong_rows", "seven_axes", "slow_writes")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the programs."""
-    # Not by `benchmarks.shared`, some of which needs jaxrod.
-    parser.add_argument(
-        "programs", nargs="*", metavar="PROGRAM", help=f"{', '.join(PROGRAMS)} (all)"
-    )
+    add_names(parser, "programs", PROGRAMS, "PROGRAM")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -29,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         0, or 1 if one was killed or failed.
     """
     failed = False
-    for name in args.programs or PROGRAMS:
+    for name in args.programs:
         file = Path(__file__).with_name(f"{name}.py")
         code = subprocess.run([sys.executable, str(file)]).returncode
         if code:

@@ -1,4 +1,4 @@
-"""Arguments that benchmarks share."""
+"""Arguments that benchmarks share; those that need no jaxrod use them too."""
 
 from __future__ import annotations
 
