@@ -33,9 +33,6 @@ AUTO, ALWAYS, NEVER = "auto", "always", "never"
 MODES = (AUTO, ALWAYS, NEVER)
 FEWEST_RODS = 4
 """Smallest batch that lanes take; smaller ones are left to XLA."""
-FEWEST_RODS_ON_GPU = 32
-"""Smallest batch on a GPU, the threads of one warp: with fewer rods some threads would
-be idle. Not measured."""
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -64,10 +61,7 @@ _choices: deque[LaneChoice] = deque(maxlen=100)
 def use_lanes(mode: str) -> None:
     """Sets when programs that are compiled from now on use lanes.
 
-    On CPUs `"auto"` uses lanes where they are faster. On NVIDIA GPUs lanes are a kernel
-    with a rod in each thread, which has been interpreted and compiled but never run on
-    a GPU. Only `"always"` uses it, for short steps of some tens of rods or more, and
-    not for derivatives. Other devices have no lanes.
+    Lanes are for CPUs. Other devices have none: XLA runs there.
 
     Args:
         mode: `"auto"` (where lanes are faster), `"always"` (wherever lanes are
@@ -98,10 +92,8 @@ def lane_mode() -> str:
 
 def lanes_wanted() -> bool:
     """Whether runs are built in the form that lanes can take."""
-    mode, platform = lane_mode(), jax.default_backend()
-    if platform == "gpu":
-        return mode == ALWAYS
-    return mode != NEVER and not_here() is None and platform == "cpu"
+    on_cpu = jax.default_backend() == "cpu"
+    return lane_mode() != NEVER and on_cpu and not_here() is None
 
 
 def slower() -> str | None:
@@ -179,45 +171,6 @@ def lowered_by_lanes(
     words = f"lanes of {vector_bytes()} bytes"
     _note(LaneChoice(True, words, rods, kernel.operations, seconds))
     return _call(target, kernel, plan, rods, results)
-
-
-def lowered_on_gpu(
-    name: str, plan: Plan, results: Sequence[Any]
-) -> Callable[..., Any] | None:
-    """Returns the program of a primitive as a kernel for NVIDIA GPUs, or `None`.
-
-    Args:
-        name: Name of the primitive.
-        plan: Structure of the operation.
-        results: Shapes and types of its results; unused, because the plan has them.
-    """
-    del results
-    rods = plan.batch.size if plan.batch is not None else 1
-    if lane_mode() != ALWAYS or rods == 0:
-        return None
-    if rods < FEWEST_RODS_ON_GPU:
-        refused(f"fewer than {FEWEST_RODS_ON_GPU} rods", rods)
-        return None
-    if plan.keeps or name not in ("jaxrod_run", "jaxrod_cycles"):
-        refused("lanes on a GPU have no derivatives", rods)
-        return None
-    try:
-        from jaxrod.lanes.pallas_kernel import pallas_program
-        from jaxrod.lanes.pallas_layout import layout_of_plan
-    except ImportError as error:
-        refused(f"this JAX has no Pallas for GPUs as known here: {error}", rods)
-        return None
-    begun = time.perf_counter()
-    try:
-        program = pallas_program(plan, rods, interpret=False)
-    except NotUnrolled as reason:
-        refused(str(reason), rods)
-        return None
-    seconds = time.perf_counter() - begun
-    words = "a kernel with a rod in each thread"
-    operations = len(layout_of_plan(plan).used)
-    _note(LaneChoice(True, words, rods, operations, seconds))
-    return program
 
 
 def _call(

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 
 from jaxrod.jax_internals.equations import operand_types
 from jaxrod.jax_internals.mesh_axes import varying_aval
-from jaxrod.jax_internals.primitives import define, lower_on
-from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, lowered_on_gpu, refused
+from jaxrod.jax_internals.primitives import define, lower_on_cpus
+from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, refused
 from jaxrod.lanes.cycle import Batch, Plan, chosen
 from jaxrod.lanes.derivatives import by_meaning, cycles_jvp, tangent_transpose
 from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, run_p, tangent_p
@@ -108,19 +108,13 @@ def _shareable(primitive: Any, plan: Plan) -> list[bool]:
     return [*constants, *[False] * (n_carry + kept), *rates, *[False] * n_floats]
 
 
-def _kernels(primitive: Any, maker: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns the choice of a program for one platform: a kernel, or `None`.
-
-    Args:
-        primitive: The primitive.
-        maker: Function that makes its kernels, from the primitive's name, the plan and
-            the types of the results.
-    """
+def _kernels(primitive: Any) -> Callable[..., Any]:
+    """Returns the choice of a program on CPUs: a kernel, or `None`."""
 
     def choose(unfit: str | None, results: Any, parameters: Any) -> Any:
         plan = parameters["plan"]
         if unfit is None:
-            return maker(primitive.name, plan, results)
+            return lowered_by_lanes(primitive.name, plan, results)
         if lanes_wanted():
             refused(unfit, plan.batch.size if plan.batch is not None else 1)
         return None
@@ -141,12 +135,7 @@ for _primitive, _meaning in MEANINGS.items():
         transpose=_TRANSPOSES.get(_primitive),
     )
 for _primitive in (run_p, cycles_p, adjoint_p):
-    for _platform, _by_platform in (
-        ("cpu", lowered_by_lanes),
-        ("cuda", lowered_on_gpu),
-    ):
-        _choice = _kernels(_primitive, _by_platform)
-        lower_on(_platform, _primitive, MEANINGS[_primitive], _choice)
+    lower_on_cpus(_primitive, MEANINGS[_primitive], _kernels(_primitive))
 
 
 __all__ = ["adjoint_p", "cycles_p", "run_p", "tangent_p"]

@@ -10,7 +10,7 @@ import pytest
 
 import jaxrod
 from jaxrod.lanes import choice, lengths
-from jaxrod.lanes.choice import lane_choices, use_lanes
+from jaxrod.lanes.choice import lane_choices, lanes_wanted, use_lanes
 from jaxrod.lanes.cycle import Cycle
 from lanes.test_runs import hanging, shaken
 
@@ -54,6 +54,13 @@ def test_what_lanes_do_not_know_is_left_to_xla_in_one_line():
     use_lanes("never")
     expected = jax.jit(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 3)))(many)
     assert jnp.array_equal(found.positions, expected.positions)
+
+
+@pytest.mark.parametrize("backend", ["gpu", "tpu"])
+def test_lanes_are_for_cpus_alone(monkeypatch, backend):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    use_lanes("always")
+    assert not lanes_wanted()
 
 
 @pytest.mark.parametrize("mode", ["sometimes", "", None])
