@@ -11,8 +11,8 @@ from jax import export
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices
-from jaxrod.lanes.cycle import Cycle, Plan
 from jaxrod.lanes.primitives import cycles_p
+from jaxrod.lanes.run_spec import LoopBody, RunSpec
 from lanes.test_runs import hanging, shaken
 
 PROGRAM = """
@@ -66,8 +66,8 @@ def test_a_program_to_be_exported_has_no_kernels_in_it():
 def test_cycles_for_two_platforms_have_no_kernel_for_one():
     rows = jnp.ones((8, 3))
     closed = jax.make_jaxpr(lambda x: [2 * x])(rows[0])
-    plan = Plan(Cycle(closed, 0), 1)
-    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, plan=plan)))
+    spec = RunSpec(LoopBody(closed, 0), 1)
+    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, spec=spec)))
     run.trace(rows).lower(lowering_platforms=("cpu", "cuda"))
     last = lane_choices()[-1]
     assert not last.taken and "several platforms" in last.why

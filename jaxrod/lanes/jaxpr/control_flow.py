@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxrod.jax_internals.equations import CALLS, called_program, scan_of, while_of
-from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
+from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_ROUNDS = 10_000
 """Largest number of rounds of a `while` loop."""
