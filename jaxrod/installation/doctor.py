@@ -207,8 +207,8 @@ def check_lanes() -> Check:
     import jax.numpy as jnp
 
     from jaxrod.lanes.choice import ALWAYS, lane_choices, lane_mode, slower, use_lanes
-    from jaxrod.lanes.machine_code import vector_bytes
-    from jaxrod.lanes.steps import stepped
+    from jaxrod.lanes.llvm.machine_code import vector_bytes
+    from jaxrod.lanes.steps import try_lanes
 
     words = slower()
     if words is None and jax.default_backend() != "cpu":
@@ -238,7 +238,7 @@ def check_lanes() -> Check:
     before = lane_mode()
     use_lanes(ALWAYS)
     try:
-        run = lambda factor, start: stepped(Decay(factor), start, 10)
+        run = lambda factor, start: try_lanes(Decay(factor), start, 10)
         got = np.asarray(jax.jit(jax.vmap(run))(jnp.asarray(factors), starts))
     finally:
         use_lanes(before)

@@ -24,7 +24,7 @@ def axes_of(*avals: Any) -> frozenset[str]:
     return found
 
 
-def varied(arrays: Sequence[Any], axes: frozenset[str]) -> list[Any]:
+def pvary(arrays: Sequence[Any], axes: frozenset[str]) -> list[Any]:
     """Returns the same arrays, all marked as varying over these axes."""
     made = []
     for array in arrays:

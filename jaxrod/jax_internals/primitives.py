@@ -65,7 +65,7 @@ def new_primitive(name: str) -> Any:
 
 def define(
     primitive: Any,
-    meaning: Program,
+    reference: Program,
     *,
     static: str,
     shapes: Rule,
@@ -77,7 +77,7 @@ def define(
 
     Args:
         primitive: Primitive from `new_primitive`.
-        meaning: The same operation as a function that JAX can trace.
+        reference: The same operation as a function that JAX can trace.
         static: Name of the one parameter that is not an array. JAX searches parameters
             for programs and treats those it finds as its own, so this parameter must
             hide its programs inside an object.
@@ -89,33 +89,31 @@ def define(
     from jax.interpreters import ad, batching, mlir
 
     primitive.def_abstract_eval(shapes)
-    primitive.def_impl(jax.jit(meaning, static_argnames=static))
+    primitive.def_impl(jax.jit(reference, static_argnames=static))
     batching.primitive_batchers[primitive] = batched
     ad.primitive_jvps[primitive] = jvp
     if transpose is not None:
         ad.primitive_transposes[primitive] = transpose
-    mlir.register_lowering(primitive, mlir.lower_fun(meaning, multiple_results=True))
+    mlir.register_lowering(primitive, mlir.lower_fun(reference, multiple_results=True))
 
 
-def lower_on(
-    platform: str,
+def lower_on_cpus(
     primitive: Any,
-    meaning: Program,
+    reference: Program,
     choose: Callable[[str | None, Sequence[Any], Mapping[str, Any]], Program | None],
 ) -> None:
-    """Registers a special program for a primitive on one platform.
+    """Registers a special program for a primitive on CPUs.
 
     Args:
-        platform: Platform, "cpu" or "cuda".
         primitive: A defined primitive.
-        meaning: Program that is lowered if `choose` returns `None`.
+        reference: Program that is lowered if `choose` returns `None`.
         choose: Function that returns the program to compile, or `None`. It takes the
             reason why the compiled program may not contain kernels (`None` if it may),
             the types of the results, and the parameters.
     """
     from jax.interpreters import mlir
 
-    by_xla = mlir.lower_fun(meaning, multiple_results=True)
+    by_xla = mlir.lower_fun(reference, multiple_results=True)
 
     def rule(context: Any, *operands: Any, **parameters: Any) -> Any:
         try:
@@ -130,7 +128,7 @@ def lower_on(
             return by_xla(context, *operands, **parameters)
         return mlir.lower_fun(program, multiple_results=True)(alone, *operands)
 
-    mlir.register_lowering(primitive, rule, platform=platform)
+    mlir.register_lowering(primitive, rule, platform="cpu")
 
 
 def no_kernels_in(context: Any) -> str | None:
@@ -149,8 +147,6 @@ def no_kernels_in(context: Any) -> str | None:
     where = module.axis_context
     devices = getattr(where, "num_devices", None)
     if hasattr(where, "manual_axes"):
-        if "cuda" in module.platforms:
-            return "kernels for GPUs have never been tried within shard_map"
         left = set(where.mesh.axis_names) - set(where.manual_axes)
         devices = math.prod(where.mesh.shape[name] for name in left)
     if devices not in (None, 1):

@@ -4,38 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
-import time
 from collections import deque
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from typing import Any
+from functools import cache
 
 import jax
-import jax.numpy as jnp
 
-from jaxrod.jax_internals.equations import result_types
-from jaxrod.lanes.cycle import Cycle, Ends, Plan, adjoint_cycle, chosen
-from jaxrod.lanes.graph import VARYING
-from jaxrod.lanes.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
-from jaxrod.lanes.kernel_plan import Entries, Step
-from jaxrod.lanes.lengths import most_operations
-from jaxrod.lanes.machine_code import (
-    llvm_is_installed,
-    not_here,
-    registered,
-    vector_bytes,
-)
-from jaxrod.lanes.unroll import NotUnrolled, kind_of
-from jaxrod.lanes.unrolled import check_length, unrolled_run, unrolled_step
+from jaxrod.lanes.llvm.machine_code import llvm_is_installed, not_here
 
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
 MODES = (AUTO, ALWAYS, NEVER)
-FEWEST_RODS = 4
-"""Smallest batch that lanes take; smaller ones are left to XLA."""
-FEWEST_RODS_ON_GPU = 32
-"""Smallest batch on a GPU, the threads of one warp: with fewer rods some threads would
-be idle. Not measured."""
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -64,10 +42,7 @@ _choices: deque[LaneChoice] = deque(maxlen=100)
 def use_lanes(mode: str) -> None:
     """Sets when programs that are compiled from now on use lanes.
 
-    On CPUs `"auto"` uses lanes where they are faster. On NVIDIA GPUs lanes are a kernel
-    with a rod in each thread, which has been interpreted and compiled but never run on
-    a GPU. Only `"always"` uses it, for short steps of some tens of rods or more, and
-    not for derivatives. Other devices have no lanes.
+    Lanes are for CPUs. Other devices have none: XLA runs there.
 
     Args:
         mode: `"auto"` (where lanes are faster), `"always"` (wherever lanes are
@@ -98,10 +73,8 @@ def lane_mode() -> str:
 
 def lanes_wanted() -> bool:
     """Whether runs are built in the form that lanes can take."""
-    mode, platform = lane_mode(), jax.default_backend()
-    if platform == "gpu":
-        return mode == ALWAYS
-    return mode != NEVER and not_here() is None and platform == "cpu"
+    on_cpu = jax.default_backend() == "cpu"
+    return lane_mode() != NEVER and on_cpu and not_here() is None
 
 
 def slower() -> str | None:
@@ -132,160 +105,11 @@ def say_if_slower() -> None:
 
 def refused(words: str, rods: int = 1) -> None:
     """Records that a run is left to XLA, and why."""
-    _note(LaneChoice(False, words, rods))
+    note(LaneChoice(False, words, rods))
 
 
-def lowered_by_lanes(
-    name: str, plan: Plan, results: Sequence[Any]
-) -> Callable[..., Any] | None:
-    """Returns the program of a primitive in lanes, or `None` to leave it to XLA.
-
-    Args:
-        name: Name of the primitive.
-        plan: Structure of the operation.
-        results: Shapes and types of its results.
-    """
-    cycle = plan.cycle
-    rods = plan.batch.size if plan.batch is not None else 1
-    mode = lane_mode()
-    if mode == NEVER or not_here() is not None or rods == 0:
-        return None
-    if mode == AUTO and rods < FEWEST_RODS:
-        refused(f"fewer than {FEWEST_RODS} rods", rods)
-        return None
-    begun = time.perf_counter()
-    shared = (True,) * cycle.n_constants
-    if plan.batch is not None:
-        shared = tuple(not row for row in plan.batch.rows[: cycle.n_constants])
-    try:
-        if plan.ends is not None:
-            kernel = _run_kernel(cycle, plan.ends, shared)
-        elif name == "jaxrod_cycles":
-            kernel = _steps_kernel(cycle, shared, plan.keeps)
-        else:
-            kernel = _back_kernel(cycle, plan.moving, shared)
-        target = registered(kernel)
-    except NotUnrolled as reason:
-        refused(str(reason), rods)
-        return None
-    except Exception as error:
-        # A run that XLA can do must not fail because there is no kernel for it.
-        if mode == ALWAYS:
-            raise
-        first_line = str(error).partition("\n")[0]
-        refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
-        return None
-    seconds = time.perf_counter() - begun
-    words = f"lanes of {vector_bytes()} bytes"
-    _note(LaneChoice(True, words, rods, kernel.operations, seconds))
-    return _call(target, kernel, plan, rods, results)
-
-
-def lowered_on_gpu(
-    name: str, plan: Plan, results: Sequence[Any]
-) -> Callable[..., Any] | None:
-    """Returns the program of a primitive as a kernel for NVIDIA GPUs, or `None`.
-
-    Args:
-        name: Name of the primitive.
-        plan: Structure of the operation.
-        results: Shapes and types of its results; unused, because the plan has them.
-    """
-    del results
-    rods = plan.batch.size if plan.batch is not None else 1
-    if lane_mode() != ALWAYS or rods == 0:
-        return None
-    if rods < FEWEST_RODS_ON_GPU:
-        refused(f"fewer than {FEWEST_RODS_ON_GPU} rods", rods)
-        return None
-    if plan.keeps or name not in ("jaxrod_run", "jaxrod_cycles"):
-        refused("lanes on a GPU have no derivatives", rods)
-        return None
-    try:
-        from jaxrod.lanes.pallas_kernel import pallas_program
-        from jaxrod.lanes.pallas_layout import layout_of_plan
-    except ImportError as error:
-        refused(f"this JAX has no Pallas for GPUs as known here: {error}", rods)
-        return None
-    begun = time.perf_counter()
-    try:
-        program = pallas_program(plan, rods, interpret=False)
-    except NotUnrolled as reason:
-        refused(str(reason), rods)
-        return None
-    seconds = time.perf_counter() - begun
-    words = "a kernel with a rod in each thread"
-    operations = len(layout_of_plan(plan).used)
-    _note(LaneChoice(True, words, rods, operations, seconds))
-    return program
-
-
-def _call(
-    target: str, kernel: Kernel, plan: Plan, rods: int, results: Sequence[Any]
-) -> Callable[..., Any]:
-    """Returns a function that calls a kernel from JAX."""
-    kept = plan.n_kept if plan.keeps else 0
-    every = plan.every if kept else 2**31 - 1
-    # Kernels align their workspace to 64 bytes themselves.
-    room = kernel.room + 64 + kernel.kept * plan.every
-    shapes = [jax.ShapeDtypeStruct(made.shape, made.dtype) for made in results]
-    call = jax.ffi.ffi_call(target, [*shapes, jax.ShapeDtypeStruct((room,), jnp.uint8)])
-
-    def program(steps: Any, *arrays: Any) -> list[Any]:
-        counts = [jnp.asarray(n, jnp.int32) for n in (steps, every, rods, kept)]
-        return list(call(jnp.stack(counts), *arrays))[:-1]
-
-    return program
-
-
-@lru_cache(maxsize=64)
-def _steps_kernel(cycle: Cycle, shared: tuple[bool, ...], keeps: bool) -> Kernel:
-    step, _, _ = unrolled_step(cycle, shared, most_operations(cycle))
-    return step_kernel(step, _width(cycle), checkpoints=keeps)
-
-
-@lru_cache(maxsize=64)
-def _run_kernel(cycle: Cycle, ends: Ends, shared: tuple[bool, ...]) -> Kernel:
-    step, around = unrolled_run(cycle, ends, shared, most_operations(cycle))
-    return run_kernel(step, around, _width(cycle))
-
-
-@lru_cache(maxsize=64)
-def _back_kernel(
-    cycle: Cycle, moving: tuple[bool, ...], shared: tuple[bool, ...]
-) -> Kernel:
-    step, unroller, inputs = unrolled_step(cycle, shared, most_operations(cycle))
-    graph = step.graph
-    plan = Plan(cycle, 0, moving)
-    closed = adjoint_cycle(plan)
-    floats = chosen(step.carry, cycle.floating)
-    sums = chosen(step.constants, moving)
-    carry = [Entries(e.kind, e.size, VARYING) for e in (*floats, *sums)]
-    first = len(step.constants) + len(step.carry)
-    given = [
-        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
-        for i, aval in enumerate(result_types(closed))
-    ]
-    made = unroller.run(closed, [*inputs, *given[: len(floats)]])
-    total = [
-        graph.each("add", e.kind, old, new)
-        for e, old, new in zip(
-            sums, given[len(floats) :], made[len(floats) :], strict=True
-        )
-    ]
-    check_length(len(graph), most_operations(cycle))
-    outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
-    adjoint = Step(graph, step.constants, carry, outputs)
-    return adjoint_kernel(step, adjoint, len(floats), _width(cycle))
-
-
-def _width(cycle: Cycle) -> int:
-    """Rods in a vector of the widest floats of the carry."""
-    sizes = [aval.dtype.itemsize for aval in chosen(cycle.avals, cycle.floating)] or [4]
-    return max(vector_bytes() // max(sizes), 2)
-
-
-def _note(choice: LaneChoice) -> None:
+def note(choice: LaneChoice) -> None:
+    """Records and logs a choice."""
     _choices.append(choice)
     _log.info(
         "%s for %d rods: %s",

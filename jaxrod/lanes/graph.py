@@ -12,10 +12,13 @@ factor is NaN or infinite, and the other factor is left out of the program.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from jaxrod.lanes.operations import OPERATIONS
 
 DTYPES: dict[str, np.dtype] = {
     "f32": np.dtype(np.float32),
@@ -36,8 +39,6 @@ KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
 UNIFORM, FIXED, VARYING = 1, 2, 3
 """Rates at which values change: the same for all rods and steps (uniform), the same for
 all steps of a rod (fixed), or new in every step (varying). Constants have rate 0."""
-
-_COMMUTE = frozenset({"add", "mul", "and", "or", "xor", "eq", "ne"})
 
 
 class Graph:
@@ -87,7 +88,7 @@ class Graph:
 
     def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
         """Returns the node of an operation; it may be an existing or a folded one."""
-        if operation in _COMMUTE and arguments[0] > arguments[1]:
+        if OPERATIONS[operation].commutes and arguments[0] > arguments[1]:
             arguments = (arguments[1], arguments[0])
         key = (operation, arguments, kind)
         node = self._known.get(key)
@@ -216,7 +217,7 @@ class Graph:
         return None
 
     def _worked_out(self, operation: str, known: list[Any], kind: str) -> int | None:
-        function = _FUNCTIONS.get(operation)
+        function = OPERATIONS[operation].fold
         if function is None or (operation == "div" and kind[0] != "f"):
             return None
         with np.errstate(all="ignore"):
@@ -230,28 +231,38 @@ def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
     return arguments[1] if arguments[1] == arguments[2] else None
 
 
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": np.divide,
-    "neg": lambda a: -a,
-    "abs": np.abs,
-    "sqrt": np.sqrt,
-    "min": np.minimum,
-    "max": np.maximum,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "eq": lambda a, b: a == b,
-    "ne": lambda a, b: a != b,
-    "lt": lambda a, b: a < b,
-    "le": lambda a, b: a <= b,
-    "gt": lambda a, b: a > b,
-    "ge": lambda a, b: a >= b,
-    "and": lambda a, b: a & b,
-    "or": lambda a, b: a | b,
-    "xor": lambda a, b: a ^ b,
-    "not": lambda a: ~a,
-    "convert": lambda a: a,
-}
-"""Functions for constant folding, by operation."""
+@dataclass(frozen=True)
+class Entries:
+    """The entries of one array of a program, for one rod."""
+
+    kind: str
+    """Kind of the numbers."""
+    size: int
+    """Number of entries."""
+    rate: int
+    """Rate at which they change, `UNIFORM`, `FIXED` or `VARYING`."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step as a graph: it takes constants and a carry to the next carry."""
+
+    graph: Graph
+    constants: Sequence[Entries]
+    carry: Sequence[Entries]
+    outputs: Sequence[Sequence[int]]
+    """Nodes of the next carry, by array."""
+
+
+@dataclass(frozen=True)
+class EndNodes:
+    """The beginning and the end of a run, as nodes in the graph of the step."""
+
+    given: Sequence[Entries]
+    """Arrays from which the first carry is computed."""
+    begun: Sequence[Sequence[int]]
+    """Nodes of the first carry."""
+    made: Sequence[Entries]
+    """Arrays that are computed from the last carry."""
+    ended: Sequence[Sequence[int]]
+    """Nodes of those arrays."""

@@ -1,8 +1,8 @@
 """Rules of the primitives for repeated steps: batching, derivatives and lowering.
 
-Under `vmap` an operation stays one operation over a batch. Its meaning is written once,
-with JAX's own loops. Lanes replace that at compile time where they can and where it
-pays off.
+Under `vmap` an operation stays one operation over a batch. Its reference is written
+once, with JAX's own loops. Lanes replace that at compile time where they can and where
+it pays off.
 """
 
 from __future__ import annotations
@@ -16,29 +16,36 @@ import jax.numpy as jnp
 
 from jaxrod.jax_internals.equations import operand_types
 from jaxrod.jax_internals.mesh_axes import varying_aval
-from jaxrod.jax_internals.primitives import define, lower_on
-from jaxrod.lanes.choice import lanes_wanted, lowered_by_lanes, lowered_on_gpu, refused
-from jaxrod.lanes.cycle import Batch, Plan, chosen
-from jaxrod.lanes.derivatives import by_meaning, cycles_jvp, tangent_transpose
-from jaxrod.lanes.meanings import MEANINGS, adjoint_p, cycles_p, run_p, tangent_p
+from jaxrod.jax_internals.primitives import (
+    define,
+    filled_in,
+    is_linear_input,
+    is_zero,
+    lower_on_cpus,
+    no_tangent,
+)
+from jaxrod.lanes.choice import lanes_wanted, refused
+from jaxrod.lanes.kernels import lowered_by_lanes
+from jaxrod.lanes.reference import REFERENCES, adjoint_p, cycles_p, run_p, tangent_p
+from jaxrod.lanes.run_spec import Batch, RunSpec, chosen, parted
 
 
 def _abstract(primitive: Any) -> Callable[..., Any]:
-    def shapes(steps: Any, *arrays: Any, plan: Plan) -> Any:
-        carry = plan.cycle.avals
-        floats = chosen(carry, plan.cycle.floating)
-        constants = operand_types(plan.cycle.closed)
-        rows = () if plan.batch is None else (plan.batch.size,)
+    def shapes(steps: Any, *arrays: Any, spec: RunSpec) -> Any:
+        carry = spec.body.avals
+        floats = chosen(carry, spec.body.floating)
+        constants = operand_types(spec.body.closed)
+        rows = () if spec.batch is None else (spec.batch.size,)
         results = [(a.shape, a.dtype) for a in carry]
-        if plan.ends is not None:
-            results = [(a.shape, a.dtype) for a in plan.ends.made]
+        if spec.ends is not None:
+            results = [(a.shape, a.dtype) for a in spec.ends.made]
         elif primitive is tangent_p:
             results = [(a.shape, a.dtype) for a in floats]
         elif primitive is adjoint_p:
-            moving = chosen(constants[: plan.cycle.n_constants], plan.moving)
+            moving = chosen(constants[: spec.body.n_constants], spec.moving)
             results = [(a.shape, a.dtype) for a in (*floats, *moving)]
-        elif plan.keeps:
-            results += [((plan.n_kept, *a.shape), a.dtype) for a in carry]
+        elif spec.keeps:
+            results += [((spec.n_kept, *a.shape), a.dtype) for a in carry]
         given = (steps, *arrays)
         return [varying_aval((*rows, *shape), dtype, given) for shape, dtype in results]
 
@@ -48,7 +55,7 @@ def _abstract(primitive: Any) -> Callable[..., Any]:
 def _batched(primitive: Any) -> Callable[..., Any]:
     """Returns the batching rule, which flattens a batch of batches to one batch."""
 
-    def rule(arrays: Sequence[Any], axes: Sequence[Any], *, plan: Plan) -> Any:
+    def rule(arrays: Sequence[Any], axes: Sequence[Any], *, spec: RunSpec) -> Any:
         steps, *arrays = arrays
         steps_axis, *axes = axes
         size = next(
@@ -58,13 +65,13 @@ def _batched(primitive: Any) -> Callable[..., Any]:
         )
         if steps_axis is not None:
             made = jax.vmap(
-                lambda *given: MEANINGS[primitive](*given, plan=plan),
+                lambda *given: REFERENCES[primitive](*given, spec=spec),
                 in_axes=(steps_axis, *axes),
                 axis_size=size,
             )(steps, *arrays)
             return made, [0] * len(made)
-        old = plan.batch or Batch(1, (False,) * len(arrays))
-        may_be_shared = _shareable(primitive, plan)
+        old = spec.batch or Batch(1, (False,) * len(arrays))
+        may_be_shared = _shareable(primitive, spec)
         rows, flat = [], []
         for array, axis, had, may in zip(
             arrays, axes, old.rows, may_be_shared, strict=True
@@ -84,69 +91,189 @@ def _batched(primitive: Any) -> Callable[..., Any]:
             rows.append(True)
             flat.append(array)
         batch = Batch(size * old.size, tuple(rows))
-        made = primitive.bind(steps, *flat, plan=replace(plan, batch=batch))
-        if plan.batch is not None:
+        made = primitive.bind(steps, *flat, spec=replace(spec, batch=batch))
+        if spec.batch is not None:
             made = [m.reshape(size, old.size, *m.shape[1:]) for m in made]
         return made, [0] * len(made)
 
     return rule
 
 
-def _shareable(primitive: Any, plan: Plan) -> list[bool]:
+def _shareable(primitive: Any, spec: RunSpec) -> list[bool]:
     """Whether each operand may be shared by all rods: constants and their tangents."""
-    n_constants, n_carry = plan.cycle.n_constants, len(plan.cycle.avals)
-    n_floats = sum(plan.cycle.floating)
+    n_constants, n_carry = spec.body.n_constants, len(spec.body.avals)
+    n_floats = sum(spec.body.floating)
     constants = [True] * n_constants
-    if plan.ends is not None:
-        return [*constants, *[False] * (len(plan.ends.given) - n_constants)]
+    if spec.ends is not None:
+        return [*constants, *[False] * (len(spec.ends.given) - n_constants)]
     if primitive is cycles_p:
         return [*constants, *[False] * n_carry]
     if primitive is adjoint_p:
         return [*constants, *[False] * (n_carry + n_floats)]
-    kept = n_carry if plan.keeps else 0
-    rates = [True] * sum(plan.moving)
+    kept = n_carry if spec.keeps else 0
+    rates = [True] * sum(spec.moving)
     return [*constants, *[False] * (n_carry + kept), *rates, *[False] * n_floats]
 
 
-def _kernels(primitive: Any, maker: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns the choice of a program for one platform: a kernel, or `None`.
+def _cycles_jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
+    """JVP rule of `jaxrod_cycles`: the carry after all steps, and its tangent.
 
-    Args:
-        primitive: The primitive.
-        maker: Function that makes its kernels, from the primitive's name, the plan and
-            the types of the results.
+    Checkpoints are kept for the transpose if the number of steps is known.
     """
+    if spec.keeps:
+        return _jvp_of_reference(cycles_p)(primals, tangents, spec=spec)
+    body = spec.body
+    steps, *arrays = primals
+    rates, moved = parted(tangents[1:], body.n_constants)
+    if spec.length == 0:
+        return arrays[body.n_constants :], list(moved)
+    moving = tuple(
+        not is_zero(t) and jnp.issubdtype(a.dtype, jnp.floating)
+        for t, a in zip(rates, arrays, strict=False)
+    )
+    spec = replace(spec, moving=moving, keeps=spec.length is not None)
+    made = cycles_p.bind(steps, *arrays, spec=replace(spec, moving=()))
+    n_carry = len(body.avals)
+    carry, kept = made[:n_carry], made[n_carry:]
+    given = [
+        jnp.zeros_like(array) if is_zero(tangent) else tangent
+        for array, tangent, floats in zip(
+            arrays[body.n_constants :], moved, body.floating, strict=True
+        )
+        if floats
+    ]
+    rows = None
+    if spec.batch is not None:
+        of_constants = spec.batch.rows[: body.n_constants]
+        carried = [True] * (n_carry + len(kept))
+        rows = Batch(
+            spec.batch.size,
+            (
+                *of_constants,
+                *carried,
+                *chosen(of_constants, moving),
+                *[True] * len(given),
+            ),
+        )
+    after = tangent_p.bind(
+        steps,
+        *arrays,
+        *kept,
+        *chosen(rates, moving),
+        *given,
+        spec=replace(spec, batch=rows),
+    )
+    floats = iter(after)
+    results = [
+        next(floats) if is_float else no_tangent(array)
+        for array, is_float in zip(carry, body.floating, strict=True)
+    ]
+    return carry, results
+
+
+def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec) -> Any:
+    """Transpose rule of `jaxrod_cycles_tangent`: cotangents of its linear operands.
+
+    Raises:
+        ValueError: The number of steps is traced.
+    """
+    body = spec.body
+    n_carry = len(body.avals)
+    if not spec.keeps:
+        raise ValueError(
+            "Reverse-mode differentiation does not work for a number of steps that "
+            "is traced: give `advance` an `int`, or use forward mode (jax.jvp, "
+            "jax.jacfwd)."
+        )
+    constants, _, kept, rates, tangents = parted(
+        arrays, body.n_constants, n_carry, n_carry, sum(spec.moving)
+    )
+    seeds = [filled_in(cotangent) for cotangent in cotangents]
+    moving = spec.moving
+    batch = None
+    if spec.batch is not None:
+        of_constants = spec.batch.rows[: body.n_constants]
+        batch = Batch(
+            spec.batch.size, (*of_constants, *[True] * (n_carry + len(seeds)))
+        )
+    wanted = [is_linear_input(rate) for rate in rates]
+    which = iter(wanted)
+    used = tuple(is_moving and next(which) for is_moving in moving)
+    made = adjoint_p.bind(
+        steps, *constants, *kept, *seeds, spec=replace(spec, moving=used, batch=batch)
+    )
+    earlier, sums = parted(made, len(seeds))
+    found = iter(sums)
+    of_rates: list[Any] = []
+    flags = spec.batch.rows if spec.batch is not None else (True,) * len(arrays)
+    rate_flags = flags[body.n_constants + 2 * n_carry :][: len(rates)]
+    for rate, has_rows in zip(rates, rate_flags, strict=True):
+        if not is_linear_input(rate):
+            of_rates.append(None)
+            continue
+        total = next(found)
+        of_rates.append(total if has_rows else jnp.sum(total, axis=0))
+    of_tangents = [
+        ct if is_linear_input(tangent) else None
+        for tangent, ct in zip(tangents, earlier, strict=True)
+    ]
+    none = [None] * (1 + body.n_constants + 2 * n_carry)
+    return [*none, *of_rates, *of_tangents]
+
+
+def _jvp_of_reference(primitive: Any) -> Callable[..., Any]:
+    """Returns the JVP rule of a primitive by its reference, for higher derivatives."""
+
+    def jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
+        known = [is_zero(t) for t in tangents]
+
+        def of(*moved: Any) -> list[Any]:
+            rest = iter(moved)
+            given = [
+                p if fixed else next(rest)
+                for p, fixed in zip(primals, known, strict=True)
+            ]
+            return REFERENCES[primitive](*given, spec=spec)
+
+        moving = [p for p, fixed in zip(primals, known, strict=True) if not fixed]
+        rates = [t for t, fixed in zip(tangents, known, strict=True) if not fixed]
+        made, after = jax.jvp(of, moving, rates)
+        return made, [
+            no_tangent(m) if t.dtype == jax.dtypes.float0 else t
+            for m, t in zip(made, after, strict=True)
+        ]
+
+    return jvp
+
+
+def _kernels(primitive: Any) -> Callable[..., Any]:
+    """Returns the choice of a program on CPUs: a kernel, or `None`."""
 
     def choose(unfit: str | None, results: Any, parameters: Any) -> Any:
-        plan = parameters["plan"]
+        spec = parameters["spec"]
         if unfit is None:
-            return maker(primitive.name, plan, results)
+            return lowered_by_lanes(primitive.name, spec, results)
         if lanes_wanted():
-            refused(unfit, plan.batch.size if plan.batch is not None else 1)
+            refused(unfit, spec.batch.size if spec.batch is not None else 1)
         return None
 
     return choose
 
 
-_JVPS = {cycles_p: cycles_jvp}
-_TRANSPOSES = {tangent_p: tangent_transpose}
-for _primitive, _meaning in MEANINGS.items():
+_JVPS = {cycles_p: _cycles_jvp}
+_TRANSPOSES = {tangent_p: _tangent_transpose}
+for _primitive, _reference in REFERENCES.items():
     define(
         _primitive,
-        _meaning,
-        static="plan",
+        _reference,
+        static="spec",
         shapes=_abstract(_primitive),
         batched=_batched(_primitive),
-        jvp=_JVPS.get(_primitive, by_meaning(_primitive)),
+        jvp=_JVPS.get(_primitive, _jvp_of_reference(_primitive)),
         transpose=_TRANSPOSES.get(_primitive),
     )
 for _primitive in (run_p, cycles_p, adjoint_p):
-    for _platform, _by_platform in (
-        ("cpu", lowered_by_lanes),
-        ("cuda", lowered_on_gpu),
-    ):
-        _choice = _kernels(_primitive, _by_platform)
-        lower_on(_platform, _primitive, MEANINGS[_primitive], _choice)
+    lower_on_cpus(_primitive, REFERENCES[_primitive], _kernels(_primitive))
 
 
 __all__ = ["adjoint_p", "cycles_p", "run_p", "tangent_p"]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrod.jax_internals.equations import result_types
-from jaxrod.jax_internals.mesh_axes import axes_of, varied, varying_shape
+from jaxrod.jax_internals.mesh_axes import axes_of, pvary, varying_shape
 from jaxrod.lanes.choice import (
     NEVER,
     lane_mode,
@@ -18,11 +18,11 @@ from jaxrod.lanes.choice import (
     refused,
     say_if_slower,
 )
-from jaxrod.lanes.cycle import Cycle, Ends, Plan
-from jaxrod.lanes.rules import supported
+from jaxrod.lanes.jaxpr.unroll import supported
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec
 
 
-def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
+def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
     """Runs an integrator's cycles from a state; `None` if XLA has to do the loop.
 
     Args:
@@ -44,7 +44,7 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     constants = [_settled(leaf) for leaf in constants]
     steps = jnp.asarray(n_times, jnp.int32)
     axes = axes_of(*map(jax.typeof, (steps, *constants, *state)))
-    constants, state = varied(constants, axes), varied(state, axes)
+    constants, state = pvary(constants, axes), pvary(state, axes)
     n = len(constants)
 
     def part(name: str, argument: Any) -> tuple[Any, Any]:
@@ -59,7 +59,7 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
                 bound(jax.tree.unflatten(tree, arrays[n:]))
             )
             result.append(made_tree)
-            return varied([_settled(leaf) for leaf in made], axes)
+            return pvary([_settled(leaf) for leaf in made], axes)
 
         closed = jax.make_jaxpr(method)(*constants, *leaves)
         return closed, result[0]
@@ -67,12 +67,12 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
     state_tree = jax.tree.structure(given)
     begin, carried = part("begin", jax.tree.unflatten(state_tree, state))
     carry = [varying_shape(aval) for aval in result_types(begin)]
-    cycle, cycled = part("cycle", jax.tree.unflatten(carried, carry))
+    body, cycled = part("cycle", jax.tree.unflatten(carried, carry))
     end, made_tree = part("end", jax.tree.unflatten(carried, carry))
     words = None
-    for closed in (begin, cycle, end):
+    for closed in (begin, body, end):
         words = words or supported(closed)
-    after = [(a.shape, a.dtype) for a in result_types(cycle)]
+    after = [(a.shape, a.dtype) for a in result_types(body)]
     if words is None and (cycled, after) != (
         carried,
         [(a.shape, a.dtype) for a in carry],
@@ -85,8 +85,8 @@ def stepped(integrator: Any, given: Any, n_times: Any) -> Any:
         steps,
         *constants,
         *state,
-        plan=Plan(
-            Cycle(cycle, n),
+        spec=RunSpec(
+            LoopBody(body, n),
             n_times if isinstance(n_times, int) else None,
             ends=Ends(begin, end),
         ),

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array
 
 from jaxrod.jax_internals.scans import scan
-from jaxrod.lanes.steps import stepped
+from jaxrod.lanes.steps import try_lanes
 from jaxrod.stepping.one_by_one import one_by_one
 
 Carry = TypeVar("Carry")
@@ -31,7 +31,7 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
             whole = lambda own, state: _looped(own, state, n_cycles)
             return one_by_one(whole, integrator, state)
         return one_by_one(_looped, integrator, state, n_cycles)
-    by_lanes = stepped(integrator, state, n_cycles)
+    by_lanes = try_lanes(integrator, state, n_cycles)
     if by_lanes is not None:
         return by_lanes
     return _looped(integrator, state, n_cycles)

@@ -24,8 +24,7 @@ from jaxrod.jax_internals.primitives import (
 )
 from jaxrod.lanes import choice
 from jaxrod.lanes.choice import lane_choices, lane_mode, use_lanes
-from jaxrod.lanes.rules import supported
-from jaxrod.lanes.unroll import RULES
+from jaxrod.lanes.jaxpr.unroll import RULES, supported
 
 X = jnp.arange(1.0, 13.0).reshape(3, 4)
 

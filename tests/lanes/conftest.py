@@ -3,7 +3,7 @@
 import pytest
 
 from jaxrod.lanes.choice import lane_mode, use_lanes
-from jaxrod.lanes.machine_code import not_here
+from jaxrod.lanes.llvm.machine_code import not_here
 from physics.validation import record as record
 
 

@@ -300,8 +300,8 @@ def random_program(seed):
 def difference(seed):
     """The largest difference of a random program, in units of what rounding allows."""
     from jaxrod.lanes.choice import lane_choices, use_lanes
-    from jaxrod.lanes.cycle import Cycle, Plan
     from jaxrod.lanes.primitives import cycles_p
+    from jaxrod.lanes.run_spec import LoopBody, RunSpec
 
     cycle, constants, carry, dtype = random_program(seed)
     n = len(constants)
@@ -318,11 +318,11 @@ def difference(seed):
         for c in carry
     ]
     own = jnp.stack([constants[1] * (1 + 0.1 * r) for r in range(RODS)])
-    plan = Plan(Cycle(closed, n), None)
+    spec = RunSpec(LoopBody(closed, n), None)
 
     def run(own, *carry):
         given = (jnp.int32(CYCLES), constants[0], own, *carry)
-        return cycles_p.bind(*given, plan=plan)
+        return cycles_p.bind(*given, spec=spec)
 
     use_lanes("always")
     taken = jax.jit(jax.vmap(run))(own, *many)

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from jaxrod.lanes import choice, lengths
-from jaxrod.lanes.choice import lane_choices, use_lanes
-from jaxrod.lanes.cycle import Cycle
+from jaxrod.lanes import choice, kernels
+from jaxrod.lanes.choice import lane_choices, lanes_wanted, use_lanes
+from jaxrod.lanes.run_spec import LoopBody
 from lanes.test_runs import hanging, shaken
 
 
@@ -56,6 +56,13 @@ def test_what_lanes_do_not_know_is_left_to_xla_in_one_line():
     assert jnp.array_equal(found.positions, expected.positions)
 
 
+@pytest.mark.parametrize("backend", ["gpu", "tpu"])
+def test_lanes_are_for_cpus_alone(monkeypatch, backend):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    use_lanes("always")
+    assert not lanes_wanted()
+
+
 @pytest.mark.parametrize("mode", ["sometimes", "", None])
 def test_a_mode_there_is_not_is_refused_in_words(mode):
     with pytest.raises(ValueError, match="auto, always, never"):
@@ -75,8 +82,8 @@ def test_a_mode_in_the_environment_that_there_is_not_is_refused_in_words():
 
 
 def test_a_step_that_is_too_long_is_left_to_xla(monkeypatch):
-    monkeypatch.setattr(lengths, "MOST_OPERATIONS", 1000)
-    monkeypatch.setattr(lengths, "MOST_OF_ALL", 1000)
+    monkeypatch.setattr(kernels, "MOST_OPERATIONS", 1000)
+    monkeypatch.setattr(kernels, "MOST_OF_ALL", 1000)
     refused = advanced(9)[-1]
     assert not refused.taken and "longer than 1000" in refused.why
 
@@ -92,8 +99,8 @@ def test_what_has_many_equations_may_be_longer():
             return [x]
 
         closed = jax.make_jaxpr(program)(jnp.zeros(5))
-        return Cycle(closed, 0)
+        return LoopBody(closed, 0)
 
-    assert lengths.most_operations(step(900)) == lengths.MOST_OPERATIONS
-    assert lengths.most_operations(step(3000)) == 300_000
-    assert lengths.most_operations(step(9000)) == lengths.MOST_OF_ALL
+    assert kernels.most_operations(step(900)) == kernels.MOST_OPERATIONS
+    assert kernels.most_operations(step(3000)) == 300_000
+    assert kernels.most_operations(step(9000)) == kernels.MOST_OF_ALL

@@ -5,11 +5,14 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import pytest
 from jax import export
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices
+from jaxrod.lanes.primitives import cycles_p
+from jaxrod.lanes.run_spec import LoopBody, RunSpec
 from lanes.test_runs import hanging, shaken
 
 PROGRAM = """
@@ -58,3 +61,13 @@ def test_a_program_to_be_exported_has_no_kernels_in_it():
     exported = export.export(run)(many)
     assert not lane_choices()[-1].taken
     assert exported.call(many).positions.shape == (8, 3, 4)
+
+
+def test_cycles_for_two_platforms_have_no_kernel_for_one():
+    rows = jnp.ones((8, 3))
+    closed = jax.make_jaxpr(lambda x: [2 * x])(rows[0])
+    spec = RunSpec(LoopBody(closed, 0), 1)
+    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, spec=spec)))
+    run.trace(rows).lower(lowering_platforms=("cpu", "cuda"))
+    last = lane_choices()[-1]
+    assert not last.taken and "several platforms" in last.why

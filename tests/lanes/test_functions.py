@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxrod.lanes.cycle import Cycle, Plan
 from jaxrod.lanes.primitives import cycles_p
+from jaxrod.lanes.run_spec import LoopBody, RunSpec
 
 
 def by_lanes(function, numbers):
     """A function of numbers, each in a lane of its own."""
     closed = jax.make_jaxpr(function)(numbers[0])
-    plan = Plan(Cycle(closed, 0), None)
-    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, plan=plan)[0]))
+    spec = RunSpec(LoopBody(closed, 0), None)
+    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, spec=spec)[0]))
     return np.asarray(run(numbers))
 
 
@@ -65,8 +65,8 @@ def test_an_extreme_is_not_a_number_if_one_of_two_is_not(name):
     function = getattr(lax, name)
     numbers = jnp.asarray([[jnp.nan, 1.0], [1.0, jnp.nan], [1.0, 2.0], [2.0, 1.0]])
     closed = jax.make_jaxpr(lambda x: jnp.full(2, function(x[0], x[1])))(numbers[0])
-    plan = Plan(Cycle(closed, 0), None)
-    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, plan=plan)[0]))
+    spec = RunSpec(LoopBody(closed, 0), None)
+    run = jax.jit(jax.vmap(lambda x: cycles_p.bind(jnp.int32(1), x, spec=spec)[0]))
     expected = np.stack([np.full(2, function(*row)) for row in numbers])
     np.testing.assert_array_equal(np.asarray(run(numbers)), expected)
 
@@ -75,9 +75,9 @@ def test_whole_numbers_are_divided_as_xla_defines_it():
     rows = jnp.asarray([[7, 2], [-7, 2], [7, 0], [-(2**31), -1], [5, -3]], jnp.int32)
     for function in (lax.div, lax.rem):
         pair = jax.make_jaxpr(lambda x, f=function: jnp.full(2, f(x[0], x[1])))(rows[0])
-        plan = Plan(Cycle(pair, 0), None)
+        spec = RunSpec(LoopBody(pair, 0), None)
         run = jax.jit(
-            jax.vmap(lambda x, p=plan: cycles_p.bind(jnp.int32(1), x, plan=p)[0])
+            jax.vmap(lambda x, p=spec: cycles_p.bind(jnp.int32(1), x, spec=p)[0])
         )
         expected = jax.jit(jax.vmap(lambda x, f=function: f(x[0], x[1])))(rows)
         np.testing.assert_array_equal(np.asarray(run(rows))[:, 0], np.asarray(expected))

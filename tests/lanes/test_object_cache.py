@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from jaxrod.lanes.object_cache import keeps_objects
+from jaxrod.lanes.llvm.object_cache import keeps_objects
 
 PROGRAM = """
 import time
@@ -17,7 +17,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import jaxrod
 from lanes import scenes
-from jaxrod.lanes import machine_code
+from jaxrod.lanes.llvm import machine_code
 rod, state = scenes.arm(4)
 scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
 dt = 0.5 * jaxrod.stable_dt(scene).dt

@@ -7,11 +7,10 @@ import pytest
 from jax import lax
 
 from jaxrod.installation.jax_version import release
-from jaxrod.lanes import rules
 from jaxrod.lanes.choice import lane_choices, use_lanes
-from jaxrod.lanes.cycle import Cycle, Plan
+from jaxrod.lanes.jaxpr.unroll import RULES
 from jaxrod.lanes.primitives import cycles_p
-from jaxrod.lanes.unroll import RULES
+from jaxrod.lanes.run_spec import LoopBody, RunSpec
 
 ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, -2.5, 7.0, -3.25]
 UNREACHABLE = {
@@ -185,7 +184,6 @@ def primitives(jaxpr):
 )
 def test_every_primitive_is_that_of_xla(dtype):
     """The inputs are a cycle's constants; what it makes replaces its carry."""
-    assert rules
     many = given(dtype, 5)
     shapes = jax.eval_shape(cases, *[array[0] for array in many])
     names, avals = list(shapes), list(shapes.values())
@@ -199,12 +197,12 @@ def test_every_primitive_is_that_of_xla(dtype):
     )
     known = set(RULES) - UNREACHABLE
     assert known <= primitives(closed.jaxpr), known - primitives(closed.jaxpr)
-    plan = Plan(Cycle(closed, len(many)), None)
+    spec = RunSpec(LoopBody(closed, len(many)), None)
 
     def run(*inputs):
         slots = [jnp.zeros(a.shape, a.dtype) + inputs[0].sum() * 0 for a in avals]
         slots = [s.astype(a.dtype) for s, a in zip(slots, avals, strict=True)]
-        return cycles_p.bind(jnp.int32(1), *inputs, *slots, plan=plan)
+        return cycles_p.bind(jnp.int32(1), *inputs, *slots, spec=spec)
 
     use_lanes("always")
     taken = jax.jit(jax.vmap(run))(*many)

@@ -7,7 +7,7 @@ import pytest
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices, use_lanes
-from jaxrod.lanes.machine_code import compiled_kernels
+from jaxrod.lanes.llvm.machine_code import compiled_kernels
 from lanes.scenes import arm, random_batch, shaken
 
 RODS = 5

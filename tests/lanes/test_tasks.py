@@ -8,7 +8,7 @@ import pytest
 from jax.sharding import AxisType, PartitionSpec
 
 from jaxrod.envs import VectorEnvironment, make
-from jaxrod.lanes import choice
+from jaxrod.lanes import kernels
 from jaxrod.lanes.choice import lane_choices, use_lanes
 
 ARMS = [
@@ -95,7 +95,7 @@ def test_lanes_read_every_task_as_learners_step_it(task, monkeypatch):
     def not_compiled(kernel):
         raise RuntimeError(f"read {kernel.operations} operations")
 
-    monkeypatch.setattr(choice, "registered", not_compiled)
+    monkeypatch.setattr(kernels, "registered", not_compiled)
     use_lanes("auto")
     env = make(task, variant="clean")
     batch, params = VectorEnvironment(env), env.default_params()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.lanes.unroll import Unroller, kind_of, rule
+from jaxrod.lanes.jaxpr.unroll import Unroller, kind_of, rule
 
 
 @rule("slice")

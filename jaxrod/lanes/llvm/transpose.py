@@ -1,4 +1,4 @@
-"""Transport of numbers between arrays with a row for each rod and blocks of vectors.
+"""Transposes between arrays with a row for each rod and blocks of vectors.
 
 An array of the program has one row of numbers for every rod. A block has one vector for
 every number, with a rod in each lane. Square tiles, with as many numbers as rods, are
@@ -9,10 +9,10 @@ it is then written several times with the same numbers.
 
 from __future__ import annotations
 
-from jaxrod.lanes.vector_code import BYTES, TYPES
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES
 
 
-def in_squares(kind: str, count: int, width: int) -> bool:
+def is_tiled(kind: str, count: int, width: int) -> bool:
     """Whether rows of `count` numbers are moved by square tiles."""
     return BYTES[kind] in (4, 8) and width > 1 and 2 * count >= width
 
@@ -22,10 +22,10 @@ def room_for(kind: str, count: int, width: int) -> int:
 
     Rows that are not moved by tiles need no rounding.
     """
-    return -(-count // width) * width if in_squares(kind, count, width) else count
+    return -(-count // width) * width if is_tiled(kind, count, width) else count
 
 
-def transport_text(kind: str, width: int) -> tuple[str, set[str]]:
+def transpose_text(kind: str, width: int) -> tuple[str, set[str]]:
     """Writes the functions `@fetch_KIND` and `@bring_KIND` for one kind of numbers.
 
     `fetch` copies an array to a block, `bring` a block to an array. Both loop over the

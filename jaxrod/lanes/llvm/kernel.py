@@ -7,11 +7,11 @@ and of rods are arguments, so that one kernel serves all of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jaxrod.lanes.bodies import Region
-from jaxrod.lanes.kernel_plan import Entries, KernelPlan, Step, goals_in
+from jaxrod.lanes.graph import EndNodes, Step
+from jaxrod.lanes.llvm.kernel_plan import KernelPlan, goals_in
+from jaxrod.lanes.llvm.memory import Region
 
 
 @dataclass(frozen=True)
@@ -37,20 +37,6 @@ class Kernel:
     """Number of nodes in the graph that the kernel computes."""
 
 
-@dataclass(frozen=True)
-class Ends:
-    """The beginning and the end of a run, as nodes in the graph of the step."""
-
-    given: Sequence[Entries]
-    """Arrays from which the first carry is computed."""
-    begun: Sequence[Sequence[int]]
-    """Nodes of the first carry."""
-    made: Sequence[Entries]
-    """Arrays that are computed from the last carry."""
-    ended: Sequence[Sequence[int]]
-    """Nodes of those arrays."""
-
-
 def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
     """Writes the kernel that repeats a step.
 
@@ -66,10 +52,10 @@ def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
     now, then, places = plan.carry_buffers()
     plan.prepare([node for nodes in step.outputs for node in nodes])
     goals = goals_in(step.outputs, step.carry, then, places)
-    plan.write_body("step", goals, [now, then])
+    plan.write_function("step", goals, [now, then])
     n_carry, first_carry = len(step.carry), 1 + len(step.constants)
     marks = "".join(
-        plan.transport(
+        plan.transpose(
             "bring", entries, f"%out{n_carry + i}", "%now1", place, "%kept", "%j"
         )
         for i, (entries, place) in enumerate(zip(step.carry, places, strict=True))
@@ -91,7 +77,7 @@ br label %block_done
     return Kernel(module, n_operands, n_results, room, 0, plan.operations)
 
 
-def run_kernel(step: Step, ends: Ends, width: int) -> Kernel:
+def run_kernel(step: Step, ends: EndNodes, width: int) -> Kernel:
     """Writes the kernel of a whole run: its beginning, the steps, and its end.
 
     Operands: counts, constants, arguments. Results: those of the run; workspace.
@@ -112,11 +98,11 @@ def run_kernel(step: Step, ends: Ends, width: int) -> Kernel:
     every_output = (*step.outputs, *ends.begun, *ends.ended)
     plan.prepare([node for nodes in every_output for node in nodes])
     goals = goals_in(step.outputs, step.carry, then, places)
-    plan.write_body("step", goals, [now, then])
+    plan.write_function("step", goals, [now, then])
     goals = goals_in(ends.begun, step.carry, now, places)
-    plan.write_body("begin", goals, [given, now])
+    plan.write_function("begin", goals, [given, now])
     goals = goals_in(ends.ended, ends.made, made, made_places)
-    plan.write_body("end", goals, [now, made])
+    plan.write_function("end", goals, [now, made])
     first = 1 + len(step.constants)
     start = plan.regions()
     text = f"""
@@ -200,13 +186,13 @@ def adjoint_kernel(
         [node for nodes in (*step.outputs, *adjoint.outputs) for node in nodes]
     )
     goals = goals_in(step.outputs, step.carry, then, places)
-    plan.write_body("step", goals, [now, then])
+    plan.write_function("step", goals, [now, then])
     goals = goals_in(adjoint.outputs, adjoint.carry, after, back_places)
-    plan.write_body("adjoint", goals, [now, before, after])
+    plan.write_function("adjoint", goals, [now, before, after])
     first_mark = 1 + n_constants
     first_seed = first_mark + n_carry
     marks = "".join(
-        plan.transport(
+        plan.transpose(
             "fetch", e, f"%in{first_mark + i}", "%kept0", place, "%kept", "%j"
         )
         for i, (e, place) in enumerate(zip(step.carry, places, strict=True))

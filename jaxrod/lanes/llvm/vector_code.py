@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxrod.lanes.graph import Graph
+from jaxrod.lanes.operations import OPERATIONS
 
 TYPES = {
     "f32": "float",
@@ -32,7 +33,6 @@ BYTES = {
     **{"i32": 4, "u32": 4, "i64": 8, "u64": 8, "b1": 1},
 }
 """Sizes of single numbers in memory [bytes], by kind."""
-_FLOAT = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}
 _WHOLE = {"add": "add", "sub": "sub", "mul": "mul"}
 _COMPARE_FLOATS = {
     **{"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
@@ -45,15 +45,6 @@ _COMPARE_WHOLE = {
     "gt": "gt",
     "ge": "ge",
 }
-INTRINSICS = {
-    "abs": "fabs",
-    "sqrt": "sqrt",
-    "floor": "floor",
-    "ceil": "ceil",
-    "round_even": "roundeven",
-    "round_away": "round",
-}
-"""Operations on floats that are LLVM intrinsics, by name."""
 SHORT_MEMORY = 400
 """Number of lines after which a loaded value is loaded again rather than kept, because
 registers are few and memory is near."""
@@ -81,7 +72,7 @@ class Writer:
         self.names: dict[int, str] = {}
         self.loaded: dict[int, tuple[str, int]] = {}
         self.needs: set[tuple[str, str]] = set()
-        """Called functions of `functions.py`: operation and kind."""
+        """Called functions of `elementary.py`: operation and kind."""
         self.declared: set[str] = set()
 
     def type(self, kind: str) -> str:
@@ -154,7 +145,7 @@ class Writer:
         if operation == "convert":
             return self._convert(names[0], source_kind, kind)
         if operation == "rsqrt":
-            root = self._intrinsic("sqrt", kind, names)
+            root = self._intrinsic("llvm.sqrt", kind, names)
             one = self.literal(1, kind)
             return self.new(f"fdiv contract {self.type(kind)} {one}, {root}")
         if operation in ("min", "max"):
@@ -164,15 +155,13 @@ class Writer:
         return self._whole(operation, names, kind)
 
     def _float(self, operation: str, names: list[str], kind: str) -> str:
-        if operation in _FLOAT:
-            line = (
-                f"{_FLOAT[operation]} contract {self.type(kind)} {names[0]}, {names[1]}"
-            )
-            return self.new(line)
         if operation == "neg":
             return self.new(f"fneg {self.type(kind)} {names[0]}")
-        if operation in INTRINSICS:
-            return self._intrinsic(INTRINSICS[operation], kind, names)
+        line = OPERATIONS[operation].llvm
+        if line is not None and line.startswith("llvm."):
+            return self._intrinsic(line, kind, names)
+        if line is not None:
+            return self.new(f"{line} contract {self.type(kind)} {names[0]}, {names[1]}")
         self.needs.add((operation, kind))
         many = self.type(kind)
         given = ", ".join(f"{many} {name}" for name in names)
@@ -271,7 +260,7 @@ class Writer:
     def _intrinsic(self, name: str, kind: str, names: list[str]) -> str:
         many = self.type(kind)
         suffix = kind if self.width == 1 else f"v{self.width}{kind}"
-        full = f"@llvm.{name}.{suffix}"
+        full = f"@{name}.{suffix}"
         self.declared.add(f"declare {many} {full}({', '.join([many] * len(names))})")
         return self.new(
             f"call {many} {full}({', '.join(f'{many} {n}' for n in names)})"

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.lanes.arithmetic import converted_nodes
-from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
+from jaxrod.lanes.jaxpr.arithmetic import converted_nodes
+from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 _REDUCTIONS = {
     "reduce_sum": "add",

@@ -3,36 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-from jaxrod.lanes.bodies import Memory, Region, body
-from jaxrod.lanes.functions import function_text, needed_by
-from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.transport import in_squares, transport_text
-from jaxrod.lanes.vector_code import BYTES, Writer
-
-
-@dataclass(frozen=True)
-class Entries:
-    """The entries of one array of a program, for one rod."""
-
-    kind: str
-    """Kind of the numbers."""
-    size: int
-    """Number of entries."""
-    rate: int
-    """Rate at which they change, as in `jaxrod.lanes.graph`."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step as a graph: it takes constants and a carry to the next carry."""
-
-    graph: Graph
-    constants: Sequence[Entries]
-    carry: Sequence[Entries]
-    outputs: Sequence[Sequence[int]]
-    """Nodes of the next carry, by array."""
+from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Entries, Step
+from jaxrod.lanes.llvm.elementary import elementary_text, needed_by
+from jaxrod.lanes.llvm.memory import Memory, Region, function_text
+from jaxrod.lanes.llvm.transpose import is_tiled, transpose_text
+from jaxrod.lanes.llvm.vector_code import BYTES, Writer
 
 
 class KernelPlan:
@@ -48,8 +24,8 @@ class KernelPlan:
         self.step, self.width = step, width
         self.memory = Memory(step.graph, width)
         self.functions: list[str] = []
-        self.n_transports = 0
-        self.transported: set[str] = set()
+        self.n_transposes = 0
+        self.transposed: set[str] = set()
         self.operations = 0
         self.writers: list[Writer] = []
         self.declared: set[str] = {"declare i64 @llvm.smin.i64(i64, i64)"}
@@ -89,7 +65,7 @@ class KernelPlan:
     ) -> str:
         """Writes calls that load operands, from number `first` on."""
         return "".join(
-            self.transport("fetch", entries, f"%in{first + i}", region, place)
+            self.transpose("fetch", entries, f"%in{first + i}", region, place)
             for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
         )
 
@@ -98,7 +74,7 @@ class KernelPlan:
     ) -> str:
         """Writes calls that store results, from the first one on."""
         return "".join(
-            self.transport("bring", entries, f"%out{i}", region, place)
+            self.transpose("bring", entries, f"%out{i}", region, place)
             for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
         )
 
@@ -124,11 +100,13 @@ class KernelPlan:
                 if graph.operations[node] != "input"
             ]
             pointers = ["%shared", "%own"]
-            text, writer = body(name, self.memory, lanes, rate, goals, pointers)
+            text, writer = function_text(
+                name, self.memory, lanes, rate, goals, pointers
+            )
             self.functions.append(text)
             self.writers.append(writer)
 
-    def write_body(
+    def write_function(
         self,
         name: str,
         goals: Sequence[tuple[int, Region, int]],
@@ -136,7 +114,9 @@ class KernelPlan:
     ) -> None:
         """Writes a function that runs once for each block, or in every step."""
         names = ["%shared", "%own", *[region.pointer for region in regions]]
-        text, writer = body(name, self.memory, self.width, VARYING, goals, names)
+        text, writer = function_text(
+            name, self.memory, self.width, VARYING, goals, names
+        )
         self.functions.append(text)
         self.writers.append(writer)
 
@@ -164,14 +144,14 @@ class KernelPlan:
     def fetch_own(self) -> str:
         """Writes calls that load the constants of the rods of a block."""
         return "".join(
-            self.transport("fetch", entries, f"%in{1 + i}", "%own", place)
+            self.transpose("fetch", entries, f"%in{1 + i}", "%own", place)
             for i, (entries, place) in enumerate(
                 zip(self.step.constants, self.constant_places, strict=True)
             )
             if entries.rate == FIXED
         )
 
-    def transport(
+    def transpose(
         self,
         word: str,
         entries: Entries,
@@ -186,9 +166,9 @@ class KernelPlan:
         If `rows` is given, each rod has that many copies of the array, such as
         checkpoints, and `row` is the index of the one to move.
         """
-        self.n_transports += 1
-        self.transported.add(entries.kind)
-        mark = f"%t{self.n_transports}"
+        self.n_transposes += 1
+        self.transposed.add(entries.kind)
+        mark = f"%t{self.n_transposes}"
         size = entries.size
         lines = f"{mark} = getelementptr i8, ptr {region}, i64 {place}\n"
         stride, offset = str(size), "0"
@@ -196,7 +176,7 @@ class KernelPlan:
             lines += f"{mark}s = mul i64 {rows}, {size}\n"
             lines += f"{mark}o = mul i64 {row}, {size}\n"
             stride, offset = f"{mark}s", f"{mark}o"
-        squares = in_squares(entries.kind, size, self.width)
+        squares = is_tiled(entries.kind, size, self.width)
         name = f"{word}_squares" if squares else word
         return lines + (
             f"call void @{name}_{entries.kind}(ptr {array}, i64 {stride}, "
@@ -205,11 +185,11 @@ class KernelPlan:
 
     def module(self, per_block: str, n_operands: int, n_results: int) -> str:
         """Writes the whole module except for the handler by which XLA calls it."""
-        kinds = self.transported
+        kinds = self.transposed
         texts = list(self.functions)
         declared = set(self.declared)
         for kind in sorted(kinds):
-            text, more = transport_text(kind, self.width)
+            text, more = transpose_text(kind, self.width)
             texts.append(text)
             declared |= more
         needs: set[tuple[str, str, int]] = set()
@@ -220,7 +200,7 @@ class KernelPlan:
                 needs |= {(*n, writer.width) for n in needed_by(operation, kind)}
         widest = {(o, k): w for o, k, w in sorted(needs, key=lambda n: n[2])}
         for (operation, kind), width in sorted(widest.items()):
-            text, more = function_text(operation, kind, width)
+            text, more = elementary_text(operation, kind, width)
             texts.append(text)
             declared |= more
         loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)] + [

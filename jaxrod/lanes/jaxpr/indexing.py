@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
+from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_CHOICES = 64
 """Largest number of positions that a dynamic slice with varying starts may have; a

@@ -7,25 +7,17 @@ from typing import Any
 import numpy as np
 
 from jaxrod.lanes.graph import DTYPES, Graph
-from jaxrod.lanes.unroll import NotUnrolled, Unroller, kind_of, rule
-
-_SAME_NAME = (
-    *("add", "sub", "mul", "div", "rem", "neg", "abs", "max", "min", "sqrt"),
-    *("floor", "ceil", "and", "or", "xor", "not"),
-    *("shift_left", "shift_right_logical", "shift_right_arithmetic"),
-    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
-    *("asinh", "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "cbrt"),
-    *("erf", "erfc", "pow"),
-)
-_COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
+from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
+from jaxrod.lanes.operations import OPERATIONS
 
 
-@rule(*_SAME_NAME)
+@rule(*(name for name, operation in OPERATIONS.items() if operation.primitive))
 def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """Unrolls a primitive that is also an operation of the graph."""
-    kind = kind_of(equation.outvars[0].aval)
-    _check_kind(equation, kind)
-    return unroller.graph.each(equation.primitive.name, kind, *arrays)
+    name, kind = equation.primitive.name, kind_of(equation.outvars[0].aval)
+    if kind[0] not in OPERATIONS[name].kinds:
+        raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")
+    return unroller.graph.each(name, kind, *arrays)
 
 
 @rule("add_any")
@@ -34,17 +26,10 @@ def added(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     return unroller.graph.each("add", kind_of(equation.outvars[0].aval), *arrays)
 
 
-@rule(*_COMPARISONS)
+@rule(*(name for name, operation in OPERATIONS.items() if operation.compares))
 def compared(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """Unrolls a comparison of numbers of the same kind."""
     return unroller.graph.each(equation.primitive.name, "b1", *arrays)
-
-
-@rule("rsqrt")
-def inverse_root(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls an inverse square root."""
-    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
-    return graph.each("rsqrt", kind, array)
 
 
 @rule("square")
@@ -166,18 +151,3 @@ def converted_nodes(graph: Graph, array: Any, before: str, after: str) -> Any:
 def unchanged(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """Passes on the operands of a primitive that only matters to a compiler."""
     return list(arrays)
-
-
-def _check_kind(equation: Any, kind: str) -> None:
-    """Refuses integer and boolean operations that are not machine instructions."""
-    name = equation.primitive.name
-    floats_only = name not in _WHOLE
-    if (floats_only and kind[0] != "f") or (kind == "b1" and name not in _LOGIC):
-        raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")
-
-
-_LOGIC = frozenset({"and", "or", "xor", "not"})
-_WHOLE = _LOGIC | {
-    *("add", "sub", "mul", "div", "rem", "neg", "abs", "max", "min"),
-    *("shift_left", "shift_right_logical", "shift_right_arithmetic"),
-}

@@ -11,20 +11,21 @@ from __future__ import annotations
 
 import math
 
-from jaxrod.lanes.vector_code import BYTES, TYPES, literal
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
+from jaxrod.lanes.operations import OPERATIONS
 
-_OF_TWO = frozenset({"atan2", "pow"})
 _HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
 """Terms whose sum is half of pi."""
 _LN_2 = (0.6931471805599453, 2.3190468138462996e-17)
 _LARGEST_ANGLE = {"f32": 1e9, "f64": 1e5}
 
 
-def function_text(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
+def elementary_text(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
     """Returns functions of a vector and of a single number, and their declarations."""
     single = _of_one(operation, kind)
-    given = "double, double" if operation in _OF_TWO else "double"
-    library = {f"declare double @{operation}({given})"}
+    row = OPERATIONS[operation]
+    given = ", ".join(["double"] * row.operands)
+    library = {f"declare double @{row.symbol}({given})"}
     if width == 1:
         return single, library
     if operation in ("sin", "cos"):
@@ -46,7 +47,8 @@ def needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
 def _of_one(operation: str, kind: str) -> str:
     """Writes the function of one number: the C library's in float64, then rounded."""
     one = TYPES[kind]
-    names = ["%a", "%b"] if operation in _OF_TWO else ["%a"]
+    row = OPERATIONS[operation]
+    names = ["%a", "%b"][: row.operands]
     lines, wide = [], []
     for name in names:
         if kind == "f32":
@@ -54,7 +56,7 @@ def _of_one(operation: str, kind: str) -> str:
             wide.append(f"double {name}w")
         else:
             wide.append(f"double {name}")
-    lines.append(f"%r = call double @{operation}({', '.join(wide)})")
+    lines.append(f"%r = call double @{row.symbol}({', '.join(wide)})")
     if kind == "f32":
         lines += ["%s = fptrunc double %r to float", "ret float %s"]
     else:
@@ -66,7 +68,7 @@ def _of_one(operation: str, kind: str) -> str:
 
 def _lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
     one, many = TYPES[kind], f"<{width} x {TYPES[kind]}>"
-    given = ["%x", "%y"] if operation in _OF_TWO else ["%x"]
+    given = ["%x", "%y"][: OPERATIONS[operation].operands]
     lines, made = [], "poison"
     for lane in range(width):
         singles = []

@@ -14,20 +14,21 @@ import jax
 
 from jaxrod.jax_internals.foreign_call import handler_text, unknown_layout
 from jaxrod.jax_internals.primitives import unknown_rules
-from jaxrod.lanes.kernel import Kernel
-from jaxrod.lanes.object_cache import keeps_objects
+from jaxrod.lanes.llvm.kernel import Kernel
+from jaxrod.lanes.llvm.object_cache import keeps_objects
+from jaxrod.lanes.operations import OPERATIONS
 
 OPTIMISATION = 2
 """Optimisation level of LLVM."""
 
 _LIBRARY = (
-    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
-    *("asinh", "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "cbrt"),
-    *("erf", "erfc", "pow", "fma", "fmaf", "floor", "floorf", "ceil", "ceilf"),
-    *("trunc", "truncf", "round", "roundf", "roundeven", "roundevenf", "fmod"),
-    *("fmodf", "memcpy", "memset", "memmove"),
+    *(row.symbol for row in OPERATIONS.values() if row.symbol is not None),
+    *("fma", "fmaf", "floor", "floorf", "ceil", "ceilf", "trunc", "truncf"),
+    *("round", "roundf", "roundeven", "roundevenf", "fmod", "fmodf"),
+    *("memcpy", "memset", "memmove"),
 )
-"""Functions of the C library that compiled code may call."""
+"""Functions of the C library that compiled code may call; after those of the table, the
+ones that LLVM itself may call."""
 _engines: dict[str, Any] = {}
 """Compiled kernels by name, kept for the life of the process: programs call them."""
 _lock = threading.Lock()

@@ -16,7 +16,7 @@ from jaxrod.jax_internals.primitives import evaluate
 
 
 @dataclass(frozen=True, eq=False)
-class Cycle:
+class LoopBody:
     """One step as a program: it takes constants and a carry to the next carry."""
 
     closed: Any
@@ -70,10 +70,10 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunSpec:
     """The structure of an operation."""
 
-    cycle: Cycle
+    body: LoopBody
     """The step."""
     length: int | None
     """Number of steps; `None` if it is not known when the program is traced."""
@@ -97,15 +97,15 @@ class Plan:
         return -(-(self.length or 0) // self.every)
 
 
-def tangent_cycle(plan: Plan) -> tuple[Any, int]:
+def tangent_body(spec: RunSpec) -> tuple[Any, int]:
     """Returns a step of the carry with its tangent, and its number of constants.
 
     Those are the constants, followed by the tangents of those that have one.
     """
-    cycle, moving = plan.cycle, plan.moving
-    floating = cycle.floating
-    avals = operand_types(cycle.closed)
-    constants, carry = avals[: cycle.n_constants], avals[cycle.n_constants :]
+    body, moving = spec.body, spec.moving
+    floating = body.floating
+    avals = operand_types(body.closed)
+    constants, carry = avals[: body.n_constants], avals[body.n_constants :]
     rates = chosen(constants, moving)
     tangents = chosen(carry, floating)
 
@@ -115,7 +115,7 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
         )
 
         def of(moved: list[Any], floats: list[Any]) -> tuple[list[Any], list[Any]]:
-            made = cycle(filled(fixed, moving, moved), filled(now, floating, floats))
+            made = body(filled(fixed, moving, moved), filled(now, floating, floats))
             return chosen(made, floating), made
 
         _, after, made = jax.jvp(
@@ -132,28 +132,28 @@ def tangent_cycle(plan: Plan) -> tuple[Any, int]:
     return closed, len(constants) + len(rates)
 
 
-def adjoint_cycle(plan: Plan) -> Any:
+def adjoint_body(spec: RunSpec) -> Any:
     """Returns a step backwards (vector-Jacobian product) as a closed jaxpr.
 
     It takes constants, the carry before the step and the cotangents of the next carry
     to the cotangents of the carry, followed by those of the moving constants.
     """
-    cycle, moving, floating = plan.cycle, plan.moving, plan.cycle.floating
-    avals = operand_types(cycle.closed)
-    constants, carry = avals[: cycle.n_constants], avals[cycle.n_constants :]
+    body, moving, floating = spec.body, spec.moving, spec.body.floating
+    avals = operand_types(body.closed)
+    constants, carry = avals[: body.n_constants], avals[body.n_constants :]
 
     def back(*arrays: Any) -> list[Any]:
         fixed, now, cotangents = parted(arrays, len(constants), len(carry))
 
         def of(moved: list[Any], floats: list[Any]) -> list[Any]:
-            made = cycle(filled(fixed, moving, moved), filled(now, floating, floats))
+            made = body(filled(fixed, moving, moved), filled(now, floating, floats))
             return chosen(made, floating)
 
         _, transpose = jax.vjp(of, chosen(fixed, moving), chosen(now, floating))
         sums, earlier = transpose(list(cotangents))
         return [*earlier, *sums]
 
-    given = [*constants, *carry, *chosen(cycle.avals, floating)]
+    given = [*constants, *carry, *chosen(body.avals, floating)]
     return jax.make_jaxpr(back)(*map(varying_shape, given))
 
 

@@ -1,4 +1,6 @@
-"""Functions of a kernel: computed once, once for each block of rods, or in every step.
+"""Memory of a kernel, and its functions, which read and write that memory.
+
+A function runs once, once for each block of rods, or in every step.
 
 A kernel's memory has one region that all rods share (single numbers), one for the
 loop-invariant values of a block of rods (a vector for every number), and buffers of
@@ -11,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Graph
-from jaxrod.lanes.transport import room_for
-from jaxrod.lanes.vector_code import BYTES, TYPES, Writer
+from jaxrod.lanes.graph import FIXED, UNIFORM, Graph
+from jaxrod.lanes.llvm.transpose import room_for
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer
 
 ALIGNMENT = 64
 """Alignment of vectors in memory [bytes]."""
@@ -116,7 +118,7 @@ class Memory:
         return chosen
 
 
-def body(
+def function_text(
     name: str,
     memory: Memory,
     width: int,
@@ -198,6 +200,3 @@ def _store(writer: Writer, name: str, kind: str, region: Region, offset: int) ->
         many = wide
     align = min(ALIGNMENT, BYTES[kind] * region.lanes)
     writer.lines.append(f"store {many} {name}, ptr {at}, align {align}")
-
-
-__all__ = ["VARYING", "Memory", "Region", "body"]

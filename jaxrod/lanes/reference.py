@@ -1,4 +1,4 @@
-"""Repeated steps as JAX primitives, and their meaning in JAX's own loops.
+"""Repeated steps as JAX primitives, and their reference in JAX's own loops.
 
 Their first operands are the number of steps and the constants.
 
@@ -20,7 +20,14 @@ from jax import lax
 
 from jaxrod.jax_internals.primitives import evaluate, new_primitive
 from jaxrod.jax_internals.scans import scan
-from jaxrod.lanes.cycle import Cycle, Plan, chosen, filled, parted, tangent_cycle
+from jaxrod.lanes.run_spec import (
+    LoopBody,
+    RunSpec,
+    chosen,
+    filled,
+    parted,
+    tangent_body,
+)
 
 run_p = new_primitive("jaxrod_run")
 cycles_p = new_primitive("jaxrod_cycles")
@@ -28,29 +35,29 @@ tangent_p = new_primitive("jaxrod_cycles_tangent")
 adjoint_p = new_primitive("jaxrod_cycles_adjoint")
 
 
-def _run(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
-    ends, cycle = plan.ends, plan.cycle
+def _run(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
+    ends, body = spec.ends, spec.body
     assert ends is not None
-    constants, given = parted(arrays, cycle.n_constants)
+    constants, given = parted(arrays, body.n_constants)
     carry = evaluate(ends.begin, *constants, *given)
-    inner = Plan(cycle, plan.length)
-    after = cycles_p.bind(steps, *constants, *carry, plan=inner)
+    inner = RunSpec(body, spec.length)
+    after = cycles_p.bind(steps, *constants, *carry, spec=inner)
     return evaluate(ends.end, *constants, *after)
 
 
-def _cycles(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
-    cycle = plan.cycle
-    constants, carry = parted(arrays, cycle.n_constants)
+def _cycles(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
+    body = spec.body
+    constants, carry = parted(arrays, body.n_constants)
 
     def once(carry: list[Any]) -> list[Any]:
-        return cycle(constants, carry)
+        return body(constants, carry)
 
-    if not plan.keeps:
-        if plan.length is None:
+    if not spec.keeps:
+        if spec.length is None:
             return lax.fori_loop(0, steps, lambda _, c: once(c), list(carry))
-        return _scanned(once, list(carry), plan.length)
-    every = plan.every
-    whole, rest = divmod(plan.length or 0, every)
+        return _scanned(once, list(carry), spec.length)
+    every = spec.every
+    whole, rest = divmod(spec.length or 0, every)
 
     def segment(carry: list[Any], _: None) -> tuple[list[Any], list[Any]]:
         return _scanned(once, carry, every), carry
@@ -65,30 +72,30 @@ def _cycles(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
     return [*after, *kept]
 
 
-def _tangent(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
+def _tangent(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
     """Returns the tangent of the carry after all steps.
 
     Operands: constants, carry, checkpoints, tangents of constants, tangents of the
     carry.
     """
-    cycle = plan.cycle
-    n_kept = len(cycle.avals) if plan.keeps else 0
+    body = spec.body
+    n_kept = len(body.avals) if spec.keeps else 0
     constants, carry, _, rates, tangents = parted(
-        arrays, cycle.n_constants, len(cycle.avals), n_kept, sum(plan.moving)
+        arrays, body.n_constants, len(body.avals), n_kept, sum(spec.moving)
     )
-    both, n_both = tangent_cycle(plan)
-    inner = Plan(Cycle(both, n_both), plan.length)
-    after = cycles_p.bind(steps, *constants, *rates, *carry, *tangents, plan=inner)
-    return after[len(cycle.avals) :]
+    both, n_both = tangent_body(spec)
+    inner = RunSpec(LoopBody(both, n_both), spec.length)
+    after = cycles_p.bind(steps, *constants, *rates, *carry, *tangents, spec=inner)
+    return after[len(body.avals) :]
 
 
-def _adjoint(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
+def _adjoint(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
     """Returns cotangents of the floats of the first carry, and of moving constants.
 
     Operands: constants, checkpoints, cotangents of the floats of the last carry.
     """
-    cycle, floating = plan.cycle, plan.cycle.floating
-    constants, kept, seeds = parted(arrays, cycle.n_constants, len(cycle.avals))
+    body, floating = spec.body, spec.body.floating
+    constants, kept, seeds = parted(arrays, body.n_constants, len(body.avals))
 
     def backwards(
         state: tuple[list[Any], list[Any]], carry: Sequence[Any], length: int
@@ -96,27 +103,27 @@ def _adjoint(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
         cotangents, sums = state
 
         def of(moved: list[Any], floats: list[Any]) -> list[Any]:
-            fixed = filled(constants, plan.moving, moved)
-            once = jax.checkpoint(lambda c: cycle(fixed, c), prevent_cse=False)
+            fixed = filled(constants, spec.moving, moved)
+            once = jax.checkpoint(lambda c: body(fixed, c), prevent_cse=False)
             begun = filled(carry, floating, floats)
             return chosen(_scanned(once, begun, length), floating)
 
         _, transpose = jax.vjp(
-            of, chosen(constants, plan.moving), chosen(carry, floating)
+            of, chosen(constants, spec.moving), chosen(carry, floating)
         )
         more, earlier = transpose(cotangents)
         return earlier, [a + b for a, b in zip(sums, more, strict=True)]
 
-    whole, rest = divmod(plan.length or 0, plan.every)
+    whole, rest = divmod(spec.length or 0, spec.every)
     state = (
         list(seeds),
-        [jnp.zeros_like(c) for c in chosen(constants, plan.moving)],
+        [jnp.zeros_like(c) for c in chosen(constants, spec.moving)],
     )
     if rest:
         state = backwards(state, [rows[-1] for rows in kept], rest)
         kept = [rows[:-1] for rows in kept]
     state, _ = scan(
-        lambda state, carry: (backwards(state, carry, plan.every), None),
+        lambda state, carry: (backwards(state, carry, spec.every), None),
         state,
         list(kept),
         length=whole,
@@ -125,28 +132,28 @@ def _adjoint(plan: Plan, steps: Any, *arrays: Any) -> list[Any]:
     return [*state[0], *state[1]]
 
 
-def _whole(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
-    """Returns the meaning of a primitive for a plan with or without a batch."""
+def _batched_reference(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
+    """Returns the reference of a primitive, for specs with or without a batch."""
 
-    def whole(steps: Any, *arrays: Any, plan: Plan) -> list[Any]:
-        if plan.batch is None:
-            return one(plan, steps, *arrays)
-        single = replace(plan, batch=None)
-        axes = [0 if rows else None for rows in plan.batch.rows]
+    def whole(steps: Any, *arrays: Any, spec: RunSpec) -> list[Any]:
+        if spec.batch is None:
+            return one(spec, steps, *arrays)
+        single = replace(spec, batch=None)
+        axes = [0 if rows else None for rows in spec.batch.rows]
         return jax.vmap(
             lambda *arrays: one(single, steps, *arrays),
             in_axes=axes,
-            axis_size=plan.batch.size,
+            axis_size=spec.batch.size,
         )(*arrays)
 
     return whole
 
 
-MEANINGS = {
-    run_p: _whole(_run),
-    cycles_p: _whole(_cycles),
-    tangent_p: _whole(_tangent),
-    adjoint_p: _whole(_adjoint),
+REFERENCES = {
+    run_p: _batched_reference(_run),
+    cycles_p: _batched_reference(_cycles),
+    tangent_p: _batched_reference(_tangent),
+    adjoint_p: _batched_reference(_adjoint),
 }
 
 

@@ -1,0 +1,252 @@
+"""Kernels of runs: from the programs of a run to a call of its machine code.
+
+LLVM compiles single operations, XLA compiles equations of whole arrays. A long rod has
+many operations in few equations, which XLA compiles in seconds. A system of many
+members has many equations too, and XLA takes about as long for it as LLVM
+(docs/performance.md).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxrod.jax_internals.equations import (
+    operand_types,
+    program_of,
+    programs_within,
+    result_types,
+)
+from jaxrod.lanes.choice import (
+    ALWAYS,
+    AUTO,
+    NEVER,
+    LaneChoice,
+    lane_mode,
+    note,
+    refused,
+)
+from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph, Step
+from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of
+from jaxrod.lanes.llvm.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
+from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body, chosen
+
+FEWEST_RODS = 4
+"""Smallest batch that lanes take; smaller ones are left to XLA."""
+MOST_OPERATIONS = 120_000
+"""Length up to which programs are always taken: longer ones do not fit the processor's
+instruction cache, and take long to compile."""
+OPERATIONS_PER_EQUATION = 100
+"""Operations per equation up to which longer programs are taken too."""
+MOST_OF_ALL = 400_000
+"""Length beyond which no program is taken."""
+
+
+def lowered_by_lanes(
+    name: str, spec: RunSpec, results: Sequence[Any]
+) -> Callable[..., Any] | None:
+    """Returns the program of a primitive in lanes, or `None` to leave it to XLA.
+
+    Args:
+        name: Name of the primitive.
+        spec: Structure of the operation.
+        results: Shapes and types of its results.
+    """
+    body = spec.body
+    rods = spec.batch.size if spec.batch is not None else 1
+    mode = lane_mode()
+    if mode == NEVER or not_here() is not None or rods == 0:
+        return None
+    if mode == AUTO and rods < FEWEST_RODS:
+        refused(f"fewer than {FEWEST_RODS} rods", rods)
+        return None
+    begun = time.perf_counter()
+    shared = (True,) * body.n_constants
+    if spec.batch is not None:
+        shared = tuple(not row for row in spec.batch.rows[: body.n_constants])
+    try:
+        if spec.ends is not None:
+            kernel = _run_kernel(body, spec.ends, shared)
+        elif name == "jaxrod_cycles":
+            kernel = _steps_kernel(body, shared, spec.keeps)
+        else:
+            kernel = _back_kernel(body, spec.moving, shared)
+        target = registered(kernel)
+    except NotUnrolled as reason:
+        refused(str(reason), rods)
+        return None
+    except Exception as error:
+        # A run that XLA can do must not fail because there is no kernel for it.
+        if mode == ALWAYS:
+            raise
+        first_line = str(error).partition("\n")[0]
+        refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
+        return None
+    seconds = time.perf_counter() - begun
+    words = f"lanes of {vector_bytes()} bytes"
+    note(LaneChoice(True, words, rods, kernel.operations, seconds))
+    return _call(target, kernel, spec, rods, results)
+
+
+def _call(
+    target: str, kernel: Kernel, spec: RunSpec, rods: int, results: Sequence[Any]
+) -> Callable[..., Any]:
+    """Returns a function that calls a kernel from JAX."""
+    kept = spec.n_kept if spec.keeps else 0
+    every = spec.every if kept else 2**31 - 1
+    # Kernels align their workspace to 64 bytes themselves.
+    room = kernel.room + 64 + kernel.kept * spec.every
+    shapes = [jax.ShapeDtypeStruct(made.shape, made.dtype) for made in results]
+    call = jax.ffi.ffi_call(target, [*shapes, jax.ShapeDtypeStruct((room,), jnp.uint8)])
+
+    def program(steps: Any, *arrays: Any) -> list[Any]:
+        counts = [jnp.asarray(n, jnp.int32) for n in (steps, every, rods, kept)]
+        return list(call(jnp.stack(counts), *arrays))[:-1]
+
+    return program
+
+
+@lru_cache(maxsize=64)
+def _steps_kernel(body: LoopBody, shared: tuple[bool, ...], keeps: bool) -> Kernel:
+    step, _, _ = _unrolled_step(body, shared, most_operations(body))
+    return step_kernel(step, _width(body), checkpoints=keeps)
+
+
+@lru_cache(maxsize=64)
+def _run_kernel(body: LoopBody, ends: Ends, shared: tuple[bool, ...]) -> Kernel:
+    step, around = _unrolled_run(body, ends, shared, most_operations(body))
+    return run_kernel(step, around, _width(body))
+
+
+@lru_cache(maxsize=64)
+def _back_kernel(
+    body: LoopBody, moving: tuple[bool, ...], shared: tuple[bool, ...]
+) -> Kernel:
+    step, unroller, inputs = _unrolled_step(body, shared, most_operations(body))
+    graph = step.graph
+    spec = RunSpec(body, 0, moving)
+    closed = adjoint_body(spec)
+    floats = chosen(step.carry, body.floating)
+    sums = chosen(step.constants, moving)
+    carry = [Entries(e.kind, e.size, VARYING) for e in (*floats, *sums)]
+    first = len(step.constants) + len(step.carry)
+    given = [
+        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
+        for i, aval in enumerate(result_types(closed))
+    ]
+    made = unroller.run(closed, [*inputs, *given[: len(floats)]])
+    total = [
+        graph.each("add", e.kind, old, new)
+        for e, old, new in zip(
+            sums, given[len(floats) :], made[len(floats) :], strict=True
+        )
+    ]
+    _check_length(len(graph), most_operations(body))
+    outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
+    adjoint = Step(graph, step.constants, carry, outputs)
+    return adjoint_kernel(step, adjoint, len(floats), _width(body))
+
+
+def _width(body: LoopBody) -> int:
+    """Rods in a vector of the widest floats of the carry."""
+    sizes = [aval.dtype.itemsize for aval in chosen(body.avals, body.floating)] or [4]
+    return max(vector_bytes() // max(sizes), 2)
+
+
+def _unrolled_step(
+    body: LoopBody, shared: tuple[bool, ...], most: int
+) -> tuple[Step, Unroller, list[Any]]:
+    """Unrolls a step; returns it with its unroller and the nodes of its inputs.
+
+    Args:
+        body: The step.
+        shared: Whether each constant is the same for all rods.
+        most: Largest number of operations in a step.
+
+    Raises:
+        NotUnrolled: The step cannot be unrolled, or has more operations.
+    """
+    graph = Graph()
+    unroller = Unroller(graph)
+    inputs, entries = [], []
+    for i, aval in enumerate(operand_types(body.closed)):
+        rate = VARYING
+        if i < body.n_constants:
+            rate = UNIFORM if shared[i] else FIXED
+        kind = kind_of(aval)
+        inputs.append(graph.inputs(i, aval.shape, kind, rate))
+        entries.append(Entries(kind, inputs[-1].size, rate))
+    made = unroller.run(body.closed, inputs)
+    _check_length(len(graph), most)
+    outputs = [array.reshape(-1).tolist() for array in made]
+    constants, carry = entries[: body.n_constants], entries[body.n_constants :]
+    return Step(graph, constants, carry, outputs), unroller, inputs
+
+
+def _unrolled_run(
+    body: LoopBody, ends: Ends, shared: tuple[bool, ...], most: int
+) -> tuple[Step, EndNodes]:
+    """Unrolls a step, and the beginning and the end of a run of it, into one graph.
+
+    Args:
+        body: The step.
+        ends: Beginning and end of the run.
+        shared: Whether each constant is the same for all rods.
+        most: Largest number of operations of all together.
+
+    Raises:
+        NotUnrolled: The run cannot be unrolled, or has more operations.
+    """
+    step, unroller, inputs = _unrolled_step(body, shared, most)
+    graph, n = step.graph, body.n_constants
+    avals = ends.given[n:]
+    first = len(inputs)
+    given = [
+        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
+        for i, aval in enumerate(avals)
+    ]
+    begun = unroller.run(ends.begin, [*inputs[:n], *given])
+    ended = unroller.run(ends.end, inputs)
+    _check_length(len(graph), most)
+    return step, EndNodes(
+        [_entries_of(aval) for aval in avals],
+        [array.reshape(-1).tolist() for array in begun],
+        [_entries_of(aval) for aval in ends.made],
+        [array.reshape(-1).tolist() for array in ended],
+    )
+
+
+def _entries_of(aval: Any) -> Entries:
+    """Returns the entries of an array that changes in every step."""
+    return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
+
+
+def _check_length(operations: int, most: int) -> None:
+    """Refuses a program that is too long.
+
+    Raises:
+        NotUnrolled: It has more than `most` operations.
+    """
+    if operations > most:
+        raise NotUnrolled(f"a program of {operations} operations is longer than {most}")
+
+
+def most_operations(body: LoopBody) -> int:
+    """Largest number of operations in a step that lanes take."""
+    equations = sum(1 for _ in _equations(program_of(body.closed).jaxpr))
+    return max(MOST_OPERATIONS, min(OPERATIONS_PER_EQUATION * equations, MOST_OF_ALL))
+
+
+def _equations(jaxpr: Any) -> Iterator[Any]:
+    """Yields the equations of a program and of the programs within it."""
+    for equation in jaxpr.eqns:
+        yield equation
+        for inner in programs_within(equation):
+            yield from _equations(inner)
