@@ -25,7 +25,7 @@ import jaxrod
 from benchmarks.following import EPISODES, EPISODES_SEED, discounted
 from jaxrod.envs import make
 from jaxrod.envs.arm.arm_task import distance_reward
-from jaxrod.envs.arm.wandering_target import wander
+from jaxrod.envs.arm.moving_target import wander
 from jaxrod.envs.soft_bodies.curved_arm import LENGTH, N_SEGMENTS
 
 PIECES = 4

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxrod import Rod, RodState
 from jaxrod.envs.arm.cylinders import Cylinders
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.protocol import Snapshot
 
 
 def arm_and_target(

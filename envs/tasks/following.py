@@ -36,7 +36,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
-from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.arm_task import (
     Bonus,
@@ -45,10 +44,10 @@ from jaxrod.envs.arm.arm_task import (
     shown_distance,
 )
 from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
-from jaxrod.envs.arm.moving_target import Target, TargetParams
+from jaxrod.envs.arm.moving_target import Target, TargetParams, wander
 from jaxrod.envs.arm.scenery import arm_and_target
-from jaxrod.envs.arm.wandering_target import wander
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.checking import action_of_size
+from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.soft_bodies.curved_arm import N_SEGMENTS, CurvedArm, curved_arm
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count

@@ -19,7 +19,6 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, contact, control_spline, freeze
 from jaxrod.contacts.bodies import Body
-from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -37,8 +36,9 @@ from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH
+from jaxrod.envs.checking import action_of_size
+from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.published.arm import published_arm
-from jaxrod.envs.snapshot import Snapshot
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers

@@ -36,7 +36,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, control_spline, freeze
-from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import (
     CONTROL_PERIOD,
     OBSERVED_NODES,
@@ -53,8 +52,9 @@ from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
 from jaxrod.envs.arm.scenery import arm_and_target
 from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
+from jaxrod.envs.checking import action_of_size
+from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.published.arm import published_arm
-from jaxrod.envs.snapshot import Snapshot
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 

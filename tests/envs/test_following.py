@@ -9,8 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.envs import check_environment, make
-from jaxrod.envs.arm.moving_target import Target, TargetParams
-from jaxrod.envs.arm.wandering_target import wander
+from jaxrod.envs.arm.moving_target import Target, TargetParams, wander
 from jaxrod.envs.soft_bodies.curved_arm import GRAVITY, curved_arm
 from playing import KEY, check_vmap_is_a_loop, gradient_error, play, start, stepping
 
