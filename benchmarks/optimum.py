@@ -33,7 +33,7 @@ import jaxrod
 from benchmarks.optimum_page import CASES, RECORDS, write_pages
 from jaxrod.control import mpc
 from jaxrod.envs import VectorEnvironment, make
-from jaxrod.envs.arm.arm_task import distance_reward
+from jaxrod.envs.tasks.arm_task import distance_reward
 from jaxrod.envs.tasks.reaching import reaching_reward
 from jaxrod.files import write_atomically
 from jaxrod.installation.machine import processor_and_versions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import jax
@@ -219,3 +219,10 @@ def check_action_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
     if len(shape) == 1 and len(found) > 1:
         hint = "; a batch of environments is jax.vmap of step"
     raise ValueError(f"{name} must have shape {shape}, got {found}{hint}")
+
+
+def check_variant(variant: str, variants: Collection[str]) -> None:
+    """Raises a ValueError unless the variant of a task is one of the known ones."""
+    if variant not in variants:
+        known = ", ".join(variants)
+        raise ValueError(f"variant must be one of {known}; got {variant!r}")

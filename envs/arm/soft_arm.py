@@ -1,4 +1,4 @@
-"""The soft arm of the benchmark: its dimensions and its rod."""
+"""The soft arm of the benchmark: dimensions, rods, and the arm as a control problem."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from jaxrod import (
 )
 from jaxrod.control.trajectories.arm import ActuatedArm
 
+CONTROL_PERIOD = 1.4e-3
+"""Time between actions in every case [s]."""
 LENGTH = 1.0
 """[m]"""
 RADIUS = 0.05
