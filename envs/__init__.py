@@ -3,8 +3,7 @@
 if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
-from jaxrod.envs.action_repeat import ActionRepeat
-from jaxrod.envs.arm.actuated_arm import actuated_arm
+from jaxrod.envs.arm.soft_arm import actuated_arm
 from jaxrod.envs.checking import check_environment
 from jaxrod.envs.memory_policy import (
     MemoryPolicy,
@@ -12,11 +11,11 @@ from jaxrod.envs.memory_policy import (
     held_for,
     remembering,
 )
-from jaxrod.envs.protocol import Drawable, Environment, Plannable
+from jaxrod.envs.protocol import Drawable, Environment, Plannable, Snapshot
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.rollout import Rollout, rollout
-from jaxrod.envs.snapshot import Snapshot
 from jaxrod.envs.wrappers import (
+    ActionRepeat,
     EpisodeRecord,
     VectorEnvironment,
     VectorState,

@@ -7,10 +7,14 @@ brax does not run on the releases of JAX that jaxrod needs.
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Key, UInt32
 
 try:
@@ -23,8 +27,7 @@ except ModuleNotFoundError as missing:
         name="brax",
     ) from missing
 
-from jaxrod.envs.actions import action_of_size
-from jaxrod.envs.adapters.brax_patch import patched_jax
+from jaxrod.envs.checking import action_of_size
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.registry import make
 from jaxrod.installation.backend import compile_for_rods
@@ -229,3 +232,32 @@ def _key(rng: UInt32[Array, "2"], index: UInt32[Array, ""]) -> Key[Array, ""]:
 def _number(value: Array, dtype: Any = float) -> Array:
     """A number of the dtype that brax itself uses, so that its scans can carry it."""
     return jnp.asarray(value, dtype)
+
+
+@contextmanager
+def patched_jax() -> Iterator[None]:
+    """Restores `jax.device_put_replicated`, which brax's learners call.
+
+    JAX 0.10 removed it. Inside `with patched_jax():` it exists again, and afterwards it
+    is gone: call brax's `train` there.
+    """
+    if hasattr(jax, "device_put_replicated"):
+        yield
+        return
+    jax.device_put_replicated = _device_put_replicated
+    try:
+        yield
+    finally:
+        del jax.device_put_replicated
+
+
+def _device_put_replicated(x: Any, devices: Sequence[jax.Device]) -> Any:
+    """A copy of every array for every device, along a new first axis.
+
+    The axis has the name that brax's learners give it. Under another name their first
+    epoch would be compiled for arrays of its own, and the next epoch once more.
+    """
+    one_each = NamedSharding(Mesh(np.array(devices), ("i",)), PartitionSpec("i"))
+    return jax.tree.map(
+        lambda leaf: jax.device_put(jnp.stack([leaf] * len(devices)), one_each), x
+    )

@@ -1,15 +1,16 @@
-"""Checks whether a user's own object is an environment, and reports what it lacks."""
+"""Checks of a user's own environments and actions, which report what does not fit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
 
-from jaxrod.envs.protocol import Environment
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.protocol import Environment, Snapshot
 
 _COUNTS = ("observation_size", "action_size", "episode_length")
 _METHODS = ("default_params", "reset", "step")
@@ -184,3 +185,44 @@ def _kind(value: Any) -> str:
 
 def _a(word: str) -> str:
     return f"{'an' if word[:1] in 'AEIOUaeiou' else 'a'} {word}"
+
+
+def action_of_size(action: ArrayLike, size: int) -> Array:
+    """The action, if it is a vector of the given size.
+
+    Raises:
+        ValueError: If the shape differs: an action that could be broadcast would drive
+            other actuators than intended.
+    """
+    check_action_shape("action", action, (size,))
+    return jnp.asarray(action)
+
+
+def check_action_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
+    """Raises unless an array from the caller has the expected shape.
+
+    Callers that add a batch axis check first, so that the message describes the user's
+    own array.
+
+    Args:
+        name: "action" for one environment, "actions" for several.
+        given: Array from the caller.
+        shape: Expected shape, `(action_size,)` or `(num_envs, action_size)`.
+
+    Raises:
+        ValueError: If the shapes differ; the message shows both.
+    """
+    found = np.shape(given)
+    if found == shape:
+        return
+    hint = ""
+    if len(shape) == 1 and len(found) > 1:
+        hint = "; a batch of environments is jax.vmap of step"
+    raise ValueError(f"{name} must have shape {shape}, got {found}{hint}")
+
+
+def check_variant(variant: str, variants: Collection[str]) -> None:
+    """Raises a ValueError unless the variant of a task is one of the known ones."""
+    if variant not in variants:
+        known = ", ".join(variants)
+        raise ValueError(f"variant must be one of {known}; got {variant!r}")

@@ -10,8 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxrod.envs.protocol import Drawable, Environment
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.protocol import Drawable, Environment, Snapshot
 from jaxrod.viz import Cylinder, Replay, Sphere, frame
 
 

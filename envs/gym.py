@@ -7,8 +7,15 @@ lists them. Keyword arguments of `make` and `make_vec` go to the task, for examp
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
 try:
     import gymnasium
+    from gymnasium.vector import AutoresetMode
+    from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as missing:
     if missing.name != "gymnasium":
         raise
@@ -17,8 +24,10 @@ except ModuleNotFoundError as missing:
         name="gymnasium",
     ) from missing
 
-from jaxrod.envs.adapters.gymnasium_env import GymnasiumEnv
-from jaxrod.envs.adapters.gymnasium_vector_env import GymnasiumVectorEnv
+from jaxrod.envs.checking import check_action_shape
+from jaxrod.envs.gymnasium_batch import METADATA, Batch, Packed, observed
+from jaxrod.envs.protocol import Environment
+from jaxrod.envs.wrappers import VectorStep
 
 __all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "ids"]
 
@@ -42,6 +51,309 @@ def ids() -> tuple[str, ...]:
 
 def _id(task: str, variant: str) -> str:
     return f"jaxrod/{task}-{variant}-v0"
+
+
+class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """An environment as a `gymnasium.Env`.
+
+    It is a batch of one of `jaxrod.envs.VectorEnvironment`, up to round-off, and equal
+    to the `GymnasiumVectorEnv` of one to the last bit. The seed s starts it with
+    `jax.random.key(s)`, and the episode after an ended one is the batch's next episode.
+    `reset` without a seed in mid-episode starts with a new seed drawn from `np_random`.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str | Environment,
+        *,
+        render_mode: str | None = None,
+        params: Any = None,
+        **options: Any,
+    ) -> None:
+        """Makes the environment.
+
+        Args:
+            task: A task for `jaxrod.envs.make`, or an environment.
+            render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
+            params: Parameters of the environment; None for its defaults.
+            **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
+
+        Raises:
+            ValueError: An argument does not fit.
+        """
+        self._batch = Batch(task, 1, render_mode, params, options)
+        self.render_mode = render_mode
+        self.metadata = self._batch.metadata
+        self.observation_space = self._batch.observation_space
+        self.action_space = self._batch.action_space
+        self._ended = False
+        self._shown: Packed | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts an episode.
+
+        Args:
+            seed: Seed; equal seeds give equal episodes. None for a fresh episode.
+            options: Must be empty or None: no options are known.
+
+        Returns:
+            The first observation, shape (observation_size,), and an empty dictionary.
+
+        Raises:
+            ValueError: `options` is not empty.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f"reset takes no options, got {sorted(options)}")
+        if seed is not None or not self._ended:
+            drawn = int(self.np_random.integers(2**32)) if seed is None else seed
+            self._batch.reset(drawn)
+        self._ended = False
+        self._shown = self._batch.packed()
+        return observed(self._batch.started().observation[0]), {}
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Advances one control step.
+
+        Args:
+            action: In [-1, 1], shape (action_size,).
+
+        Returns:
+            Observation, reward, terminated, truncated, and the environment's scalars.
+
+        Raises:
+            gymnasium.error.ResetNeeded: No episode is running.
+            ValueError: The action has another shape.
+        """
+        if self._ended:
+            raise gymnasium.error.ResetNeeded("the episode has ended: call reset")
+        before = self._batch.packed()
+        check_action_shape("action", action, (self._batch.env.action_size,))
+        step = self._batch.step(np.asarray(action)[None])
+        terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
+        self._ended = terminated or truncated
+        # The batch has already begun the next episode: the picture shows the last
+        # moment but one of the ended episode.
+        self._shown = before if self._ended else self._batch.packed()
+        return (
+            observed(step.final_observation[0]),
+            float(step.reward[0]),
+            terminated,
+            truncated,
+            {name: value[0].item() for name, value in step.info.items()},
+        )
+
+    def render(self) -> np.ndarray | None:
+        """A picture, RGB of shape (480, 640, 3), or None without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: `reset` was not called before.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')
+            return None
+        if self._shown is None:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        return self._batch.picture(self._batch.unpacked(self._shown), 0)
+
+
+class GymnasiumVectorEnv(
+    gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
+):
+    """`jaxrod.envs.VectorEnvironment` for Gymnasium, equal up to round-off.
+
+    The seed s starts the batch with `jax.random.key(s)`. When an episode ends the
+    environment restarts by `autoreset_mode`, as Gymnasium defines the modes:
+
+    - `SAME_STEP`: at once. The observation is the first of the next episode.
+      `infos["final_obs"]` and `infos["final_info"]` are the last of the ended episode,
+      where `infos["_final_obs"]` is true.
+    - `NEXT_STEP`: in the next step, which ignores the action and earns nothing.
+      Gymnasium's wrappers that normalise observations require it.
+    - `DISABLED`: on request, by `reset(options={"reset_mask": ended})`.
+    """
+
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(
+        self,
+        task: str | Environment,
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        params: Any = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **options: Any,
+    ) -> None:
+        """Makes the batch.
+
+        Args:
+            task: A task for `jaxrod.envs.make`, or an environment.
+            num_envs: Number of environments, at least 1.
+            render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
+            params: Parameters shared by the batch; None for the environment's defaults.
+            autoreset_mode: One of `gymnasium.vector.AutoresetMode`, or its value:
+                "SameStep", "NextStep" or "Disabled".
+            **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
+
+        Raises:
+            ValueError: An argument does not fit.
+        """
+        self._mode = _mode(autoreset_mode)
+        self._batch = Batch(task, num_envs, render_mode, params, options)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self._ended = np.zeros(num_envs, bool)
+        self.metadata = self._batch.metadata | {"autoreset_mode": self._mode}
+        self.single_observation_space = self._batch.observation_space
+        self.single_action_space = self._batch.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts all episodes.
+
+        Args:
+            seed: Seed; equal seeds give equal episodes. None for fresh ones.
+            options: `reset_mask`, in the mode `DISABLED`: booleans of shape
+                (num_envs,), true for the environments that start an episode; the others
+                go on.
+
+        Returns:
+            First observations, shape (num_envs, observation_size), and an empty
+            dictionary.
+
+        Raises:
+            ValueError: `options` holds something else.
+        """
+        super().reset(seed=seed)
+        where = self._where(options or {})
+        drawn = int(self.np_random.integers(2**32)) if seed is None else seed
+        self._batch.reset(drawn, where)
+        self._ended = self._ended & (False if where is None else ~where)
+        return observed(self._batch.started().observation), {}
+
+    def _where(self, options: dict[str, Any]) -> np.ndarray | None:
+        """Mask of the environments that start an episode; None for all."""
+        if not options:
+            return None
+        if self._mode is not AutoresetMode.DISABLED or set(options) != {"reset_mask"}:
+            known = (
+                "no options but reset_mask"
+                if self._mode is AutoresetMode.DISABLED
+                else "no options"
+            )
+            raise ValueError(f"reset takes {known}, got {sorted(options)}")
+        where = np.asarray(options["reset_mask"])
+        if where.dtype != bool or where.shape != (self.num_envs,):
+            raise ValueError(
+                f"reset_mask must be booleans of shape ({self.num_envs},), got "
+                f"{where.dtype} of shape {where.shape}"
+            )
+        return where
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances all environments by one control step.
+
+        Args:
+            actions: In [-1, 1], shape (num_envs, action_size).
+
+        Returns:
+            Observations (num_envs, observation_size); rewards, terminations and
+            truncations (num_envs,); and a dictionary with other information.
+
+        Raises:
+            gymnasium.error.ResetNeeded: `reset` was not called before; in the mode
+                `DISABLED` also after an episode has ended.
+            ValueError: The actions have another shape.
+        """
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+            which = np.flatnonzero(self._ended).tolist()
+            raise gymnasium.error.ResetNeeded(
+                f"the episodes of environments {which} have ended: call "
+                'reset(options={"reset_mask": ...})'
+            )
+        waits = self._mode is AutoresetMode.NEXT_STEP
+        waiting = self._ended if waits else None
+        step = self._batch.step(actions, waiting)
+        ended = np.asarray(step.terminated | step.truncated)
+        self._ended = ended
+        if self._mode is AutoresetMode.SAME_STEP:
+            observation, infos = step.observation, _infos(step, ended)
+        else:
+            observation = step.final_observation
+            infos = _masked(
+                step.info, np.ones_like(ended) if waiting is None else ~waiting
+            )
+        return (
+            observed(observation),
+            np.array(step.reward, float),
+            np.array(step.terminated),
+            np.array(step.truncated),
+            infos,
+        )
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture of every environment, RGB of shape (480, 640, 3).
+
+        Raises:
+            gymnasium.error.ResetNeeded: `reset` was not called before.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn('nothing is drawn unless render_mode="rgb_array"')
+            return None
+        state = self._batch.started()
+        return tuple(self._batch.picture(state, i) for i in range(self.num_envs))
+
+
+def _mode(given: AutoresetMode | str) -> AutoresetMode:
+    """The mode, given as the enumeration member or as its value."""
+    try:
+        return AutoresetMode(given)
+    except ValueError:
+        known = ", ".join(mode.value for mode in AutoresetMode)
+        raise ValueError(
+            f"autoreset_mode must be one of {known}; got {given!r}"
+        ) from None
+
+
+def _infos(step: VectorStep, ended: np.ndarray) -> dict[str, Any]:
+    """Scalars of the running episodes, and final ones of the ended episodes."""
+    infos: dict[str, Any] = _masked(step.info, ~ended)
+    if not ended.any():
+        return infos
+    last = np.full(len(ended), None, object)
+    finals = observed(step.final_observation[ended])
+    for i, final in zip(np.flatnonzero(ended), finals, strict=True):
+        last[i] = final
+    return infos | {
+        "final_obs": last,
+        "_final_obs": ended.copy(),
+        "final_info": _masked(step.info, ended),
+        "_final_info": ended.copy(),
+    }
+
+
+def _masked(scalars: Mapping[str, Any], where: np.ndarray) -> dict[str, np.ndarray]:
+    """Scalars with their masks, in Gymnasium's layout; empty if the mask is empty."""
+    if not where.any():
+        return {}
+    infos = {}
+    for name, value in scalars.items():
+        kind = bool if value.dtype == bool else float
+        infos[name] = np.where(where, value, kind()).astype(kind)
+        infos[f"_{name}"] = where.copy()
+    return infos
 
 
 for _task, _variants in VARIANTS.items():

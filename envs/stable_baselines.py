@@ -18,7 +18,7 @@ except ModuleNotFoundError as missing:
         name="stable_baselines3",
     ) from missing
 
-from jaxrod.envs.adapters.gymnasium_batch import Batch, observed
+from jaxrod.envs.gymnasium_batch import Batch, observed
 from jaxrod.envs.protocol import Environment
 
 __all__ = ["StableBaselinesVecEnv"]

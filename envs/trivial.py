@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod.envs.actions import action_of_size
+from jaxrod.envs.checking import action_of_size
 from jaxrod.structure import pytree
 
 

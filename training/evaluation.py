@@ -21,7 +21,7 @@ from jaxrod.envs import (
     held_for,
     remembering,
 )
-from jaxrod.envs.action_repeat import repeating
+from jaxrod.envs.wrappers import repeating
 from jaxrod.validation import check_seed
 
 

@@ -21,9 +21,9 @@ from jaxtyping import Array
 
 from benchmarks.following.learned import EPISODES, EPISODES_SEED, discounted
 from jaxrod.envs import make
-from jaxrod.envs.arm.arm_task import distance_reward
-from jaxrod.envs.arm.wandering_target import wander
+from jaxrod.envs.arm.moving_target import wander
 from jaxrod.envs.soft_bodies.curved_arm import LENGTH, N_SEGMENTS
+from jaxrod.envs.tasks.arm_task import distance_reward
 
 PIECES = 4
 """Straight pieces with a joint in the middle that make a segment's arc."""

@@ -32,7 +32,7 @@ from benchmarks.shared.arguments import add_names
 from benchmarks.shared.files import write_record
 from jaxrod.control import mpc
 from jaxrod.envs import VectorEnvironment, make
-from jaxrod.envs.arm.arm_task import distance_reward
+from jaxrod.envs.tasks.arm_task import distance_reward
 from jaxrod.envs.tasks.reaching import reaching_reward
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.structure import pytree, static

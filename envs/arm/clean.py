@@ -21,6 +21,7 @@ from jaxrod import (
     ControlSpline,
     Effect,
     ElementAverages,
+    ExponentialDamping,
     HealthLimits,
     Method,
     Rod,
@@ -36,8 +37,13 @@ from jaxrod import (
     planar,
     spline_couples,
 )
-from jaxrod.envs.arm.arm_task import CONTROL_PERIOD, viscous_damping
-from jaxrod.envs.arm.soft_arm import LENGTH, TORQUE_PER_ELEMENT, VISCOSITY, clean_rod
+from jaxrod.envs.arm.soft_arm import (
+    CONTROL_PERIOD,
+    LENGTH,
+    TORQUE_PER_ELEMENT,
+    VISCOSITY,
+    clean_rod,
+)
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree, static
 
@@ -127,7 +133,11 @@ class CleanArm:
             muscles = (
                 spline_couples(self.rod, self.spline, controls, self.couple_density),
             )
-        damping = viscous_damping(self.rod, self.viscosity)
+        # The published drag as decay rates, per rest length, equal about all axes.
+        damping = ExponentialDamping(
+            translational_rate=self.viscosity / jnp.mean(self.rod.linear_density),
+            rotational_rate=self.viscosity / jnp.mean(self.rod.rotary_inertia[0]),
+        )
         effects = (self.held, damping, *muscles, *obstacles)
         return Scene(self.rod, effects, self.method)
 

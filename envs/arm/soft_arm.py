@@ -1,11 +1,24 @@
-"""The soft arm of the benchmark: its dimensions and its rod."""
+"""The soft arm of the benchmark: dimensions, rods, and the arm as a control problem."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from jaxrod import Rod, RodState, straight_rod
+import jax.numpy as jnp
 
+from jaxrod import (
+    Rod,
+    RodState,
+    clamp,
+    control_spline,
+    exponential_damping,
+    make_scene,
+    straight_rod,
+)
+from jaxrod.control.trajectories.arm import ActuatedArm
+
+CONTROL_PERIOD = 1.4e-3
+"""Time between actions in every case [s]."""
 LENGTH = 1.0
 """[m]"""
 RADIUS = 0.05
@@ -72,3 +85,41 @@ def _frame(axis: str) -> dict[str, Any]:
     if axis == "y":
         return {"direction": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
     return {"direction": (0.0, 0.0, 1.0), "normal": (0.0, 1.0, 0.0)}
+
+
+def actuated_arm(
+    n_elements: int = 20,
+    *,
+    n_controls: int = 6,
+    couple_density: float = COUPLE_DENSITY,
+    viscosity: float = VISCOSITY,
+    dtype: Any = None,
+) -> ActuatedArm:
+    """The benchmark's soft arm under the consistent law, straight and at rest.
+
+    It is 1 m long, 5 cm in radius, with 1000 kg/m^3, 10 MPa, and incompressible. It is
+    clamped at the origin, points along +y, and is in a viscous medium.
+
+    Args:
+        n_elements: Number of elements, at least 2.
+        n_controls: Number of control points along the arm, per direction.
+        couple_density: Couple per rest length for a control value of one [N m/m].
+        viscosity: Force per length and speed [kg/(m s)], and couple per length and
+            spin [kg m/s].
+        dtype: Floating-point type; by default JAX's default.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    rod, state = clean_rod(n_elements, (0.0, 0.0, 0.0), "y", dtype)
+    damping = exponential_damping(
+        viscosity / float(rod.linear_density[0]),
+        viscosity / float(rod.rotary_inertia[0, 0]),
+    )
+    kind = rod.radii.dtype
+    return ActuatedArm(
+        scene=make_scene(rod, clamp(state), damping),
+        state=state,
+        spline=control_spline(n_controls, LENGTH, dtype=kind),
+        couple_density=jnp.asarray(couple_density, kind),
+    )

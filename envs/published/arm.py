@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
@@ -19,11 +20,14 @@ from jaxrod import (
     Effect,
     ElementCouples,
     FixedEnd,
+    Loads,
+    Motion,
     Planar,
     PyElastica,
     Rod,
     RodState,
     Scene,
+    StabilityBound,
     advance,
     fixed_end,
     planar,
@@ -32,8 +36,7 @@ from jaxrod import (
 from jaxrod.envs.arm.cylinders import Cylinders
 from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, published_rod
 from jaxrod.envs.published.contact import PublishedContact
-from jaxrod.envs.published.law import ViscousDrag
-from jaxrod.envs.published.muscles import MuscleParams, Muscles, contract, relaxed
+from jaxrod.geometry import vectors
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.stepping.loops import integrated
 from jaxrod.structure import pytree
@@ -192,3 +195,106 @@ def published_arm(
         contact=contact,
         method=pyelastica() if plane is None else planar(plane, pyelastica()),
     )
+
+
+@pytree
+class ViscousDrag(Effect):
+    r"""Drag of the first Elastica, which the published benchmark used.
+
+    Explicit viscous forces and couples per current length, $f = -\nu\, \bar v\, \ell$
+    and $c = -\nu\, \omega\, \ell$; PyElastica mode only. PyElastica 1.0 has no such
+    drag. It belongs to the benchmark and is kept out of the simulator.
+    """
+
+    viscosity: Float[Array, ""]
+    """Force per length and speed [kg/(m s)], and couple per length and spin."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Drag of each element; its two nodes share the force equally."""
+        drag = -self.viscosity * motion.lengths
+        x, y, z = motion.velocity
+        means = (0.5 * (x[1:] + x[:-1]), 0.5 * (y[1:] + y[:-1]), 0.5 * (z[1:] + z[:-1]))
+        return Loads(
+            forces=vectors.pair_sum(vectors.scale(0.5 * drag, means)),
+            # In PyElastica mode the spin is the material-frame angular velocity.
+            couples=vectors.scale(drag, motion.spin),
+        )
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Bound of explicit drag, for the rod at its rest length."""
+        drag = self.viscosity * rod.rest_lengths
+        nodes = 0.5 * (vectors.pad(drag, 0, 1) + vectors.pad(drag, 1, 0))
+        return StabilityBound(node_drag=nodes, element_drag=drag)
+
+
+@pytree
+class MuscleParams:
+    """Parameters of the muscles."""
+
+    spline: ControlSpline
+    """Spline through the control points, in rest arc length."""
+    torque: Float[Array, ""]
+    """Couple on an element for a control value of one [N m]."""
+    largest_change: Float[Array, ""] | None
+    """Largest change of a control value in a simulation step; `None` if they jump."""
+
+
+@pytree
+class Muscles:
+    """State of the muscles: rate-limited control values, held couples.
+
+    Every direction (bending about d1, about d2, twist) is a muscle of its own. In a
+    simulation step in which its control values differ from the commanded ones, they
+    move towards them, at most by a given change if there is one. The couples are then
+    evaluated on the spline through the control values, at the elements' far ends, in
+    the current arc length. Once the commanded values are reached the couples stay
+    constant, whatever the arm does.
+    """
+
+    applied: Float[Array, "3 n_controls"]
+    """Control values [1] about d1, d2 and d3."""
+    couples: Float[Array, "3 n"]
+    """Couples on the elements, material frame [N m]."""
+
+
+def relaxed(rod: Rod, params: MuscleParams) -> Muscles:
+    """Muscles without activation, as at the start of an episode."""
+    dtype = rod.rest_lengths.dtype
+    return Muscles(
+        applied=jnp.zeros((3, params.spline.n_controls), dtype),
+        couples=jnp.zeros((3, rod.n_elements), dtype),
+    )
+
+
+def contract(
+    muscles: Muscles,
+    commanded: Float[Array, "3 n_controls"],
+    lengths: Float[Array, " n"],
+    renewed: Bool[Array, ""],
+    params: MuscleParams,
+) -> Muscles:
+    """Returns the muscles in the next simulation step.
+
+    Args:
+        muscles: State in the step before.
+        commanded: Commanded control values [1].
+        lengths: Current lengths of the elements [m].
+        renewed: Whether the commanded values are new in this step. If they happen to
+            equal the old ones the couples do not change, but from now on they follow
+            the derivatives of the new values.
+        params: Parameters of the muscles.
+    """
+    missing = commanded - muscles.applied
+    bound = params.largest_change
+    applied = commanded
+    if bound is not None:
+        applied = jnp.where(
+            jnp.abs(missing) <= bound,
+            commanded,
+            muscles.applied + jnp.clip(missing, -bound, bound),
+        )
+    couples = params.torque * params.spline(applied, jnp.cumsum(lengths))
+    changing = jnp.any(missing != 0, axis=1, keepdims=True)
+    still = lax.stop_gradient(muscles.couples) + (couples - lax.stop_gradient(couples))
+    held = jnp.where(renewed, still, muscles.couples)
+    return Muscles(applied, jnp.where(changing, couples, held))

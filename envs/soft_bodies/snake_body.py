@@ -20,13 +20,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
+    Effect,
     ElementCouples,
     ExponentialDamping,
     HealthLimits,
+    Loads,
     Ramp,
     Rod,
     RodState,
     Scene,
+    StabilityBound,
     advance,
     angular_velocities,
     control_spline,
@@ -37,9 +40,11 @@ from jaxrod import (
     scale_inertia,
     straight_rod,
 )
-from jaxrod.envs.soft_bodies.bending_viscosity import bending_viscosity
-from jaxrod.envs.soft_bodies.flat_ground import FlatGround
+from jaxrod.contacts.contact_law import directional_friction_force
 from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
 
 LENGTH = 0.35
@@ -211,3 +216,88 @@ def snake_body(
         largest_change=number(largest_change),
         limits=jax.tree.map(number, HealthLimits()),
     )
+
+
+@pytree
+class FlatGround(Effect):
+    """Anisotropic friction of a rod that lies on flat ground with its full weight.
+
+    A rod that moves in the plane of the ground always presses on it with its weight per
+    length. So the friction of `jaxrod.contact` with `friction=(forward, backward,
+    sideways)` has a known normal force, and the motion is planar. This takes a third of
+    the work of a rod in space that rests on a stiff ground, and there is no vertical
+    vibration to resolve.
+    """
+
+    weight: Float[Array, ""]
+    """Normal force per length of rod [N/m]."""
+    friction: Float[Array, "3"]
+    """Coefficients forward (along d3), backward and sideways [1]."""
+    friction_drag: Float[Array, ""]
+    """Largest friction per length and slip speed [kg/(m s)]."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Friction on the nodes, with the mean direction of the adjacent elements."""
+        axis = _at_nodes(directors(motion.orientation)[2])
+        density = directional_friction_force(
+            self.weight, motion.velocity, axis, self.friction, self.friction_drag
+        )
+        return Loads(forces=vectors.scale(_lengths(rod), density))
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Bound from the drag at the onset of slip."""
+        return StabilityBound(node_drag=self.friction_drag * _lengths(rod))
+
+
+def _lengths(rod: Rod) -> Array:
+    """Length of rod that belongs to each node [m]."""
+    half = 0.5 * rod.rest_lengths
+    return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
+
+
+def _at_nodes(axis: Vec3) -> Vec3:
+    """Unit vectors at the nodes, halfway between those of the adjacent elements."""
+    x, y, z = (vectors.pad(c, 0, 1) + vectors.pad(c, 1, 0) for c in axis)
+    size = vectors.safe_norm((x, y, z))
+    return vectors.scale(1 / size, (x, y, z))
+
+
+@pytree
+class BendingViscosity(Effect):
+    r"""Viscosity of bending about the vertical: joints resist their rate of bending.
+
+    The moment $-\tau B\,\dot\phi/\hat D$ of every joint, of a Kelvin-Voigt material
+    with the relaxation time $\tau$, changes angular momenta $P$ about the normal only.
+    In a plane $A = \Delta^T (\tau B/\hat D)\,\Delta\,J^{-1}$ is constant, so a backward
+    Euler step is one matrix product, $P \leftarrow (1 + hA)^{-1} P$. It does not limit
+    the time step. It costs a fraction of `jaxrod.internal_damping`, which also damps
+    stretch, shear and twist, in space. A mode of angular frequency $\omega$ decays at
+    $\tau\omega^2/2$.
+    """
+
+    kept: Float[Array, "n n"]
+    """Matrix from the angular momenta before a step to those after it [1]."""
+
+    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+        """Returns the motion after the bending rates have decayed for one step."""
+        x, y, z = motion.spin
+        slowed = jnp.sum(self.kept * z[None, :], axis=1)
+        return dataclasses.replace(motion, spin=(x, y, slowed))
+
+
+def bending_viscosity(rod: Rod, relaxation_time: Array, dt: Array) -> BendingViscosity:
+    """Viscous bending about the vertical, for a round, level rod in the plane "xy".
+
+    Args:
+        rod: The rod, in a scene of the consistent law.
+        relaxation_time: Ratio of viscous to elastic stiffness [s].
+        dt: Time step of the simulation, the same that will be used [s].
+    """
+    n = rod.n_elements
+    eye = jnp.eye(n, dtype=rod.rest_lengths.dtype)
+    across = eye[1:] - eye[:-1]
+    drag = relaxation_time * rod.joint_stiffness[0] / rod.joint_lengths
+    rates = jnp.sum(
+        across[:, :, None] * drag[:, None, None] * across[:, None, :], axis=0
+    )
+    return BendingViscosity(jnp.linalg.inv(eye + dt * rates / rod.inertias[0][None, :]))

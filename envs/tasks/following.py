@@ -30,26 +30,17 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
-from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm import moving_target
-from jaxrod.envs.arm.arm_task import (
-    Bonus,
-    check_variant,
-    distance_reward,
-    shown_distance,
-)
-from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
-from jaxrod.envs.arm.moving_target import Target, TargetParams
-from jaxrod.envs.arm.scenery import arm_and_target
-from jaxrod.envs.arm.wandering_target import wander
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.arm.moving_target import Target, TargetParams, wander
+from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.soft_bodies.curved_arm import N_SEGMENTS, CurvedArm, curved_arm
+from jaxrod.envs.tasks.arm_task import ArmTask, Bonus
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
 
@@ -96,7 +87,7 @@ class FollowingState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Following(CostOfResiduals):
+class Following(ArmTask):
     """The following task; see the module docstring. Make one with `following`."""
 
     n_elements: int
@@ -104,6 +95,8 @@ class Following(CostOfResiduals):
     episode_length: int = 500
     variant: Variant = "clean"
     name: str = "following"
+
+    control_period = CONTROL_PERIOD
 
     @property
     def observation_size(self) -> int:
@@ -114,11 +107,6 @@ class Following(CostOfResiduals):
     def action_size(self) -> int:
         """Changes of five angles about d1, then of five about d2."""
         return 2 * N_SEGMENTS
-
-    @property
-    def control_period(self) -> float:
-        """Time between actions [s]."""
-        return CONTROL_PERIOD
 
     def default_params(self) -> FollowingParams:
         """Numbers of the task, in JAX's default precision."""
@@ -150,74 +138,9 @@ class Following(CostOfResiduals):
             target=moving_target.start(key, params.target),
             steps=jnp.zeros((), jnp.int32),
         )
-        return self.observe(state), state
+        return self.observe(state, params), state
 
-    def step(
-        self,
-        key: Key[Array, ""],
-        state: FollowingState,
-        action: Float[Array, " action"],
-        params: FollowingParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        FollowingState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
-        """Advances one control step: the segments go to their new angles."""
-        state, flagged = self._moved(key, state, action, params)
-        distance_squared = jnp.sum((state.arm.tip - state.target.position) ** 2)
-        info = {
-            "distance": shown_distance(state.arm, state.target.position),
-            "flagged": flagged,
-        }
-        return (
-            self.observe(state),
-            state,
-            distance_reward(distance_squared, params.bonus),
-            jnp.zeros((), bool),
-            (state.steps >= self.episode_length) | flagged,
-            info,
-        )
-
-    def predict(
-        self,
-        state: FollowingState,
-        action: Float[Array, " action"],
-        params: FollowingParams,
-        control_steps: int = 1,
-    ) -> FollowingState:
-        """Predicts the state under one action; the target keeps its current velocity.
-
-        Args:
-            state: Current state.
-            action: In [-1, 1].
-            params: Numbers of the task.
-            control_steps: Number of control steps for which the action is held; angles
-                change in each of them.
-        """
-
-        def one(state: FollowingState, _: None) -> tuple[FollowingState, None]:
-            return self._moved(None, state, action, params)[0], None
-
-        return jax.lax.scan(one, state, length=control_steps)[0]
-
-    def residuals(
-        self,
-        state: FollowingState,
-        action: Float[Array, " action"],
-        params: FollowingParams,
-        width: float = COST_WIDTH,
-    ) -> Float[Array, "3"]:
-        """Residuals for planners, from the tip's offset; see `tip_residuals`."""
-        del action
-        return tip_residuals(
-            state.arm.tip - state.target.position, params.bonus.touching, width
-        )
-
-    def _moved(
+    def moved(
         self,
         key: Key[Array, ""] | None,
         state: FollowingState,
@@ -242,12 +165,16 @@ class Following(CostOfResiduals):
         return FollowingState(arm, angles, target, state.steps + 1), flagged
 
     def snapshot(self, state: FollowingState, params: FollowingParams) -> Snapshot:
-        """The arm and the target."""
-        target, radius = state.target.position, params.bonus.touching
-        drawn = arm_and_target(params.arm.rod, state.arm, target, radius)
-        return dataclasses.replace(drawn, up="z")
+        """The arm and the target, as large as what counts as touching."""
+        return dataclasses.replace(
+            super().snapshot(state, params),
+            spheres=((state.target.position, params.bonus.touching),),
+            up="z",
+        )
 
-    def observe(self, state: FollowingState) -> Float[Array, " observation"]:
+    def observe(
+        self, state: FollowingState, params: FollowingParams
+    ) -> Float[Array, " observation"]:
         """Observation vector; the module's table lists its entries."""
         ends = jnp.asarray(self._ends()[None], state.angles.dtype)
         return jnp.concatenate(

@@ -49,9 +49,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import limit_rate
-from jaxrod.envs.actions import action_of_size
-from jaxrod.envs.arm.arm_task import check_variant
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.soft_bodies.gripper_body import (
     BALL,
     HIGHEST,

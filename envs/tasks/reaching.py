@@ -29,41 +29,33 @@ rotation from the world to the material frame.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, Literal
+import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Key
 
-from jaxrod import RodState, control_spline, freeze
-from jaxrod.envs.actions import action_of_size
-from jaxrod.envs.arm.arm_task import (
-    CONTROL_PERIOD,
+from jaxrod import RodState
+from jaxrod.envs.arm.soft_arm import REFERENCE_ELEMENTS
+from jaxrod.envs.tasks.arm_task import (
+    COST_WIDTH,
     OBSERVED_NODES,
-    Arm,
-    Bonus,
-    check_sizes,
-    check_variant,
+    ArmParams,
+    ArmState,
+    BenchmarkTask,
+    Variant,
+    checked_sizes,
     distance_reward,
-    observed_points,
-    shown_distance,
-    speed_and_direction,
+    squared_distance,
 )
-from jaxrod.envs.arm.clean import clean_arm
-from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
-from jaxrod.envs.arm.scenery import arm_and_target
-from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
-from jaxrod.envs.published.arm import published_arm
-from jaxrod.envs.snapshot import Snapshot
-from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 
-Variant = Literal["paper", "clean"]
-VARIANTS: tuple[Variant, ...] = ("paper", "clean")
-
-N_CONTROLS = 6
-BASE = (0.0, 0.0, 0.0)
-AXIS = "y"
+SIZES: dict[Variant, tuple[int, int]] = {
+    "paper": (REFERENCE_ELEMENTS, 7),
+    "clean": (REFERENCE_ELEMENTS, 4),
+}
+"""Default elements and simulation steps per control step."""
 
 
 @pytree
@@ -92,39 +84,15 @@ class Goal:
 
 
 @pytree
-class ReachingParams:
+class ReachingParams(ArmParams):
     """Numbers of the task; every one is a traced leaf."""
 
-    arm: Arm
-    """The arm and everything that acts on it."""
-    dt: Float[Array, ""]
-    """Time step of the simulation [s]."""
-    target: GoalParams
-    """Distribution of goals."""
-    bonus: Bonus
-    """Distances within which the distance bonuses are paid."""
     aligned: Float[Array, "2"]
     """Largest misalignments for the last bonus, nearby and touching [1]."""
-    crash_reward: Float[Array, ""]
-    """Reward of a step after which the arm is not finite ("paper")."""
-
-
-@pytree
-class ReachingState:
-    """State of an episode."""
-
-    arm: RodState
-    """The arm."""
-    muscles: Any
-    """Memory of its muscles."""
-    target: Goal
-    """The goal."""
-    steps: Int[Array, ""]
-    """Control steps since reset."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Reaching(CostOfResiduals):
+class Reaching(BenchmarkTask):
     """The reaching task; see the module docstring. Make one with `reaching`."""
 
     variant: Variant
@@ -133,133 +101,58 @@ class Reaching(CostOfResiduals):
     episode_length: int = 1428
     name: str = "reaching"
 
-    plane: ClassVar[PlaneName | None] = None
-    """Plane of motion: none."""
+    n_directions = 3
+    n_controls = 6
+    crash_reward = -10_000.0
 
     @property
     def observation_size(self) -> int:
         """Eleven points, velocity and frame of the tip, and of the goal: 52 numbers."""
         return 3 * OBSERVED_NODES + 4 + 4 + 7 + 4
 
-    @property
-    def action_size(self) -> int:
-        """Six control values about d1, six about d2, six about d3."""
-        return 3 * N_CONTROLS
-
-    @property
-    def control_period(self) -> float:
-        """Time between actions [s]."""
-        return CONTROL_PERIOD
-
-    def control_points(self) -> int:
-        """Number of control points."""
-        return N_CONTROLS
-
     def default_params(self) -> ReachingParams:
         """Numbers of the task, in JAX's default precision."""
-        spline = control_spline(self.control_points(), LENGTH)
-        arm: Arm
-        if self.variant == "paper":
-            arm = published_arm(self.n_elements, BASE, AXIS, spline)
-        else:
-            arm = clean_arm(
-                self.n_elements,
-                BASE,
-                AXIS,
-                spline,
-                published_elements=REFERENCE_ELEMENTS,
-            )
-
-        def numbers(value: float | list[float]) -> Array:
-            return jnp.asarray(value, arm.rod.radii.dtype)
-
-        return ReachingParams(
-            arm=arm,
-            dt=numbers(CONTROL_PERIOD / self.substeps),
-            target=GoalParams(
-                lower=numbers([-0.6, 0.3, -0.6]),
-                upper=numbers([0.6, 0.9, 0.6]),
-                largest_yaw=numbers(float(jnp.pi) / 2),
-                radius=numbers(0.05),
-            ),
-            bonus=Bonus(near=numbers(0.10), touching=numbers(0.05)),
-            aligned=numbers([0.10, 0.05]),
-            crash_reward=numbers(-10_000.0),
+        arm = self.arm()
+        number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
+        target = GoalParams(
+            lower=number([-0.6, 0.3, -0.6]),
+            upper=number([0.6, 0.9, 0.6]),
+            largest_yaw=number(float(jnp.pi) / 2),
+            radius=number(0.05),
         )
+        aligned = number([0.10, 0.05])
+        return ReachingParams(**self.common_params(arm), target=target, aligned=aligned)
 
-    def reset(
-        self, key: Key[Array, ""], params: ReachingParams
-    ) -> tuple[Float[Array, " observation"], ReachingState]:
-        """Starts with the arm straight and at rest, the goal anywhere in its box."""
-        muscles = params.arm.relaxed()
-        state = ReachingState(
-            params.arm.rest,
-            muscles,
-            random_goal(key, params.target),
-            jnp.zeros((), jnp.int32),
-        )
-        return self.observe(state), state
+    def first_target(self, key: Key[Array, ""], params: Any) -> Goal:
+        """A goal anywhere in its box."""
+        return random_goal(key, params.target)
 
-    def step(
+    def ended(
         self,
-        key: Key[Array, ""],
-        state: ReachingState,
-        action: Float[Array, " action"],
-        params: ReachingParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        ReachingState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
-        """Advances one control step: the couples of the action act for 1.4 ms."""
-        before = state.arm
-        state, crashed = self._moved(state, action, params, 1)
-        arm = state.arm
-        observation = self.observe(state)
-        distance_squared = jnp.sum((arm.tip - state.target.position) ** 2)
-        misalignment = misaligned(arm, state.target)
-        reward = reaching_reward(distance_squared, misalignment, params)
-        timeout = state.steps >= self.episode_length
-        if self.variant == "paper":
-            crashed |= ~jnp.all(jnp.isfinite(observation))
-            reward = jnp.where(crashed, params.crash_reward, reward)
-            observation = jnp.where(crashed, 0, observation)
-            terminated, truncated = crashed, timeout
-        else:
-            terminated, truncated = jnp.zeros((), bool), timeout | crashed
-        sound = freeze(crashed, before, arm)
-        info = {
-            "distance": shown_distance(sound, state.target.position),
-            "misalignment": misaligned(sound, state.target),
-            "flagged": crashed,
-        }
-        return observation, state, reward, terminated, truncated, info
+        observation: Float[Array, " observation"],
+        crashed: Bool[Array, ""],
+        before: ArmState,
+        params: Any,
+    ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
+        """The arm is also broken where a number that is observed is not finite."""
+        crashed |= ~jnp.all(jnp.isfinite(observation))
+        return super().ended(observation, crashed, before, params)
 
-    def predict(
-        self,
-        state: ReachingState,
-        action: Float[Array, " action"],
-        params: ReachingParams,
-        control_steps: int = 1,
-    ) -> ReachingState:
-        """Predicts the state under one action, exactly as `step`: nothing is random.
+    def reward(self, state: ArmState, params: Any) -> Float[Array, ""]:
+        """Reward by distance and misalignment."""
+        misalignment = misaligned(state.arm, state.target)
+        return reaching_reward(squared_distance(state), misalignment, params)
 
-        Args:
-            state: Current state.
-            action: In [-1, 1].
-            params: Numbers of the task.
-            control_steps: Number of control steps for which the action is held.
-        """
-        return self._moved(state, action, params, control_steps)[0]
+    def scalars(self, arm: RodState, target: Goal) -> dict[str, Array]:
+        """Distance of the tip from the goal [m], and its misalignment [1]."""
+        misalignment = misaligned(arm, target)
+        return super().scalars(arm, target) | {"misalignment": misalignment}
 
     def residuals(
         self,
-        state: ReachingState,
+        state: ArmState,
         action: Float[Array, " action"],
-        params: ReachingParams,
+        params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, "6"]:
         r"""Residuals for planners: the tip's offset and rotation from the goal.
@@ -268,47 +161,16 @@ class Reaching(CostOfResiduals):
         by the square root of the largest misalignment that still earns a bonus. Before
         this division their squares sum to the misalignment.
         """
-        del action
-        way = tip_residuals(
-            state.arm.tip - state.target.position, params.bonus.touching, width
-        )
+        way = super().residuals(state, action, params, width)
         turn = turn_from(tip_frame(state.arm), state.target.orientation)
         return jnp.concatenate([way, turn / jnp.sqrt(params.aligned[1])])
 
-    def _moved(
-        self,
-        state: ReachingState,
-        action: Float[Array, " action"],
-        params: ReachingParams,
-        control_steps: int,
-    ) -> tuple[ReachingState, Bool[Array, ""]]:
-        """Returns the later state, and whether the arm crashed."""
-        action = action_of_size(action, self.action_size)
-        controls = jnp.reshape(action, (3, N_CONTROLS))
-        arm, muscles, crashed = params.arm.advance(
-            state.arm, state.muscles, controls, params.dt, control_steps * self.substeps
-        )
-        steps = state.steps + control_steps
-        return ReachingState(arm, muscles, state.target, steps), crashed
-
-    def snapshot(self, state: ReachingState, params: ReachingParams) -> Snapshot:
-        """The arm, and a sphere at the goal."""
-        target, radius = state.target.position, params.target.radius
-        return arm_and_target(params.arm.rod, state.arm, target, radius)
-
-    def observe(self, state: ReachingState) -> Float[Array, " observation"]:
-        """Points of the arm, velocity and frame of the tip, then of the goal."""
-        return jnp.concatenate(
-            [
-                observed_points(state.arm),
-                speed_and_direction(state.arm.velocities[:, -1]),
-                tip_frame(state.arm),
-                state.target.position,
-                # The goal's velocity is zero; it is observed as in Case 1.
-                jnp.zeros_like(state.target.orientation),
-                state.target.orientation,
-            ]
-        )
+    def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
+        """Frame of the tip; position, velocity and frame of the goal."""
+        goal = state.target
+        # The goal's velocity is zero; it is observed as in Case 1.
+        still = jnp.zeros_like(goal.orientation)
+        return tip_frame(state.arm), goal.position, still, goal.orientation
 
 
 def random_goal(key: Key[Array, ""], params: GoalParams) -> Goal:
@@ -393,8 +255,7 @@ def reaching(
     Raises:
         ValueError: If an argument does not fit.
     """
-    check_variant(variant, VARIANTS)
-    default_substeps = 7 if variant == "paper" else 4
-    substeps = default_substeps if substeps is None else substeps
-    check_sizes(n_elements, substeps, episode_length)
-    return Reaching(variant, n_elements, substeps, episode_length)
+    elements, steps = checked_sizes(
+        variant, SIZES, n_elements, substeps, episode_length
+    )
+    return Reaching(variant, elements, steps, episode_length)

@@ -41,9 +41,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, angular_velocities, limit_rate
 from jaxrod.actuation.b_spline import b_spline_basis
-from jaxrod.envs.actions import action_of_size
-from jaxrod.envs.arm.arm_task import check_variant
-from jaxrod.envs.snapshot import Snapshot
+from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree

@@ -24,12 +24,12 @@ from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body, Sphere
 from jaxrod.envs.arm.cylinders import Cylinders, cylinders
+from jaxrod.envs.tasks.arm_task import Variant, checked_sizes
 from jaxrod.envs.tasks.obstacle_task import (
     CONTROL_STEPS,
     PLACED,
+    SIZES,
     ObstacleTask,
-    Variant,
-    checked_sizes,
 )
 from jaxrod.validation import Numbers, check_count
 
@@ -119,7 +119,9 @@ def structured_obstacles(
     Raises:
         ValueError: If an argument does not fit.
     """
-    elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
+    elements, steps = checked_sizes(
+        variant, SIZES, n_elements, substeps, episode_length
+    )
     if controls is not None:
         controls = check_count("controls", controls, 2)
     return StructuredObstacles(

@@ -20,82 +20,35 @@ Variants:
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, Literal
+import functools
+from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Key
 
-from jaxrod import RodState, control_spline, freeze
-from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm import moving_target
-from jaxrod.envs.arm.arm_task import (
-    CONTROL_PERIOD,
+from jaxrod.envs.arm.moving_target import Target, TargetParams
+from jaxrod.envs.arm.soft_arm import REFERENCE_ELEMENTS
+from jaxrod.envs.tasks.arm_task import (
     OBSERVED_NODES,
-    Arm,
-    Bonus,
-    check_sizes,
-    check_variant,
-    distance_reward,
-    observed_points,
-    shown_distance,
+    ArmParams,
+    ArmState,
+    BenchmarkTask,
+    Variant,
+    checked_sizes,
     speed_and_direction,
 )
-from jaxrod.envs.arm.clean import clean_arm
-from jaxrod.envs.arm.cost import COST_WIDTH, CostOfResiduals, tip_residuals
-from jaxrod.envs.arm.moving_target import Target, TargetParams
-from jaxrod.envs.arm.scenery import arm_and_target
-from jaxrod.envs.arm.soft_arm import LENGTH, REFERENCE_ELEMENTS
-from jaxrod.envs.published.arm import published_arm
-from jaxrod.envs.snapshot import Snapshot
-from jaxrod.methods.planar_verlet import PlaneName
-from jaxrod.structure import pytree
-
-Variant = Literal["paper", "clean"]
-VARIANTS: tuple[Variant, ...] = ("paper", "clean")
 
 SIZES: dict[Variant, tuple[int, int]] = {
     "paper": (REFERENCE_ELEMENTS, 7),
     "clean": (30, 5),
 }
 """Default elements and simulation steps per control step."""
-N_CONTROLS = 6
 HEADING_STEPS = 500
-BASE = (0.0, 0.0, 0.0)
-AXIS = "y"
-
-
-@pytree
-class TrackingParams:
-    """Numbers of the task; every one is a traced leaf."""
-
-    arm: Arm
-    """The arm and everything that acts on it."""
-    dt: Float[Array, ""]
-    """Time step of the simulation [s]."""
-    target: TargetParams
-    """Parameters of the target's motion."""
-    bonus: Bonus
-    """Distances within which the bonuses are paid."""
-    crash_reward: Float[Array, ""]
-    """Reward of a step after which the arm is not finite ("paper")."""
-
-
-@pytree
-class TrackingState:
-    """State of an episode."""
-
-    arm: RodState
-    """The arm."""
-    muscles: Any
-    """Memory of its muscles."""
-    target: Target
-    """The target."""
-    steps: Int[Array, ""]
-    """Control steps since reset."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Tracking(CostOfResiduals):
+class Tracking(BenchmarkTask):
     """The tracking task; see the module docstring. Make one with `tracking`."""
 
     variant: Variant
@@ -104,183 +57,55 @@ class Tracking(CostOfResiduals):
     episode_length: int = 7142
     name: str = "tracking"
 
-    plane: ClassVar[PlaneName | None] = None
-    """Plane of motion: none."""
+    n_directions = 2
+    n_controls = 6
+    crash_reward = -1000.0
 
     @property
     def observation_size(self) -> int:
         """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
         return 3 * OBSERVED_NODES + 4 + 7
 
-    @property
-    def action_size(self) -> int:
-        """Six control values about d1, then six about d2."""
-        return 2 * N_CONTROLS
-
-    @property
-    def control_period(self) -> float:
-        """Time between actions [s]."""
-        return CONTROL_PERIOD
-
-    def control_points(self) -> int:
-        """Number of control points."""
-        return N_CONTROLS
-
-    def default_params(self) -> TrackingParams:
+    def default_params(self) -> ArmParams:
         """Numbers of the task, in JAX's default precision."""
-        spline = control_spline(self.control_points(), LENGTH)
-        arm: Arm
-        if self.variant == "paper":
-            arm = published_arm(self.n_elements, BASE, AXIS, spline)
-        else:
-            arm = clean_arm(
-                self.n_elements,
-                BASE,
-                AXIS,
-                spline,
-                published_elements=REFERENCE_ELEMENTS,
-            )
-
-        def numbers(value: float | list[float]) -> Array:
-            return jnp.asarray(value, arm.rod.radii.dtype)
-
-        return TrackingParams(
-            arm=arm,
-            dt=numbers(CONTROL_PERIOD / self.substeps),
-            target=TargetParams(
-                lower=numbers([-0.6, 0.3, -0.6]),
-                upper=numbers([0.6, 0.9, 0.6]),
-                radius=numbers(0.05),
-                speed=numbers(0.5),
-            ),
-            bonus=Bonus(near=numbers(0.10), touching=numbers(0.05)),
-            crash_reward=numbers(-1000.0),
+        arm = self.arm()
+        number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
+        target = TargetParams(
+            lower=number([-0.6, 0.3, -0.6]),
+            upper=number([0.6, 0.9, 0.6]),
+            radius=number(0.05),
+            speed=number(0.5),
         )
+        return ArmParams(**self.common_params(arm), target=target)
 
-    def reset(
-        self, key: Key[Array, ""], params: TrackingParams
-    ) -> tuple[Float[Array, " observation"], TrackingState]:
-        """Starts with the arm straight and at rest, the target anywhere in its box."""
-        target = moving_target.start(key, params.target)
-        state = TrackingState(
-            arm=params.arm.rest,
-            muscles=params.arm.relaxed(),
-            target=target,
-            steps=jnp.zeros((), jnp.int32),
-        )
-        return self.observe(state), state
+    def first_target(self, key: Key[Array, ""], params: Any) -> Target:
+        """A target anywhere in its box."""
+        return moving_target.start(key, params.target)
 
-    def step(
+    def moved(
         self,
-        key: Key[Array, ""],
-        state: TrackingState,
+        key: Key[Array, ""] | None,
+        state: ArmState,
         action: Float[Array, " action"],
-        params: TrackingParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        TrackingState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
-        """Advances one control step: the couples of the action act for 1.4 ms."""
-        before = state.arm
-        state, crashed = self._moved(state, action, params, 1)
-        arm, target = state.arm, state.target
-        turning = state.steps % HEADING_STEPS == 0
-        velocity = jnp.where(
-            turning, moving_target.heading(key, params.target.speed), target.velocity
-        )
-        state = dataclasses.replace(state, target=Target(target.position, velocity))
-
-        distance_squared = jnp.sum((arm.tip - target.position) ** 2)
-        reward = distance_reward(distance_squared, params.bonus)
-        timeout = state.steps >= self.episode_length
-        observation = self.observe(state)
-        if self.variant == "paper":
-            reward = jnp.where(crashed, params.crash_reward, reward)
-            observation = jnp.where(crashed, 0, observation)
-            terminated, truncated = crashed, timeout
-        else:
-            terminated, truncated = jnp.zeros((), bool), timeout | crashed
-        sound = freeze(crashed, before, arm)
-        info = {
-            "distance": shown_distance(sound, target.position),
-            "flagged": crashed,
-        }
-        return observation, state, reward, terminated, truncated, info
-
-    def predict(
-        self,
-        state: TrackingState,
-        action: Float[Array, " action"],
-        params: TrackingParams,
+        params: Any,
         control_steps: int = 1,
-    ) -> TrackingState:
-        """Predicts the state under one action; the target keeps its current velocity.
-
-        Between two changes of heading this equals `step`; new headings are not
-        foreseen.
-
-        Args:
-            state: Current state.
-            action: In [-1, 1].
-            params: Numbers of the task.
-            control_steps: Number of control steps for which the action is held.
-        """
-        return self._moved(state, action, params, control_steps)[0]
-
-    def residuals(
-        self,
-        state: TrackingState,
-        action: Float[Array, " action"],
-        params: TrackingParams,
-        width: float = COST_WIDTH,
-    ) -> Float[Array, "3"]:
-        """Residuals for planners, from the tip's offset; see `tip_residuals`."""
-        del action
-        return tip_residuals(
-            state.arm.tip - state.target.position, params.bonus.touching, width
-        )
-
-    def _moved(
-        self,
-        state: TrackingState,
-        action: Float[Array, " action"],
-        params: TrackingParams,
-        control_steps: int,
-    ) -> tuple[TrackingState, Bool[Array, ""]]:
-        """Returns the state without a new heading, and whether the arm crashed."""
-        action = action_of_size(action, self.action_size)
-        bends = jnp.reshape(action, (2, N_CONTROLS))
-        controls = jnp.concatenate([bends, jnp.zeros_like(bends[:1])])
-        substeps = control_steps * self.substeps
-        arm, muscles, crashed = params.arm.advance(
-            state.arm, state.muscles, controls, params.dt, substeps
-        )
+    ) -> tuple[ArmState, Bool[Array, ""]]:
+        """The state after control steps; without a key, without a new heading."""
+        state, crashed = super().moved(key, state, action, params, control_steps)
         # The published environment tests the walls after every half step.
-        target = moving_target.fly(
-            state.target, params.target, 0.5 * params.dt, 2 * substeps
-        )
-        steps = state.steps + control_steps
-        return TrackingState(arm, muscles, target, steps), crashed
+        tests = 2 * control_steps * self.substeps
+        target = moving_target.fly(state.target, params.target, 0.5 * params.dt, tests)
+        if key is not None:
+            turning = state.steps % HEADING_STEPS == 0
+            heading = moving_target.heading(key, params.target.speed)
+            velocity = jnp.where(turning, heading, target.velocity)
+            target = Target(target.position, velocity)
+        return dataclasses.replace(state, target=target), crashed
 
-    def snapshot(self, state: TrackingState, params: TrackingParams) -> Snapshot:
-        """The arm and the target."""
-        target, radius = state.target.position, params.target.radius
-        return arm_and_target(params.arm.rod, state.arm, target, radius)
-
-    def observe(self, state: TrackingState) -> Float[Array, " observation"]:
-        """Points of the arm, speed and direction of the tip, and of the target."""
-        return jnp.concatenate(
-            [
-                observed_points(state.arm),
-                speed_and_direction(state.arm.velocities[:, -1]),
-                state.target.position,
-                speed_and_direction(state.target.velocity),
-            ]
-        )
+    def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
+        """Position of the target, then its speed and direction."""
+        target = state.target
+        return target.position, speed_and_direction(target.velocity)
 
 
 def tracking(
@@ -303,9 +128,7 @@ def tracking(
     Raises:
         ValueError: If an argument does not fit.
     """
-    check_variant(variant, VARIANTS)
-    elements, steps = SIZES[variant]
-    elements = elements if n_elements is None else n_elements
-    steps = steps if substeps is None else substeps
-    check_sizes(elements, steps, episode_length)
+    elements, steps = checked_sizes(
+        variant, SIZES, n_elements, substeps, episode_length
+    )
     return Tracking(variant, elements, steps, episode_length)

@@ -26,13 +26,12 @@ from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body, Capsule
 from jaxrod.envs.arm.cylinders import Cylinders, cylinders
+from jaxrod.envs.tasks.arm_task import Variant, checked_sizes
 from jaxrod.envs.tasks.obstacle_task import (
-    BASE,
     CONTROL_STEPS,
     PLACED,
+    SIZES,
     ObstacleTask,
-    Variant,
-    checked_sizes,
 )
 from jaxrod.validation import Numbers, check_count
 
@@ -131,7 +130,7 @@ class UnstructuredNest(ObstacleTask):
         """Starts of the cylinders; in "paper" the arm's base for each of them."""
         if self.variant == "clean":
             return obstacles.starts
-        base = jnp.asarray(BASE, obstacles.starts.dtype)
+        base = jnp.asarray(self.base, obstacles.starts.dtype)
         return jnp.broadcast_to(base[:, None], obstacles.starts.shape)
 
 
@@ -157,7 +156,9 @@ def unstructured_nest(
     Raises:
         ValueError: If an argument does not fit.
     """
-    elements, steps = checked_sizes(variant, n_elements, substeps, episode_length)
+    elements, steps = checked_sizes(
+        variant, SIZES, n_elements, substeps, episode_length
+    )
     if nest is not None:
         nest = check_count("nest", nest, 0)
     return UnstructuredNest(variant, elements, steps, episode_length, nest=nest)

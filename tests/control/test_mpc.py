@@ -16,9 +16,9 @@ from jaxrod.control.planning.plans import (
     weights_at,
 )
 from jaxrod.envs import VectorEnvironment, make, rollout
-from jaxrod.envs.action_repeat import repeating
 from jaxrod.envs.memory_policy import MemoryPolicy, OneEpisode
 from jaxrod.envs.tasks.tracking import HEADING_STEPS
+from jaxrod.envs.wrappers import repeating
 from jaxrod.training import evaluate
 
 SMALL = {"horizon": 4, "knots": 2, "hold": 1, "effort": 1e-4, "smoothness": 1e-4}

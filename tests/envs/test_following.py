@@ -9,8 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.envs import check_environment, make
-from jaxrod.envs.arm.moving_target import Target, TargetParams
-from jaxrod.envs.arm.wandering_target import wander
+from jaxrod.envs.arm.moving_target import Target, TargetParams, wander
 from jaxrod.envs.soft_bodies.curved_arm import GRAVITY, curved_arm
 from playing import KEY, check_vmap_is_a_loop, gradient_error, play, start, stepping
 
@@ -113,7 +112,7 @@ def test_rewards_are_those_of_the_distance():
 def test_the_observation_says_where_the_arm_and_the_target_are():
     env = make("following", n_elements=10)
     params, state = start(env)
-    observed = env.observe(state)
+    observed = env.observe(state, env.default_params())
     assert observed.shape == (env.observation_size,)
     np.testing.assert_allclose(observed[10:15], [0.2, 0.4, 0.6, 0.8, 1.0], atol=1e-12)
     np.testing.assert_array_equal(observed[40:43], state.target.position)
@@ -123,7 +122,9 @@ def test_the_observation_says_where_the_arm_and_the_target_are():
     # Between the nodes of an arm that is cut otherwise the ends are where they were.
     other = make("following", n_elements=12)
     states = other.reset(KEY, other.default_params())[1]
-    np.testing.assert_allclose(other.observe(states)[:15], observed[:15], atol=1e-12)
+    np.testing.assert_allclose(
+        other.observe(states, env.default_params())[:15], observed[:15], atol=1e-12
+    )
     del params
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from jaxrod.envs.adapters.packing import layout
 from jaxrod.envs.gym import GymnasiumEnv
+from jaxrod.envs.gymnasium_batch import layout
 
 
 def tree():

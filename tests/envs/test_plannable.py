@@ -9,7 +9,7 @@ import pytest
 
 from jaxrod.envs import make
 from jaxrod.envs.arm import moving_target
-from jaxrod.envs.arm.cost import tip_residuals
+from jaxrod.envs.tasks.arm_task import tip_residuals
 from jaxrod.envs.tasks.tracking import HEADING_STEPS
 
 ARMS = {

@@ -9,7 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod.envs import make
-from jaxrod.envs.soft_bodies.flat_ground import FlatGround
+from jaxrod.envs.soft_bodies.snake_body import FlatGround
 from jaxrod.envs.tasks.snake import CONTROL_PERIOD, PERIOD, crosses_itself
 from jaxrod.rods.motion import motion_of
 from playing import (

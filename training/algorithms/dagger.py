@@ -26,7 +26,7 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
-from jaxrod.envs.action_repeat import repeating
+from jaxrod.envs.wrappers import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
     DEVICE_AXIS,

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from jaxrod.control.planning.plans import PlanCost, by_gauss_newton
 from jaxrod.control.planning.policy import check_model
 from jaxrod.envs import Environment
-from jaxrod.envs.action_repeat import ActionRepeat
+from jaxrod.envs.wrappers import ActionRepeat
 
 PASSES = 4
 """Forward runs of the model per iteration: one at the action, three at others."""

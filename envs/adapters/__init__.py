@@ -1,1 +1,0 @@
-"""Adapters that expose environments to other libraries."""

@@ -1,0 +1,476 @@
+r"""Tasks in which the tip of a soft arm goes to a target: `tracking` and its kin.
+
+`ArmTask` is what all of them share: a step, a reward by the distance of the tip from
+the target, a smooth cost for planners, a picture. `BenchmarkTask` adds the published
+benchmark's arm: couples along it, set by a few control values in every 1.4 ms; a task
+of it says what its targets are and what is observed of them.
+"""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrod import Rod, RodState, control_spline, freeze
+from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH, REFERENCE_ELEMENTS
+from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.published.arm import published_arm
+from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, check_count
+
+Variant = Literal["paper", "clean"]
+
+OBSERVED_NODES = 11
+"""Number of observed points of the arm, including base and tip."""
+COST_WIDTH = 0.1
+"""Distance from the target beyond which the cost of a plan grows linearly [m]."""
+
+
+@pytree
+class Bonus:
+    """Distances within which the two bonuses of the reward are paid, inclusive."""
+
+    near: Float[Array, ""]
+    """Distance within which the first bonus is paid [m]."""
+    touching: Float[Array, ""]
+    """Distance within which the second bonus is paid as well [m]."""
+
+
+class ArmTask(ABC):
+    """Base of the tasks; a frozen dataclass inherits it.
+
+    States have the fields `arm`, `target` (with a `position`) and `steps`; parameters
+    have `arm`, `dt`, `target`, `bonus` and, with a variant "paper", `crash_reward`.
+    """
+
+    variant: str
+    """Variant of the physics."""
+    n_elements: int
+    """Elements of the arm."""
+    substeps: int
+    """Simulation steps per control step."""
+    episode_length: int
+    """Control steps per episode."""
+
+    control_period: ClassVar[float] = CONTROL_PERIOD
+    """Time between actions [s]."""
+
+    @property
+    @abstractmethod
+    def action_size(self) -> int:
+        """Length of the action vector."""
+
+    @abstractmethod
+    def moved(
+        self,
+        key: Key[Array, ""] | None,
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+    ) -> tuple[Any, Bool[Array, ""]]:
+        """Returns the state one control step later, and whether the arm crashed.
+
+        Args:
+            key: Random key of the step; `None` for a step without random events.
+            state: Current state.
+            action: In [-1, 1].
+            params: Numbers of the task.
+        """
+
+    @abstractmethod
+    def observe(self, state: Any, params: Any) -> Float[Array, " observation"]:
+        """Observation vector; the module of the task lists its entries."""
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+    ) -> tuple[
+        Float[Array, " observation"],
+        Any,
+        Float[Array, ""],
+        Bool[Array, ""],
+        Bool[Array, ""],
+        dict[str, Array],
+    ]:
+        """Advances one control step: the arm follows the action, the target moves."""
+        before = state
+        state, crashed = self.moved(key, state, action, params)
+        observation = self.observe(state, params)
+        reward = self.reward(state, params)
+        timeout = state.steps >= self.episode_length
+        if self.variant == "paper":
+            observation, crashed = self.ended(observation, crashed, before, params)
+            reward = jnp.where(crashed, params.crash_reward, reward)
+            terminated, truncated = crashed, timeout
+        else:
+            terminated, truncated = jnp.zeros((), bool), timeout | crashed
+        # Nothing is known about a crashed arm, and zero would be the best distance.
+        sound = freeze(crashed, before.arm, state.arm)
+        info = self.scalars(sound, state.target) | {"flagged": crashed}
+        return observation, state, reward, terminated, truncated, info
+
+    def ended(
+        self,
+        observation: Float[Array, " observation"],
+        crashed: Bool[Array, ""],
+        before: Any,
+        params: Any,
+    ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
+        """The observation shown after a crash, and whether it was one ("paper")."""
+        del before, params
+        return jnp.where(crashed, 0, observation), crashed
+
+    def reward(self, state: Any, params: Any) -> Float[Array, ""]:
+        """Reward of a control step of a sound arm."""
+        return distance_reward(squared_distance(state), params.bonus)
+
+    def scalars(self, arm: RodState, target: Any) -> dict[str, Array]:
+        """Scalars of a step: distance of the tip from the target [m].
+
+        Args:
+            arm: Last sound arm; after a crash, the arm before it.
+            target: The target.
+        """
+        squared = jnp.sum((arm.tip - target.position) ** 2)
+        return {"distance": jnp.sqrt(jnp.maximum(squared, 1e-12))}
+
+    def predict(
+        self,
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+        control_steps: int = 1,
+    ) -> Any:
+        """Predicts the state under one action; random events are not foreseen.
+
+        As long as none occurs, this equals `step`: a target keeps its velocity.
+
+        Args:
+            state: Current state.
+            action: In [-1, 1].
+            params: Numbers of the task.
+            control_steps: Number of control steps for which the action is held.
+        """
+
+        def again(state: Any, _: None) -> tuple[Any, None]:
+            return self.moved(None, state, action, params)[0], None
+
+        return jax.lax.scan(again, state, length=control_steps)[0]
+
+    def residuals(
+        self,
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, " residuals"]:
+        """Residuals for planners, from the tip's offset; see `tip_residuals`."""
+        del action
+        return tip_residuals(
+            state.arm.tip - state.target.position, params.bonus.touching, width
+        )
+
+    def cost(
+        self,
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+        width: float = COST_WIDTH,
+    ) -> Float[Array, ""]:
+        """Smooth cost of a state, least where the reward is greatest [1].
+
+        It is the sum of the squared residuals.
+
+        Args:
+            state: State after the control step.
+            action: Action of that step.
+            params: Numbers of the task.
+            width: Distance from the target beyond which the cost grows linearly [m].
+        """
+        return jnp.sum(self.residuals(state, action, params, width) ** 2)
+
+    def snapshot(self, state: Any, params: Any) -> Snapshot:
+        """The arm and the target."""
+        tip, target = state.arm.tip, state.target.position
+        distance = jnp.sqrt(jnp.sum((tip - target) ** 2))
+        return Snapshot(
+            positions=state.arm.positions,
+            radii=params.arm.rod.radii,
+            spheres=((target, params.target.radius),),
+            readouts={"distance to target [m]": distance},
+            up="y",
+        )
+
+
+class Arm(Protocol):
+    """Interface between an arm and its task, for both variants."""
+
+    @property
+    def rod(self) -> Rod:
+        """The arm's parameters."""
+
+    @property
+    def rest(self) -> RodState:
+        """The arm at the start of an episode."""
+
+    def relaxed(self) -> Any:
+        """Memory of the muscles at the start of an episode."""
+
+    def advance(
+        self,
+        state: RodState,
+        muscles: Any,
+        controls: Float[Array, "3 n_controls"],
+        dt: Array,
+        n_steps: int,
+    ) -> tuple[RodState, Any, Bool[Array, ""]]:
+        """Advances the arm by simulation steps under one action.
+
+        Args:
+            state: The arm.
+            muscles: Memory of its muscles.
+            controls: Commanded values [1] about d1, d2 and d3.
+            dt: Time step [s].
+            n_steps: Number of steps, at least 1.
+
+        Returns:
+            The arm, the memory of its muscles, and whether it crashed.
+        """
+
+
+@pytree
+class ArmParams:
+    """Numbers of a task; every one is a traced leaf."""
+
+    arm: Arm
+    """The arm and everything that acts on it, obstacles included."""
+    dt: Float[Array, ""]
+    """Time step of the simulation [s]."""
+    target: Any
+    """Parameters of the target."""
+    bonus: Bonus
+    """Distances within which the bonuses are paid."""
+    crash_reward: Float[Array, ""]
+    """Reward of a step after which the arm is broken ("paper")."""
+
+
+@pytree
+class ArmState:
+    """State of an episode."""
+
+    arm: RodState
+    """The arm."""
+    muscles: Any
+    """Memory of its muscles."""
+    target: Any
+    """The target."""
+    steps: Int[Array, ""]
+    """Control steps since reset."""
+
+
+class BenchmarkTask(ArmTask):
+    """Base of the benchmark's four cases: couples along an arm, renewed every 1.4 ms.
+
+    Eleven points of the arm and the velocity of its tip are observed, then `seen`.
+    """
+
+    base: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    """Position of the clamped end [m]."""
+    axis: ClassVar[str] = "y"
+    """Axis along the arm."""
+    plane: ClassVar[PlaneName | None] = None
+    """Plane of motion, if any."""
+    n_directions: ClassVar[int]
+    """Directions of actuation: about d1; or d1 and d2; or d1, d2 and twist."""
+    largest_rate: ClassVar[float | None] = None
+    """Largest rate of a control value [1/s]; `None` if they jump."""
+    crash_reward: ClassVar[float]
+    """Reward of a step after which the arm is broken ("paper")."""
+
+    @property
+    @abstractmethod
+    def n_controls(self) -> int:
+        """Number of control points per direction."""
+
+    def control_points(self) -> int | Numbers:
+        """Number of control points, or their arc lengths [m]."""
+        return self.n_controls
+
+    @abstractmethod
+    def first_target(self, key: Key[Array, ""], params: Any) -> Any:
+        """The target at the start of an episode."""
+
+    @abstractmethod
+    def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
+        """Parts of the observation behind points and velocity of the arm."""
+
+    @property
+    def action_size(self) -> int:
+        """Control values about d1, then about d2, then about d3 as the task has it."""
+        return self.n_directions * self.n_controls
+
+    def arm(self) -> Arm:
+        """The arm at rest, and everything that acts on it."""
+        spline = control_spline(self.control_points(), LENGTH)
+        if self.variant == "paper":
+            return published_arm(self.n_elements, self.base, self.axis, spline)
+        return clean_arm(
+            self.n_elements,
+            self.base,
+            self.axis,
+            spline,
+            published_elements=REFERENCE_ELEMENTS,
+        )
+
+    def common_params(self, arm: Arm) -> dict[str, Any]:
+        """Parameters that all tasks have, but the target's, in JAX's precision."""
+        number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
+        return {
+            "arm": arm,
+            "dt": number(CONTROL_PERIOD / self.substeps),
+            "bonus": Bonus(near=number(0.10), touching=number(0.05)),
+            "crash_reward": number(self.crash_reward),
+        }
+
+    def reset(
+        self, key: Key[Array, ""], params: Any
+    ) -> tuple[Float[Array, " observation"], ArmState]:
+        """Starts with the arm straight and at rest."""
+        state = ArmState(
+            arm=params.arm.rest,
+            muscles=params.arm.relaxed(),
+            target=self.first_target(key, params),
+            steps=jnp.zeros((), jnp.int32),
+        )
+        return self.observe(state, params), state
+
+    def moved(
+        self,
+        key: Key[Array, ""] | None,
+        state: ArmState,
+        action: Float[Array, " action"],
+        params: Any,
+        control_steps: int = 1,
+    ) -> tuple[ArmState, Bool[Array, ""]]:
+        """The state after control steps under one action, and whether the arm broke."""
+        action = action_of_size(action, self.action_size)
+        values = jnp.reshape(action, (self.n_directions, self.n_controls))
+        controls = jnp.pad(values, ((0, 3 - self.n_directions), (0, 0)))
+        arm, muscles, crashed = params.arm.advance(
+            state.arm, state.muscles, controls, params.dt, control_steps * self.substeps
+        )
+        steps = state.steps + control_steps
+        return ArmState(arm, muscles, state.target, steps), crashed
+
+    def predict(
+        self,
+        state: ArmState,
+        action: Float[Array, " action"],
+        params: Any,
+        control_steps: int = 1,
+    ) -> ArmState:
+        """Predicts the state under one action, see `ArmTask.predict`."""
+        if self.largest_rate is None:
+            return self.moved(None, state, action, params, control_steps)[0]
+        # One step at a time: control values follow the action in every step, and every
+        # step selects the obstacles in view again.
+        return super().predict(state, action, params, control_steps)
+
+    def observe(self, state: ArmState, params: Any) -> Float[Array, " observation"]:
+        """Points of the arm, speed and direction of its tip, then `seen`."""
+        return jnp.concatenate(
+            [
+                observed_points(state.arm),
+                speed_and_direction(state.arm.velocities[:, -1]),
+                *self.seen(state, params),
+            ]
+        )
+
+
+def squared_distance(state: Any) -> Float[Array, ""]:
+    """Squared distance of the tip from the target [m^2]."""
+    return jnp.sum((state.arm.tip - state.target.position) ** 2)
+
+
+def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
+    """Minus the squared distance, plus 0.5 nearby, plus 1.5 more when touching.
+
+    Args:
+        distance_squared: Squared distance of the tip from the target [m^2].
+        bonus: Distances within which the bonuses are paid.
+    """
+    return (
+        -distance_squared
+        + 0.5 * (distance_squared <= bonus.near**2)
+        + 1.5 * (distance_squared <= bonus.touching**2)
+    )
+
+
+def tip_residuals(
+    way: Float[Array, "3"], touching: Array, width: float | Array
+) -> Float[Array, "3"]:
+    r"""Smooth substitute for the reward's distance; the sum of squares is the cost [1].
+
+    With $s = |way|/width$ the squares sum to $2\,(width/touching)^2\,(\sqrt{1 + s^2} -
+    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a slope
+    everywhere but at the target. The reward's bonuses are steps, which have no slope.
+
+    Args:
+        way: Vector from the target to the tip [m].
+        touching: Distance that costs about one [m].
+        width: Distance beyond which the cost grows linearly [m].
+    """
+    root = jnp.sqrt(1 + jnp.sum(way**2) / width**2)
+    # (root - 1) / s^2 without the cancellation between nearly equal numbers.
+    return way / touching * jnp.sqrt(2 / (1 + root))
+
+
+def observed_points(arm: RodState) -> Float[Array, "33"]:
+    """X coordinates of eleven equidistant nodes, then y, then z [m]."""
+    n_elements = arm.positions.shape[-1] - 1
+    return jnp.ravel(arm.positions[:, :: n_elements // (OBSERVED_NODES - 1)])
+
+
+def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Speed [m/s] and direction of a velocity; zeros at rest."""
+    squared = jnp.sum(velocity**2)
+    moving = squared > 0
+    speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
+    direction = velocity / jnp.where(moving, speed, 1)
+    return jnp.concatenate([speed[None], direction])
+
+
+def checked_sizes(
+    variant: str,
+    usual: Mapping[Variant, tuple[int, int]],
+    n_elements: int | None,
+    substeps: int | None,
+    episode_length: int,
+) -> tuple[int, int]:
+    """Checked numbers of elements and substeps, by default those of the variant.
+
+    Raises:
+        ValueError: If an argument does not fit.
+    """
+    check_variant(variant, usual)
+    elements, steps = usual["paper" if variant == "paper" else "clean"]
+    elements = elements if n_elements is None else n_elements
+    steps = steps if substeps is None else substeps
+    check_count("n_elements", elements, OBSERVED_NODES - 1)
+    if elements % (OBSERVED_NODES - 1):
+        raise ValueError(f"n_elements must be a multiple of 10, got {elements}")
+    check_count("substeps", steps, 1)
+    check_count("episode_length", episode_length, 1)
+    return elements, steps
