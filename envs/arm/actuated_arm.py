@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxrod import clamp, control_spline, exponential_damping, make_scene
-from jaxrod.control.trajectories.arm import ActuatedArm
+from jaxrod.control.trajectories.reach import ActuatedArm
 from jaxrod.envs.arm.soft_arm import COUPLE_DENSITY, LENGTH, VISCOSITY, clean_rod
 
 

@@ -1,4 +1,4 @@
-"""Named problems on which the trade-off of speed and accuracy is measured."""
+"""Named workloads on which the trade-off of speed and accuracy is measured."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
-from jaxrod.tradeoff.problem import Problem
+from jaxrod.tradeoff.workload import Workload
 
 N_CONTROLS = 6
 COUPLE_DENSITY = 1500.0
@@ -31,7 +31,7 @@ VISCOSITY = 30.0
 """Viscous force per length and speed of the tracking task's arm [kg/(m s)]."""
 
 
-def swing() -> Problem:
+def swing() -> Workload:
     """The arm released from a horizontal position: 1 s of swinging under its weight.
 
     It is 1 m long, 5 cm in radius, 10 MPa, clamped and lightly damped, and stays in a
@@ -42,10 +42,10 @@ def swing() -> Problem:
         rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         return _clamped(rod, state, law, 0.5, gravity((0.0, -9.81, 0.0)))
 
-    return Problem("swing", build, 0.01, np.zeros((100, 0)), plane="xy")
+    return Workload("swing", build, 0.01, np.zeros((100, 0)), plane="xy")
 
 
-def rope() -> Problem:
+def rope() -> Workload:
     """A rope, 4 mm thick and 1 m long, released from a horizontal position: 0.3 s.
 
     Its elements are much longer than thick: a scene for enlarged inertia and implicit
@@ -56,10 +56,10 @@ def rope() -> Problem:
         rod, state = _arm(n_elements, 0.002, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         return _clamped(rod, state, law, 1.0, gravity((0.0, -9.81, 0.0)))
 
-    return Problem("rope", build, 0.01, np.zeros((30, 0)), plane="xy")
+    return Workload("rope", build, 0.01, np.zeros((30, 0)), plane="xy")
 
 
-def slam() -> Problem:
+def slam() -> Workload:
     """The arm of `swing` released above a post, which it hits and bends over: 0.6 s.
 
     The post is a cylinder of 15 cm radius across the plane of motion, under two thirds
@@ -73,10 +73,10 @@ def slam() -> Problem:
         weight = gravity((0.0, -9.81, 0.0))
         return _clamped(rod, state, law, 0.5, weight, touch)
 
-    return Problem("slam", build, 0.01, np.zeros((60, 0)), plane="xy")
+    return Workload("slam", build, 0.01, np.zeros((60, 0)), plane="xy")
 
 
-def tracking_arm() -> Problem:
+def tracking_arm() -> Workload:
     """The tracking task's arm under recorded actions of a trained policy: 1 s.
 
     Twelve control values change every 1.4 ms and shape the bending couples along the
@@ -111,16 +111,16 @@ def tracking_arm() -> Problem:
 
         return during
 
-    return Problem("tracking", build, 1.4e-3, actions[:714], act)
+    return Workload("tracking", build, 1.4e-3, actions[:714], act)
 
 
-SCENES: dict[str, Callable[[], Problem]] = {
+SCENES: dict[str, Callable[[], Workload]] = {
     "swing": swing,
     "tracking": tracking_arm,
     "rope": rope,
     "slam": slam,
 }
-"""Factories of the named problems."""
+"""Factories of the named workloads."""
 
 
 def _arm(

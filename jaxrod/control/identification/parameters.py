@@ -32,7 +32,7 @@ class Parameters:
     """Scales $s$ of parameters not sought by logarithm: sizes of the start, 1 for 0."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Names in alphabetical order, each with its shape."""
-    log: tuple[str, ...] = static()
+    logarithmic: tuple[str, ...] = static()
     """Names of parameters that are sought by their logarithm."""
 
     @property
@@ -48,7 +48,9 @@ class Parameters:
     def by_log(self) -> tuple[bool, ...]:
         """Whether each number, in the order of `flat`, is sought by its logarithm."""
         return tuple(
-            name in self.log for name, shape in self.shapes for _ in np.ndindex(shape)
+            name in self.logarithmic
+            for name, shape in self.shapes
+            for _ in np.ndindex(shape)
         )
 
     def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
@@ -95,33 +97,34 @@ class Parameters:
         """
         far = dict(given or {})
         for name, shape in self.shapes:
-            log = name in self.log
+            log = name in self.logarithmic
             none = self.start[name] * FARTHEST**sign if log else sign * jnp.inf
             far[name] = jnp.broadcast_to(far.get(name, none), shape)
         return self.searched(far)
 
 
 def make_parameters(
-    start: Mapping[str, Any], log: bool | Iterable[str] = True
+    start: Mapping[str, Any], logarithmic: bool | Iterable[str] = True
 ) -> Parameters:
     """Makes named parameters from checked arguments.
 
     Args:
         start: Values at which a search begins; numbers or arrays by name.
-        log: Parameters sought by their logarithm, so that they stay positive: names, or
-            all or none.
+        logarithmic: Parameters sought by their logarithm, so that they stay positive:
+            names, or all or none.
 
     Raises:
-        ValueError: There is no parameter, `log` has an unknown name, a parameter sought
-            by its logarithm is not positive, or a parameter is not finite.
+        ValueError: There is no parameter, `logarithmic` has an unknown name, a
+            parameter sought by its logarithm is not positive, or a parameter is not
+            finite.
     """
     if not start:
         raise ValueError("start must name at least one parameter")
-    names = tuple(start) if log is True else tuple(log or ())
+    names = tuple(start) if logarithmic is True else tuple(logarithmic or ())
     strange = [name for name in names if name not in start]
     if strange:
         raise ValueError(
-            f"log names {', '.join(strange)}, which start does not: "
+            f"logarithmic names {', '.join(strange)}, which start does not: "
             f"it has {', '.join(start)}"
         )
     dtype = jnp.result_type(1.0, *jax.tree.leaves(dict(start)))
@@ -134,7 +137,7 @@ def make_parameters(
         if name in names and not np.all(np.asarray(value) > 0):
             raise ValueError(
                 f"start of {name} must be positive to be sought by its logarithm, got "
-                f"{start[name]!r}: leave it out of log"
+                f"{start[name]!r}: leave it out of logarithmic"
             )
     scales = jax.tree.map(lambda a: jnp.where(a == 0, 1, jnp.abs(a)), first)
     shapes = tuple((name, np.shape(first[name])) for name in sorted(first))

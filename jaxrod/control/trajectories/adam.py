@@ -35,7 +35,7 @@ def adam(
     enough: float = 0.0,
     initial_knots: Any = None,
     seed: int = 0,
-    progress: Callable[[int, float], None] | None = None,
+    log: Callable[[int, float], None] | None = None,
 ) -> Solution:
     """Finds controls, linear in time between knots, by following the cost's gradient.
 
@@ -55,7 +55,7 @@ def adam(
         initial_knots: First knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.
-        progress: Called with the iteration and the cost.
+        log: Called with the iteration and the cost.
 
     Returns:
         The best controls found, with their motion.
@@ -90,8 +90,8 @@ def adam(
     def seen(iteration: int, value: float, norm: float, report: None) -> bool:
         del report
         rows.append((value, norm))
-        if progress is not None:
-            progress(iteration, value)
+        if log is not None:
+            log(iteration, value)
         return value <= target
 
     best, ending = follow_gradient(

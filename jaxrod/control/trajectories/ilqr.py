@@ -50,7 +50,7 @@ def ilqr(
     problem: Problem,
     *,
     iterations: int = 50,
-    damping: float = 1e-3,
+    initial_damping: float = 1e-3,
     tolerance: float = 1e-4,
     initial_controls: Any = None,
     spread: float = 0.1,
@@ -64,8 +64,8 @@ def ilqr(
     Args:
         problem: The problem.
         iterations: Largest number of steps tried.
-        damping: Damping of the first step: cost of changing every control by half the
-            range between its bounds, as a fraction of the first cost [1].
+        initial_damping: Damping of the first step: cost of changing every control by
+            half the range between its bounds, as a fraction of the first cost [1].
         tolerance: Relative decrease of the cost at which the search ends.
         initial_controls: First controls `(n_intervals, n_controls)`; random ones by
             default. Controls of a motion like the desired one are often much better.
@@ -93,7 +93,10 @@ def ilqr(
         name: jnp.asarray(
             check_array(name, number, [()], "", positive=True), start.dtype
         )
-        for name, number in (("damping", damping), ("tolerance", tolerance))
+        for name, number in (
+            ("initial_damping", initial_damping),
+            ("tolerance", tolerance),
+        )
     }
     found, compile_s, run_s = timed(
         _solved, problem, start, settings, iterations=iterations
@@ -213,7 +216,7 @@ def _solved(
         states=jnp.broadcast_to(first, (count + 1, n)),
         cost=jnp.asarray(jnp.inf, start.dtype),
         gains=jnp.zeros((count, m, n), start.dtype),
-        damping=settings["damping"],
+        damping=settings["initial_damping"],
         tried=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
         ended=jnp.zeros((), bool),

@@ -1,9 +1,11 @@
-"""The same rod with another number of elements."""
+"""A workload: a scene that can be built at any resolution, and its controls."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -17,11 +19,103 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     split_quaternion,
 )
+from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.laws import Law
+from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, check_scene_and_state
-from jaxrod.validation import check_count, is_traced
+from jaxrod.validation import check_array, check_count, is_traced
+
+Build = Callable[[int, Law], tuple[Scene, RodState]]
+Act = Callable[[Scene], Callable[[jax.Array], Scene]]
+
+
+def _unchanged(scene: Scene) -> Callable[[jax.Array], Scene]:
+    return lambda control: scene
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Workload:
+    """Simulation on which the error and the cost of settings are measured.
+
+    Time is divided into control periods. In each period the scene is the one that `act`
+    returns, and at its end the tip is recorded. A period is a whole number of steps.
+    """
+
+    name: str
+    """Name of the workload."""
+    build: Build
+    """Function from the number of elements and the law to the scene and its initial
+    state, in float64."""
+    period: float
+    """Length of a control period [s]."""
+    controls: np.ndarray
+    """Controls of each period `(periods, controls)`; without columns if nothing
+    changes."""
+    act: Act = _unchanged
+    """Function of the scene, called once; it returns a function from a period's
+    controls to the scene during that period."""
+    plane: PlaneName | None = None
+    """Plane of all motion and loads; `None` if the motion is spatial."""
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return self.period * len(self.controls)
+
+
+def workload_of(
+    scene: Scene,
+    state: RodState,
+    *,
+    duration: float = 1.0,
+    periods: int = 50,
+    name: str = "scene",
+) -> Workload:
+    """Workload of a scene that moves without controls.
+
+    Args:
+        scene: The scene; it is resampled to other numbers of elements, so numbers
+            that vary along the rod are interpolated.
+        state: Its initial state.
+        duration: Simulated time [s].
+        periods: Number of records of the tip; no step is longer than the time between.
+        name: Name of the workload.
+
+    Raises:
+        ValueError: If `duration` is not positive, `scene` is not of the consistent law,
+            `state` is not of its rod or not finite, or something leaves the plane of
+            a planar scene.
+        TypeError: If `scene` is not a scene or `state` not a state.
+    """
+    check_scene_and_state(scene, state)
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):
+        raise ValueError("state must be finite")
+    check_array("duration", duration, [()], "s", positive=True)
+    if not scene.method.has_energy:
+        raise ValueError(
+            "a scene of PyElastica's law has no setting to choose: its clamp and its "
+            "law are wrong by more than its steps are"
+        )
+    scene.method.check_state(scene, state)
+    with jax.enable_x64(True):
+        scene, state = jax.tree.map(_double, (scene, state))
+        plain = dataclasses.replace(scene, method=Consistent())
+
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
+        if law != "consistent":
+            raise ValueError("a scene of one's own is tuned with the consistent law")
+        return resampled(plain, state, n_elements)
+
+    controls = np.zeros((periods, 0))
+    plane = getattr(scene.method, "plane", None)
+    return Workload(name, build, duration / periods, controls, plane=plane)
+
+
+def _double(leaf: jax.Array) -> jax.Array:
+    return jax.numpy.asarray(np.asarray(leaf, np.float64))
 
 
 def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
