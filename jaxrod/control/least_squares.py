@@ -232,9 +232,13 @@ def least_squares(
 
     count = math.prod(jax.eval_shape(flat, first).shape)
     dtype = first.dtype
-    low, high = (_like(bound, start, sign) for bound, sign in ((lower, -1), (upper, 1)))
-    rho = jnp.broadcast_to(_like(ridge, start, 0), first.shape)
-    middle = first if centre is None else _like(centre, start, 0)
+
+    def row(given: Any, sign: int = 1) -> Array:
+        full = ravel_pytree(broadcast_like(given, start, sign))[0]
+        return jnp.asarray(full, dtype)
+
+    low, high, rho = row(lower, -1), row(upper), row(ridge)
+    middle = first if centre is None else row(centre)
     small = default_tolerance(dtype) if tolerance is None else tolerance
     forward = mode == "forward" or (mode is None and first.size <= count)
     ladder = jnp.asarray(LADDER, dtype)
@@ -303,19 +307,17 @@ def least_squares(
     )
 
 
-def _like(bound: Any, start: Any, sign: int) -> Array:
-    """Flattens a number, or a tree like the unknowns, to one row; infinite if `None`.
+def broadcast_like(bound: Any, start: Any, sign: int) -> Any:
+    """Broadcasts a number, or a tree, to the unknowns; infinite if `None`.
 
     `sign` is the sign of that infinity.
     """
-    first, _ = ravel_pytree(start)
     if bound is None:
-        return jnp.full(first.shape, sign * jnp.inf, first.dtype)
+        bound = sign * jnp.inf
     kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, start)]
     if kinds[0] != kinds[1]:
         bound = jax.tree.map(lambda _: bound, start)
-    full = jax.tree.map(lambda b, s: jnp.broadcast_to(b, jnp.shape(s)), bound, start)
-    return jnp.asarray(ravel_pytree(full)[0], first.dtype)
+    return jax.tree.map(lambda b, s: jnp.broadcast_to(b, jnp.shape(s)), bound, start)
 
 
 def _by_columns(flat: Callable[[Array], Array]) -> Callable[[Array], Any]:

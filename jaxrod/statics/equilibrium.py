@@ -168,12 +168,11 @@ def _keep_held(scene: Scene, found: Motion, start: Motion) -> Motion:
     """Motion found, with the components that the scene holds as at the start."""
     nodes, elements = unstack_dofs(_at_rest(scene, start).free)
     turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)
-    x, y, z = (
-        jnp.where(free == 1, there, here)
-        for free, there, here in zip(nodes, found.position, start.position, strict=True)
+    free = nodes, (turning,) * 4
+    position, orientation = jax.tree.map(
+        lambda free, there, here: jnp.where(free == 1, there, here),
+        free,
+        (found.position, found.orientation),
+        (start.position, start.orientation),
     )
-    q0, q1, q2, q3 = (
-        jnp.where(turning, there, here)
-        for there, here in zip(found.orientation, start.orientation, strict=True)
-    )
-    return replace(found, position=(x, y, z), orientation=(q0, q1, q2, q3))
+    return replace(found, position=position, orientation=orientation)

@@ -169,11 +169,7 @@ class LoadBalance:
 
         A step displaces the nodes and rotates the elements, both in the world frame.
         """
-        change = self.change(increment, step)
-        return Increment(
-            displacement=vectors.add(increment.displacement, change.displacement),
-            turn=vectors.add(increment.turn, change.turn),
-        )
+        return jax.tree.map(jnp.add, increment, self.change(increment, step))
 
     def retract_along_edges(
         self, increment: Increment, step: Float[Array, "n+1 6"]
@@ -213,19 +209,11 @@ class LoadBalance:
         self, guess: Float[Array, "n+1 6"], found: Increment
     ) -> Increment:
         """Increment found, with those of the guess for held components."""
-        free = unstack_dofs(self.free)
+        free = Increment(*unstack_dofs(self.free))
         displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
-
-        def mixed(free: Vec3, found: Vec3, held: Vec3) -> Vec3:
-            parts = zip(free, found, held, strict=True)
-            x, y, z = (jnp.where(a == 1, b, c) for a, b, c in parts)
-            return x, y, z
-
-        return Increment(
-            displacement=mixed(free[0], found.displacement, displacement),
-            turn=mixed(free[1], found.turn, own),
-        )
+        held = Increment(displacement, own)
+        return jax.tree.map(lambda a, b, c: jnp.where(a == 1, b, c), free, found, held)
 
     @property
     def free(self) -> Float[Array, "n+1 6"]:

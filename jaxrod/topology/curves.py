@@ -153,16 +153,10 @@ def completed(
     return jnp.concatenate([first[:, None], nodes, last[:, None]], axis=1)
 
 
-def length_of(nodes: Float[Array, "3 nodes"]) -> Array:
-    """Length of a curve [m]."""
+def element_lengths(nodes: Float[Array, "3 nodes"]) -> Float[Array, " n"]:
+    """Lengths of the elements [m]."""
     edges: Vec3 = inner_difference(split(nodes))
-    return jnp.sum(dot(edges, unit(edges)))
-
-
-def shortest(nodes: Float[Array, "3 nodes"]) -> Array:
-    """Length of the shortest element [m]."""
-    edges: Vec3 = inner_difference(split(nodes))
-    return jnp.min(dot(edges, unit(edges)))
+    return dot(edges, unit(edges))
 
 
 def across(directions: Vec3, tangents: Vec3) -> Vec3:

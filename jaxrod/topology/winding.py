@@ -45,13 +45,12 @@ from jaxrod.topology.curves import (
     across,
     check_ends,
     completed,
+    element_lengths,
     end_directions,
-    length_of,
     nodes_of,
     normals_of,
     quadrilateral,
     seamless,
-    shortest,
     unit,
 )
 from jaxrod.validation import Numbers, as_array
@@ -195,7 +194,7 @@ def link(
     )
     n = nodes.shape[1] - 1
     if offset is None:
-        distance = jnp.broadcast_to(0.01 * shortest(nodes), (n,))
+        distance = jnp.broadcast_to(0.01 * jnp.min(element_lengths(nodes)), (n,))
     else:
         given = as_array(
             "offset", offset, "m", [(), (n,)], positive=True, dtype=nodes.dtype
@@ -252,6 +251,6 @@ def _added(
             raise ValueError(f"ends={ends!r} adds nothing: leave out extension")
         return None, None
     if extension is None:
-        return end_directions(nodes, ends), length_of(nodes)
+        return end_directions(nodes, ends), jnp.sum(element_lengths(nodes))
     longer = as_array("extension", extension, "m", positive=True, dtype=nodes.dtype)
     return end_directions(nodes, ends), longer

@@ -37,12 +37,7 @@ def swing() -> Workload:
     It is 1 m long, 5 cm in radius, 10 MPa, clamped and lightly damped, and stays in a
     plane.
     """
-
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
-        rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        return _clamped(rod, state, law, 0.5, gravity((0.0, -9.81, 0.0)))
-
-    return Workload("swing", build, 0.01, np.zeros((100, 0)), plane="xy")
+    return _released("swing", 100, 0.05, 0.5)
 
 
 def rope() -> Workload:
@@ -51,12 +46,7 @@ def rope() -> Workload:
     Its elements are much longer than thick: a scene for enlarged inertia and implicit
     steps.
     """
-
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
-        rod, state = _arm(n_elements, 0.002, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        return _clamped(rod, state, law, 1.0, gravity((0.0, -9.81, 0.0)))
-
-    return Workload("rope", build, 0.01, np.zeros((30, 0)), plane="xy")
+    return _released("rope", 30, 0.002, 1.0)
 
 
 def slam() -> Workload:
@@ -66,14 +56,11 @@ def slam() -> Workload:
     of the arm's length. Contact is soft, so that few elements resolve it.
     """
 
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
-        rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        post = cylinder((0.65, -0.3, -0.5), (0.65, -0.3, 0.5), radius=0.15)
-        touch = contact(post, stiffness=3e5, damping=300.0, points_per_element=2)
-        weight = gravity((0.0, -9.81, 0.0))
-        return _clamped(rod, state, law, 0.5, weight, touch)
+    def post() -> Effect:
+        body = cylinder((0.65, -0.3, -0.5), (0.65, -0.3, 0.5), radius=0.15)
+        return contact(body, stiffness=3e5, damping=300.0, points_per_element=2)
 
-    return Workload("slam", build, 0.01, np.zeros((60, 0)), plane="xy")
+    return _released("slam", 60, 0.05, 0.5, post)
 
 
 def tracking_arm() -> Workload:
@@ -94,10 +81,7 @@ def tracking_arm() -> Workload:
             VISCOSITY / float(rod.linear_density[0]),
             VISCOSITY / float(rod.rotary_inertia[0, 0]),
         )
-        held = clamp(state) if law == "consistent" else fixed_end(state)
-        return make_scene(
-            rod, held, exponential_damping(*rates), method=IN_SPACE[law]
-        ), state
+        return _clamped(rod, state, law, exponential_damping(*rates)), state
 
     def act(scene: Scene) -> Callable[[jax.Array], Scene]:
         spline = control_spline(N_CONTROLS, 1.0, scene.rod.rest_lengths.dtype)
@@ -142,9 +126,24 @@ def _arm(
     )
 
 
-def _clamped(
-    rod: Rod, state: RodState, law: Law, damping_rate: float, *effects: Effect
-) -> tuple[Scene, RodState]:
+def _clamped(rod: Rod, state: RodState, law: Law, *effects: Effect) -> Scene:
     held = clamp(state) if law == "consistent" else fixed_end(state)
-    damping = exponential_damping(damping_rate)
-    return make_scene(rod, held, damping, *effects, method=IN_SPACE[law]), state
+    return make_scene(rod, held, *effects, method=IN_SPACE[law])
+
+
+def _released(
+    name: str,
+    periods: int,
+    radius: float,
+    damping_rate: float,
+    *others: Callable[[], Effect],
+) -> Workload:
+    """A clamped rod released from a horizontal position, with periods of 10 ms."""
+
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
+        rod, state = _arm(n_elements, radius, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        effects = exponential_damping(damping_rate), gravity((0.0, -9.81, 0.0))
+        own = [effect() for effect in others]
+        return _clamped(rod, state, law, *effects, *own), state
+
+    return Workload(name, build, 0.01, np.zeros((periods, 0)), plane="xy")

@@ -142,25 +142,27 @@ def tune(
             f"of {max_error:g}: try one above {exact.error / TRUSTED:.1g}, or a "
             "shorter duration"
         )
+
+    def timed(prepared: Prepared) -> tuple[Prepared, float]:
+        found = cost(workload, prepared, batch, seconds)
+        log(f"{prepared.setting}: {found:.2g} s per simulated second")
+        return prepared, found
+
     search = _Search(workload, exact, max_error, elements, log)
-    found = [
-        _timed(workload, one, batch, seconds, log) for one in search.accurate_settings()
-    ]
+    found = [timed(one) for one in search.accurate_settings()]
     met = bool(found)
     if not found:
         closest = min(search.tried, key=lambda one: one.error)
-        found = [
-            _timed(workload, prepare(workload, closest.setting), batch, seconds, log)
-        ]
-    costs = [timed for _, timed in found]
-    prepared, timed = found[int(np.argmin(costs))]
+        found = [timed(prepare(workload, closest.setting))]
+    costs = [seconds for _, seconds in found]
+    prepared, wall = found[int(np.argmin(costs))]
     error = next(m.error for m in search.tried if m.setting == prepared.setting)
-    times = {one.setting: {batch: cost} for one, cost in found}
+    times = {one.setting: {batch: seconds} for one, seconds in found}
     return Tuned(
         met=met,
         setting=prepared.setting,
         error=error,
-        wall_s_per_sim_s=timed,
+        wall_s_per_sim_s=wall,
         max_error=max_error,
         batch=batch,
         reference_error=exact.error,
@@ -172,35 +174,16 @@ def tune(
     )
 
 
-def _timed(
-    workload: Workload,
-    prepared: Prepared,
-    batch: int,
-    seconds: float,
-    log: Callable[[str], None],
-) -> tuple[Prepared, float]:
-    timed = cost(workload, prepared, batch, seconds)
-    log(f"{prepared.setting}: {timed:.2g} s per simulated second")
-    return prepared, timed
-
-
+@dataclass
 class _Search:
     """Settings of a workload that are accurate enough, and all that were tried."""
 
-    def __init__(
-        self,
-        workload: Workload,
-        exact: Reference,
-        max_error: float,
-        elements: tuple[int, ...],
-        log: Callable[[str], None],
-    ) -> None:
-        self.elements = elements
-        self.workload = workload
-        self.exact = exact
-        self.max_error = max_error
-        self.log = log
-        self.tried: list[Measurement] = []
+    workload: Workload
+    exact: Reference
+    max_error: float
+    elements: tuple[int, ...]
+    log: Callable[[str], None]
+    tried: list[Measurement] = dataclasses.field(default_factory=list)
 
     def accurate_settings(self) -> Iterator[Prepared]:
         """Each method that can be accurate enough, in its cheapest setting."""
@@ -234,10 +217,6 @@ class _Search:
         self.tried.append(Measurement(prepared.setting, error, {}))
         self.log(f"{prepared.setting}: error {error:.2g}")
         return prepared, error
-
-    def _keeps(self, setting: Setting) -> Prepared | None:
-        prepared, error = self._error(setting)
-        return prepared if error <= self.max_error else None
 
     def _coarsest(self) -> int | None:
         """Index of the smallest number of elements that suffices in float64."""
@@ -277,16 +256,11 @@ class _Search:
         """
         for n in self.elements[index : index + 3]:
             for dtype, more in _PRECISIONS:
-                best = self._keeps(
-                    Setting(
-                        n,
-                        dt,
-                        dtype,
-                        integrator=integrator,
-                        reductions=(*reductions, *more),
-                    )
+                both = (*reductions, *more)
+                best, error = self._error(
+                    Setting(n, dt, dtype, integrator=integrator, reductions=both)
                 )
-                if best is not None:
+                if error <= self.max_error:
                     return best
         return None
 

@@ -165,8 +165,7 @@ def resampled(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Ro
 def _resampled_rod(rod: Rod, n: int) -> Rod:
     length = float(np.sum(np.asarray(rod.rest_lengths)))
     dtype = rod.rest_lengths.dtype
-    middles = np.asarray(rod.arc_length_midpoints, np.float64)
-    joints = np.cumsum(np.asarray(rod.rest_lengths, np.float64))[:-1]
+    nodes, middles = _places(rod)
     new_middles = length * (np.arange(n) + 0.5) / n
     new_joints = length * np.arange(1, n) / n
 
@@ -187,32 +186,36 @@ def _resampled_rod(rod: Rod, n: int) -> Rod:
         shear_stretch_stiffness=positive(rod.shear_stretch_stiffness),
         bend_twist_stiffness=positive(rod.bend_twist_stiffness),
         rest_strains=along(rod.rest_strains, middles, new_middles),
-        rest_curvatures=along(rod.rest_curvatures, joints, new_joints),
+        rest_curvatures=along(rod.rest_curvatures, nodes[1:-1], new_joints),
         joint_mean=rod.joint_mean,
     )
 
 
-def _resampled_state(rod: Rod, state: RodState, new: Rod) -> RodState:
-    dtype = state.positions.dtype
+def _places(rod: Rod) -> tuple[np.ndarray, np.ndarray]:
+    """Rest arc lengths of nodes and of the middles of elements [m]."""
     lengths = np.asarray(rod.rest_lengths, np.float64)
     nodes = np.concatenate([[0.0], np.cumsum(lengths)])
-    middles = np.asarray(rod.arc_length_midpoints, np.float64)
-    new_lengths = np.asarray(new.rest_lengths, np.float64)
-    new_nodes = np.concatenate([[0.0], np.cumsum(new_lengths)])
-    new_middles = np.asarray(new.arc_length_midpoints, np.float64)
+    return nodes, np.asarray(rod.arc_length_midpoints, np.float64)
+
+
+def _resampled_state(rod: Rod, state: RodState, new: Rod) -> RodState:
+    dtype = state.positions.dtype
+    (nodes, middles), (new_nodes, new_middles) = _places(rod), _places(new)
+    # Momentum per length varies smoothly along the rod.
+    lengths, new_lengths = (
+        np.asarray(one.rest_lengths, np.float64) for one in (rod, new)
+    )
     momenta = np.asarray(state.angular_momenta, np.float64) / lengths
+    momenta = interpolated(momenta, middles, new_middles) * new_lengths
+
+    def along(values: Array) -> Array:
+        return jnp.asarray(interpolated(np.asarray(values), nodes, new_nodes), dtype)
+
     return RodState(
-        positions=jnp.asarray(
-            interpolated(np.asarray(state.positions), nodes, new_nodes), dtype
-        ),
+        positions=along(state.positions),
         orientations=_turned_along(state.orientations, middles, new_middles),
-        velocities=jnp.asarray(
-            interpolated(np.asarray(state.velocities), nodes, new_nodes), dtype
-        ),
-        # Momentum per length varies smoothly along the rod.
-        angular_momenta=jnp.asarray(
-            interpolated(momenta, middles, new_middles) * new_lengths, dtype
-        ),
+        velocities=along(state.velocities),
+        angular_momenta=jnp.asarray(momenta, dtype),
         remainders=None
         if state.remainders is None
         else jnp.zeros((3, new_nodes.size), dtype),

@@ -11,7 +11,6 @@ The uncertainty follows from the Jacobian at the end (`Fit`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from jaxrod.control.identification.multiple_shooting import windowed_least_squares
@@ -312,13 +312,13 @@ def _decomposed(jacobian: Array) -> tuple[Array, Array]:
 
 def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
     """Returns the root mean square residual of each kind, in its units."""
-    leaves, tree = jax.tree.flatten(seen)
-    made, at = [], 0
-    for mask, unit in zip(leaves, jax.tree.leaves(noise), strict=True):
-        part = jnp.reshape(flat[at : at + mask.size], mask.shape) * unit
-        made.append(jnp.sqrt(jnp.sum(part**2) / jnp.maximum(jnp.sum(mask), 1)))
-        at += mask.size
-    return jax.tree.unflatten(tree, made)
+    _, unravel = ravel_pytree(jax.tree.map(lambda s: s.astype(flat.dtype), seen))
+    return jax.tree.map(
+        lambda r, s, n: jnp.sqrt(jnp.sum((r * n) ** 2) / jnp.maximum(jnp.sum(s), 1)),
+        unravel(flat),
+        seen,
+        noise,
+    )
 
 
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
@@ -337,8 +337,7 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
                 f"{jnp.shape(o)}"
             )
     seen = jax.tree.map(jnp.isfinite, observed)
-    sizes = [math.prod(leaf.shape) for leaf in jax.tree.leaves(made)]
-    if sum(sizes) == 0:
+    if sum(leaf.size for leaf in jax.tree.leaves(made)) == 0:
         raise ValueError("observed must hold at least one number")
     if not is_traced(seen):
         numbers = sum(int(np.sum(np.asarray(s))) for s in jax.tree.leaves(seen))

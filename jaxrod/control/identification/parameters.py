@@ -53,6 +53,10 @@ class Parameters:
             for _ in np.ndindex(shape)
         )
 
+    @property
+    def _forms(self) -> tuple[Array, Array, np.ndarray]:
+        return self.flat(self.start), self.flat(self.scales), np.asarray(self.by_log)
+
     def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
         """Concatenates the numbers of all parameters."""
         return jnp.concatenate([jnp.ravel(values[name]) for name, _ in self.shapes])
@@ -68,23 +72,20 @@ class Parameters:
 
     def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
         """Converts parameters to search variables."""
-        first, scale, value = map(self.flat, (self.start, self.scales, values))
-        log = np.asarray(self.by_log)
+        (first, scale, log), value = self._forms, self.flat(values)
         # Both branches must be finite, so that derivatives are finite too.
         ratio = jnp.where(log, value, 1) / jnp.where(log, first, 1)
         return jnp.where(log, jnp.log(ratio), (value - first) / scale)
 
     def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
         """Converts search variables to parameters."""
-        first, scale = self.flat(self.start), self.flat(self.scales)
-        log = np.asarray(self.by_log)
+        first, scale, log = self._forms
         factor = jnp.exp(jnp.where(log, point, 0))
         return self.named(jnp.where(log, first * factor, first + scale * point))
 
     def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
         """Derivative of each parameter by its own search variable."""
-        first, scale = self.flat(self.start), self.flat(self.scales)
-        log = np.asarray(self.by_log)
+        first, scale, log = self._forms
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
     def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:

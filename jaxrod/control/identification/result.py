@@ -119,7 +119,12 @@ class Fit:
             ValueError: This is a batch of fits: take one of it,
                 `jax.tree.map(lambda a: a[0], fit)`.
         """
-        self._alone("undetermined")
+        if self.covariance.ndim > 2:
+            raise ValueError(
+                "undetermined is of one fit, and this is a batch of "
+                f"{self.covariance.shape[:-2]}: take one of it, "
+                "jax.tree.map(lambda leaf: leaf[0], fit)"
+            )
         rows = zip(self.vague, self.directions, self.singular_values, strict=True)
         return tuple(
             _words(np.asarray(way), self.names, self.parameters.by_log)
@@ -168,14 +173,6 @@ class Fit:
         if is_traced(self) or self.covariance.ndim > 2:
             return f"Fit of {', '.join(self.names)}, {self.covariance.shape[:-2]} fits"
         return "\n".join([*_table(self), *_remarks(self)])
-
-    def _alone(self, what: str) -> None:
-        if self.covariance.ndim > 2:
-            raise ValueError(
-                f"{what} is of one fit, and this is a batch of "
-                f"{self.covariance.shape[:-2]}: take one of it, "
-                "jax.tree.map(lambda leaf: leaf[0], fit)"
-            )
 
 
 def vague_ways(s: Array) -> Array:

@@ -26,6 +26,7 @@ foresee randomness: `predict` takes no key.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -71,24 +72,12 @@ class Plan:
 class PlanningPolicy:
     """A policy with memory that plans; see the module. Make one with `mpc`."""
 
-    params: Any
-    """Parameters of the model."""
-    effort: Float[Array, ""]
-    """Weight of the mean squared action."""
-    smoothness: Float[Array, ""]
-    """Weight of the mean squared change from knot to knot."""
+    cost: PlanCost
+    """Cost of a plan, with the model and the knots."""
     rate: Float[Array, ""]
     """Step size of Adam, or standard deviation of the samples."""
     key: Key[Array, ""]
     """First random key for sampling."""
-    env: Any = static()
-    """The model."""
-    horizon: int = static()
-    """Control steps ahead."""
-    knots: int = static()
-    """Number of knots, the values planned for each action."""
-    action_repeat: int = static()
-    """Control steps for which an action is held."""
     replan: int = static()
     """Control steps from plan to plan."""
     iterations: int = static()
@@ -101,14 +90,17 @@ class PlanningPolicy:
     """Noisy plans from which an episode's first plan is made."""
     method: str = static()
     """One of `METHODS`."""
-    shape: str = static(default="lines")
-    """Shape of a plan between knots, one of `jaxrod.control.planning.plans.SHAPES`."""
+
+    @property
+    def action_repeat(self) -> int:
+        """Control steps for which an action is held."""
+        return self.cost.hold
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
         """Returns the memory at the start of a batch of episodes."""
         del state
         batch, dtype = observation.shape[0], observation.dtype
-        shape = (batch, self.knots + 1, self.env.action_size)
+        shape = (batch, self.cost.knots + 1, self.cost.env.action_size)
         return Plan(
             values=jnp.zeros(shape, dtype),
             calls=jnp.zeros((), jnp.int32),
@@ -125,8 +117,8 @@ class PlanningPolicy:
         computes no plans in between.
         """
         del observation
-        spacing = self.horizon // self.knots
-        calls = self.replan // self.action_repeat
+        cost = self.cost
+        calls = self.replan // cost.hold
         place = memory.calls % calls
         memory = lax.cond(
             place == 0,
@@ -134,7 +126,7 @@ class PlanningPolicy:
             lambda plan: plan,
             memory,
         )
-        table = piece_weights(self.knots, spacing, self.action_repeat, self.shape)
+        table = piece_weights(cost.knots, cost.spacing, cost.hold, cost.shape)
         row = lax.dynamic_index_in_dim(
             jnp.asarray(table[:calls], memory.values.dtype), place, keepdims=False
         )
@@ -143,31 +135,25 @@ class PlanningPolicy:
 
     def planned(self, memory: Plan, state: Any) -> Plan:
         """Shifts the plans of a batch to the present time, and improves them."""
-        spacing = self.horizon // self.knots
+        cost, dtype = self.cost, memory.values.dtype
         begun = memory.calls > 0
         shift = jnp.asarray(
-            shift_weights(self.knots, spacing, self.replan, self.shape),
-            memory.values.dtype,
+            shift_weights(cost.knots, cost.spacing, self.replan, cost.shape), dtype
         )
         moved = jnp.sum(shift[None, :, :, None] * memory.values[:, None], axis=2)
         values = jnp.where(begun, moved, memory.values)
         iterations = jnp.where(begun, self.iterations, self.first)
-        cost = PlanCost(
-            params=self.params,
-            effort=self.effort.astype(values.dtype),
-            smoothness=self.smoothness.astype(values.dtype),
-            env=self.env,
-            knots=self.knots,
-            spacing=spacing,
-            hold=self.action_repeat,
-            shape=self.shape,
+        cost = replace(
+            cost,
+            effort=cost.effort.astype(dtype),
+            smoothness=cost.smoothness.astype(dtype),
         )
-        rate = self.rate.astype(values.dtype)
+        rate = self.rate.astype(dtype)
         key, own = jax.random.split(memory.key)
         keys = jax.random.split(own, values.shape[0])
 
         def begin(values: Array, state: Any, key: Array) -> Array:
-            wide = jnp.asarray(START_DEVIATION, values.dtype)
+            wide = jnp.asarray(START_DEVIATION, dtype)
             knots, _ = by_sampling(
                 cost,
                 values[0],
@@ -294,20 +280,22 @@ def mpc(
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be positive and finite, got {rate!r}")
     return PlanningPolicy(
-        params=env.default_params() if params is None else params,
-        effort=jnp.asarray(effort),
-        smoothness=jnp.asarray(smoothness),
+        cost=PlanCost(
+            params=env.default_params() if params is None else params,
+            effort=jnp.asarray(effort),
+            smoothness=jnp.asarray(smoothness),
+            env=env,
+            knots=knots,
+            spacing=horizon // knots,
+            hold=hold,
+            shape=shape,
+        ),
         rate=jnp.asarray(rate),
         key=jax.random.key(check_seed(seed)),
-        env=env,
-        horizon=horizon,
-        knots=knots,
-        action_repeat=hold,
         replan=replan,
         iterations=iterations,
         first=first,
         samples=samples,
         starts=starts,
         method=method,
-        shape=shape,
     )

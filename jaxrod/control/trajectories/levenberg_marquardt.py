@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.least_squares import LeastSquares, broadcast_like, least_squares
 from jaxrod.control.trajectories.problem import (
     Problem,
     check_problem,
@@ -20,8 +21,7 @@ from jaxrod.control.trajectories.problem import (
     residuals,
     trajectory,
 )
-from jaxrod.control.trajectories.programs import timed
-from jaxrod.control.trajectories.solution import Solution
+from jaxrod.control.trajectories.solution import Solution, reason_to_stop, timed
 from jaxrod.validation import check_array, check_count
 
 Body = Callable[[Any, Any], Any]
@@ -127,7 +127,8 @@ def codesign(
     check_problem(problem)
     knots = first_knots(problem, n_knots, initial_knots, seed)
     check_array("ridge", ridge, [()], "", positive=True)
-    begin = jax.tree.map(lambda leaf: jnp.asarray(leaf, knots.dtype), design)
+    floats = partial(jax.tree.map, lambda leaf: jnp.asarray(leaf, knots.dtype))
+    begin = floats(design)
     if not jax.tree.leaves(begin):
         raise ValueError("design must have at least one number")
     return _found(
@@ -136,23 +137,12 @@ def codesign(
         knots,
         {"ridge": ridge, "initial_damping": initial_damping},
         begin,
-        tuple(_bounds(bound, begin, sign) for bound, sign in ((lower, -1), (upper, 1))),
+        (
+            floats(broadcast_like(lower, begin, -1)),
+            floats(broadcast_like(upper, begin, 1)),
+        ),
         body=body,
         iterations=iterations,
-    )
-
-
-def _bounds(bound: Any, design: Any, sign: int) -> Any:
-    """Broadcasts a bound to the tree and shapes of the design; infinite if `None`."""
-    if bound is None:
-        bound = sign * jnp.inf
-    kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, design)]
-    if kinds[0] != kinds[1]:
-        bound = jax.tree.map(lambda _: bound, design)
-    return jax.tree.map(
-        lambda b, leaf: jnp.broadcast_to(jnp.asarray(b, leaf.dtype), leaf.shape),
-        bound,
-        design,
     )
 
 
@@ -178,13 +168,8 @@ def _found(
         iterations=check_count("iterations", iterations, 1),
         **structure,
     )
-    tried = int(found.iterations)
-    if bool(found.converged):
-        reason = "a step changes the cost, or the unknowns, by less than asked"
-    elif tried >= iterations:
-        reason = f"{iterations} iterations were made"
-    else:
-        reason = "no step makes the cost smaller"
+    tried, converged = int(found.iterations), bool(found.converged)
+    gained = "a step changes the cost, or the unknowns, by less than asked"
     return Solution(
         problem=replace(problem, data=data),
         solver=solver,
@@ -192,8 +177,8 @@ def _found(
         states=states,
         cost=float(least),
         history={"cost": np.asarray(found.costs)[: tried + 1]},
-        converged=bool(found.converged),
-        reason=reason,
+        converged=converged,
+        reason=reason_to_stop(converged, tried, iterations, gained),
         iterations=tried,
         compile_s=compile_s,
         run_s=run_s,

@@ -68,6 +68,21 @@ class Problem:
         """Number of values in one control vector."""
         return int(self.lower.shape[-1])
 
+    def step(self, state: Any, control: Array, interval: Array) -> tuple[Any, Any]:
+        """Returns the state after an interval, and its residuals or `None`."""
+        after = self.move(self.data, state, control, interval)
+        return after, self.on_the_way(after, control, interval)
+
+    def on_the_way(self, after: Any, control: Array, interval: Array) -> Any:
+        """Residuals of an interval, from the state after it; `None` without any."""
+        if self.running is None:
+            return None
+        return self.running(self.data, after, control, interval)
+
+    def at_the_end(self, last: Any) -> Any:
+        """Residuals of the last state; `None` without any."""
+        return None if self.final is None else self.final(self.data, last)
+
 
 def make_problem(
     start: Any,
@@ -160,25 +175,13 @@ def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) ->
     In reverse mode, one state per interval is stored, and the steps of only one
     interval at a time (checkpointing).
     """
-    along, last = run(problem, controls)
-    end = None if problem.final is None else problem.final(problem.data, last)
-    return along, end
-
-
-def run(
-    problem: Problem, controls: Float[Array, "intervals controls"]
-) -> tuple[Any, Any]:
-    """Returns the residuals of all intervals, stacked in front, and the last state."""
 
     def one(state: Any, given: tuple[Array, Array]) -> tuple[Any, Any]:
-        after = problem.move(problem.data, state, *given)
-        if problem.running is None:
-            return after, None
-        return after, problem.running(problem.data, after, *given)
+        return problem.step(state, *given)
 
     kept = jax.checkpoint(one, prevent_cse=False)
     last, along = lax.scan(kept, problem.start, (controls, numbers(problem)))
-    return along, last
+    return along, problem.at_the_end(last)
 
 
 def cost(
@@ -264,14 +267,10 @@ def rolled_out(
     def one(state: Any, k: Array) -> tuple[Any, Any]:
         met = state if disturbance is None else disturbance(state, k)
         control = jnp.clip(policy(met, k), problem.lower, problem.upper)
-        after = problem.move(problem.data, met, control, k)
-        made = None
-        if problem.running is not None:
-            made = problem.running(problem.data, after, control, k)
+        after, made = problem.step(met, control, k)
         return after, (after, control, made)
 
     last, (states, controls, made) = lax.scan(one, problem.start, numbers(problem))
-    end = None if problem.final is None else problem.final(problem.data, last)
     return RolledOut(
         states=jax.tree.map(
             lambda first, rest: jnp.concatenate([first[None], rest]),
@@ -279,7 +278,7 @@ def rolled_out(
             states,
         ),
         controls=controls,
-        cost=squares((made, end)),
+        cost=squares((made, problem.at_the_end(last))),
     )
 
 

@@ -175,33 +175,7 @@ def reach(
             the arm is long.
         jaxrod.UnstableStepWarning: `dt` is above the stability bound.
     """
-    return reach_problem(
-        arm,
-        target,
-        duration,
-        weights=(speed_weight, running_weight, effort_weight),
-        control_interval=control_interval,
-        dt=dt,
-        control_shape=control_shape,
-        bounds=(lower, upper),
-        depth=1,
-    )
-
-
-def reach_problem(
-    arm: Any,
-    target: Numbers,
-    duration: float,
-    *,
-    weights: tuple[float, float, float],
-    control_interval: float,
-    dt: float | None,
-    control_shape: tuple[int, ...] | None,
-    bounds: tuple[Any, Any],
-    depth: int,
-) -> Problem:
-    """Does the work of `reach`; warnings point `depth` more callers up the stack."""
-    place = _checked(arm, target, depth)
+    place = _checked(arm, target)
     shape = control_shape
     if shape is None:
         shape = getattr(arm, "control_shape", None)
@@ -213,19 +187,17 @@ def reach_problem(
     largest = None if dt is None else _positive("dt", dt, "s")
     held = _positive("control_interval", control_interval, "s")
     units = {"speed_weight": "s^2", "running_weight": "", "effort_weight": "m^2"}
-    speed_weight, running_weight, effort_weight = (
-        float(check_array(name, weight, [()], unit, non_negative=True))
+    weights = speed_weight, running_weight, effort_weight
+    roots = [
+        math.sqrt(check_array(name, weight, [()], unit, non_negative=True))
         for (name, unit), weight in zip(units.items(), weights, strict=True)
-    )
+    ]
     n_intervals, steps, step = time_steps(arm, length, held, largest)
     kind = arm.state.positions.dtype
     check_step(arm.scene, jnp.asarray(step, kind))
-    speed, running, effort = (
-        jnp.asarray(math.sqrt(weight), kind)
-        for weight in (speed_weight, running_weight, effort_weight)
-    )
+    speed, running, effort = (jnp.asarray(root, kind) for root in roots)
     arm = getattr(arm, "prepared", arm)
-    along = running_weight > 0 or effort_weight > 0
+    along = any(root > 0 for root in roots[1:])
     return make_problem(
         with_memory(arm.scene, arm.state),
         moved,
@@ -245,8 +217,8 @@ def reach_problem(
             n_intervals=n_intervals,
             control_shape=tuple(shape),
         ),
-        lower=bounds[0],
-        upper=bounds[1],
+        lower=lower,
+        upper=upper,
     )
 
 
@@ -309,7 +281,7 @@ def time_steps(
     return n_intervals, steps, duration / (n_intervals * steps)
 
 
-def _checked(arm: Any, target: Numbers, depth: int) -> np.ndarray:
+def _checked(arm: Any, target: Numbers) -> np.ndarray:
     """Checks the arm and the target, and warns if the target is out of reach.
 
     Returns the target as an array of floats.
@@ -331,7 +303,7 @@ def _checked(arm: Any, target: Numbers, depth: int) -> np.ndarray:
             f"target is {away:.3g} m from the arm's base and the arm is {length:.3g} m "
             "long: it will only be approached",
             UnreachableTargetWarning,
-            stacklevel=3 + depth,
+            stacklevel=3,
         )
     return np.asarray(place)
 
