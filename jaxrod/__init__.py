@@ -46,14 +46,13 @@ _NAMES = {
         "muscle_torques",
         "travelling_wave",
     ),
-    "analysis.frequency": ("highest_frequency",),
+    "analysis.frequency": ("highest_frequency", "natural_frequencies"),
     "analysis.health": ("Health", "HealthLimits", "freeze", "health"),
     "analysis.inertia_scaling": (
         "InertiaScaling",
         "frequency_changes",
         "scale_inertia",
     ),
-    "analysis.modes": ("natural_frequencies",),
     "analysis.reactions": ("reactions",),
     "analysis.stability": ("StableStep", "stable_dt"),
     "composition": ("make_scene",),
@@ -180,8 +179,7 @@ _NAMES = {
     "systems.joints.ties": ("tie",),
     "systems.joints.welds": ("attach", "weld"),
     "topology.crossings": ("crossed", "crossings"),
-    "topology.twist": ("twist",),
-    "topology.winding": ("link", "linking_number", "writhe"),
+    "topology.winding": ("link", "linking_number", "twist", "writhe"),
     "tradeoff.tuning": ("Tuned", "tune"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

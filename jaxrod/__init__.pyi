@@ -36,6 +36,7 @@ from jaxrod.actuation.waves import WorldWave as WorldWave
 from jaxrod.actuation.waves import muscle_torques as muscle_torques
 from jaxrod.actuation.waves import travelling_wave as travelling_wave
 from jaxrod.analysis.frequency import highest_frequency as highest_frequency
+from jaxrod.analysis.frequency import natural_frequencies as natural_frequencies
 from jaxrod.analysis.health import Health as Health
 from jaxrod.analysis.health import HealthLimits as HealthLimits
 from jaxrod.analysis.health import freeze as freeze
@@ -43,7 +44,6 @@ from jaxrod.analysis.health import health as health
 from jaxrod.analysis.inertia_scaling import InertiaScaling as InertiaScaling
 from jaxrod.analysis.inertia_scaling import frequency_changes as frequency_changes
 from jaxrod.analysis.inertia_scaling import scale_inertia as scale_inertia
-from jaxrod.analysis.modes import natural_frequencies as natural_frequencies
 from jaxrod.analysis.reactions import reactions as reactions
 from jaxrod.analysis.stability import StableStep as StableStep
 from jaxrod.analysis.stability import stable_dt as stable_dt
@@ -219,9 +219,9 @@ from jaxrod.systems.system import System as System
 from jaxrod.systems.system import make_system as make_system
 from jaxrod.topology.crossings import crossed as crossed
 from jaxrod.topology.crossings import crossings as crossings
-from jaxrod.topology.twist import twist as twist
 from jaxrod.topology.winding import link as link
 from jaxrod.topology.winding import linking_number as linking_number
+from jaxrod.topology.winding import twist as twist
 from jaxrod.topology.winding import writhe as writhe
 from jaxrod.tradeoff.tuning import Tuned as Tuned
 from jaxrod.tradeoff.tuning import tune as tune

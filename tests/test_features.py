@@ -497,7 +497,7 @@ def test_tune_returns_a_setting_within_the_tolerance(monkeypatch):
     scene, state = arm()
     monkeypatch.setattr(tuning, "reference", lambda problem: reference(problem, 12))
     found = jaxrod.tune(
-        scene, state, tolerance=0.03, duration=0.02, elements=(4,), seconds=0.001
+        scene, state, max_error=0.03, duration=0.02, elements=(4,), seconds=0.001
     )
     assert found.met and 0 < found.error <= 0.03
     assert found.setting.n_elements == 4

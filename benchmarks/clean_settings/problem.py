@@ -22,7 +22,7 @@ from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.protocol import Drawable
 from jaxrod.methods.laws import Law
 from jaxrod.methods.planar_verlet import PlaneName
-from jaxrod.tradeoff import Problem
+from jaxrod.tradeoff import Workload
 from jaxrod.validation import Numbers
 
 
@@ -59,8 +59,8 @@ resolution."""
 
 def clean_problem(
     task: CleanTask, actions: Float[np.ndarray, "periods actions"]
-) -> Problem:
-    """Problem of a task's arm and its obstacles, under recorded actions.
+) -> Workload:
+    """Workload of a task's arm and its obstacles, under recorded actions.
 
     Args:
         task: Task of the `clean` variant; the problem can then be built with any number
@@ -111,7 +111,7 @@ def clean_problem(
         return during
 
     period = task.control_period
-    return Problem(task.name, build, period, controls, act, task.plane)
+    return Workload(task.name, build, period, controls, act, task.plane)
 
 
 def recorded_actions(task: CleanTask, seed: int = 0) -> np.ndarray:

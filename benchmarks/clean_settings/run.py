@@ -70,7 +70,7 @@ def choice(name: str) -> str:
     """What `tune` chooses for a task, with the first seed."""
     task = make(name, variant="clean")
     problem = clean_problem(task, recorded_actions(task, SEEDS[0]))
-    found = tune(problem, tolerance=TOLERANCE, elements=ELEMENTS, batch=BATCH)
+    found = tune(problem, max_error=TOLERANCE, elements=ELEMENTS, batch=BATCH)
     assert found.met and found.setting.dt is not None
     substeps = round(task.control_period / found.setting.dt)
     words = ", ".join((found.setting.dtype, *found.setting.reductions))

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array
 
 import jaxrod
-from jaxrod.control import identify_continuous, identify_shots, least_squares, windows
+from jaxrod import control
+from jaxrod.control import MultipleShooting, least_squares, windows
 
 LENGTH, RADIUS = 0.5, 0.01
 MODULUS = 1e6
@@ -234,19 +235,20 @@ class Buckling:
             return self.window(p, start, first, every)
 
         def search(begin: Any, trust: Array) -> Any:
-            fit, found = identify_shots(
+            values, unknowns = begin
+            fit = control.fit(
                 run,
                 jax.tree.map(_joined, parts),
-                *begin,
-                known=_joined(firsts),
-                sd={"film": SD["film"], "force": trust[0]},
+                values,
+                multiple_shooting=MultipleShooting(unknowns, known=_joined(firsts)),
+                noise={"film": SD["film"], "force": trust[0]},
                 lower=LOWER,
                 upper=UPPER,
-                damping=trust[1],
+                initial_damping=trust[1],
                 tolerance=trust[2],
                 iterations=iterations,
             )
-            return (fit.values, found), fit
+            return (fit.values, fit.unknowns), fit
 
         begin = (jax.tree.map(jnp.asarray, start), jax.tree.map(_joined, starts))
         _, fits = jax.lax.scan(search, begin, jnp.asarray(trust))
@@ -265,21 +267,24 @@ class Buckling:
         def state(start: Any, first: Array) -> Any:
             return self.state(values, start, first / RATE)
 
-        fit, _, _ = identify_continuous(
+        return control.fit(
             lambda p, state, first: self.joint(p, state, first, every),
-            lambda p, start, first: self.state(p, start, first / RATE),
             parts,
             jax.tree.map(jnp.asarray, values),
-            jax.tree.map(lambda leaf: jnp.zeros_like(leaf[:, 0]), starts),
-            jax.vmap(jax.vmap(state))(starts, firsts),
-            known=firsts,
-            sd=SD,
+            multiple_shooting=MultipleShooting(
+                jax.tree.map(lambda leaf: jnp.zeros_like(leaf[:, 0]), starts),
+                jax.vmap(jax.vmap(state))(starts, firsts),
+                known=firsts,
+                initial_state=lambda p, start, first: self.state(
+                    p, start, first / RATE
+                ),
+            ),
+            noise=SD,
             lower=LOWER,
             upper=UPPER,
             tolerance=TOLERANCE,
             iterations=iterations,
         )
-        return fit
 
     def shown(self, seen: Any, every: int) -> Any:
         """`starts` of all films."""

@@ -28,7 +28,8 @@ from benchmarks.identification.fit_rows import fit_row, noisy, scaled, timed
 from benchmarks.shared.arguments import add_names
 from benchmarks.shared.files import ROOT
 from benchmarks.shared.page_tables import measured_table
-from jaxrod.control import identify, match_shape
+from jaxrod import control
+from jaxrod.control import match_shape
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
 from jaxrod.rods.motion import motion_of
@@ -127,7 +128,7 @@ def dropped_rows() -> Iterable[str]:
     upper = {"youngs_modulus": MOST_STIFF}
 
     def fitter(simulate: Any, sd: Any) -> Any:
-        return jax.jit(lambda o, s: identify(simulate, o, s, sd=sd, upper=upper))
+        return jax.jit(lambda o, s: control.fit(simulate, o, s, noise=sd, upper=upper))
 
     fit = fitter(drop.film, sd)
     for words, factors in (
@@ -141,7 +142,7 @@ def dropped_rows() -> Iterable[str]:
     )
     start = scaled(two, (4, 0.25))
     many = jax.jit(
-        jax.vmap(lambda o: identify(drop.film, o, start, sd=sd, upper=upper))
+        jax.vmap(lambda o: control.fit(drop.film, o, start, noise=sd, upper=upper))
     )
     fits, first, run = timed(many, draws)
     z = {k: np.asarray(v) for k, v in fits.z(two).items()}
@@ -168,7 +169,9 @@ def forced_rows() -> Iterable[str]:
     both = noisy(clean, sd, jax.random.key(2))
     start = scaled(DROPPED, (2, 0.5, 0.7))
     upper = {"youngs_modulus": MOST_STIFF}
-    fit = jax.jit(lambda o, s: identify(drop.film_and_force, o, s, sd=sd, upper=upper))
+    fit = jax.jit(
+        lambda o, s: control.fit(drop.film_and_force, o, s, noise=sd, upper=upper)
+    )
     yield fit_row(
         f"film, and force with {FORCE_SD:g} N of noise",
         DROPPED,
@@ -236,7 +239,7 @@ def poses_rows() -> Iterable[str]:
     sd = {"markers": POSE_SD}
     clean = jax.jit(poses.markers)(MATERIAL)
     upper = {"poisson_ratio": 0.5}
-    fit = jax.jit(lambda o, s: identify(poses.markers, o, s, sd=sd, upper=upper))
+    fit = jax.jit(lambda o, s: control.fit(poses.markers, o, s, noise=sd, upper=upper))
     seen = noisy(clean, sd, jax.random.key(3))
     for words, factors in (
         ("3 times too stiff, ν 0.2, half the density", (3, 0.5, 0.5)),

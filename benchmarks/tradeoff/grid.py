@@ -11,9 +11,15 @@ from dataclasses import dataclass
 
 from benchmarks.tradeoff.mujoco_cable import measure_mujoco
 from benchmarks.tradeoff.pyelastica import measure_pyelastica
-from jaxrod.tradeoff.measure import Measurement, Reference, measure
-from jaxrod.tradeoff.problem import Problem
-from jaxrod.tradeoff.setting import Reduction, Setting, may_be_untwisted
+from jaxrod.tradeoff.measure import (
+    Measurement,
+    Reduction,
+    Reference,
+    Setting,
+    may_be_untwisted,
+    measure,
+)
+from jaxrod.tradeoff.workload import Workload
 
 BATCHES = (1, 256, 4096)
 ELEMENTS = (5, 8, 10, 14, 20, 28, 40, 80)
@@ -74,7 +80,7 @@ class Row:
 
 
 def settings_of(
-    problem: Problem, elements: Sequence[int] = ELEMENTS
+    problem: Workload, elements: Sequence[int] = ELEMENTS
 ) -> Iterable[Setting]:
     """The grid: modes, types, reductions and steps, for each number of elements."""
     kinds: list[tuple[Reduction, ...]] = [(), ("inertia",), ("compensated",)]
@@ -97,7 +103,7 @@ def settings_of(
 
 
 def measure_grid(
-    problem: Problem,
+    problem: Workload,
     exact: Reference,
     *,
     elements: Sequence[int] = ELEMENTS,
@@ -105,7 +111,7 @@ def measure_grid(
     pyelastica_elements: Sequence[int] = PYELASTICA_ELEMENTS,
     mujoco_elements: Sequence[int] = MUJOCO_ELEMENTS,
     seconds: float = 0.2,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> list[Row]:
     """Measures a problem's grid of settings, PyElastica and MuJoCo, in one run.
 
@@ -119,7 +125,7 @@ def measure_grid(
         mujoco_elements: The same for MuJoCo's cable; left out, with a word, where the
             problem has something the cable has not.
         seconds: How long to time each setting and batch [s].
-        say: Called with a line of text after every measurement.
+        log: Called with a line of text after every measurement.
     """
     rows: list[Row] = []
 
@@ -127,7 +133,7 @@ def measure_grid(
         for batch, wall in one.wall_s_per_sim_s.items():
             rows.append(Row(simulator, one.setting, batch, one.error, wall))
         costs = ", ".join(f"{w:.2g}" for w in one.wall_s_per_sim_s.values())
-        say(f"{simulator} {one.setting}: error {one.error:.2g}, {costs} s/s")
+        log(f"{simulator} {one.setting}: error {one.error:.2g}, {costs} s/s")
 
     seen = set()
     for setting in settings_of(problem, elements):
@@ -146,10 +152,10 @@ def measure_grid(
         except ModuleNotFoundError as missing:
             if missing.name != "elastica":
                 raise
-            say("PyElastica is not installed")
+            log("PyElastica is not installed")
             break
         except ValueError as unfit:
-            say(f"PyElastica is left out: {unfit}")
+            log(f"PyElastica is left out: {unfit}")
             break
         add("pyelastica", one)
     for n in mujoco_elements:
@@ -158,10 +164,10 @@ def measure_grid(
         except ModuleNotFoundError as missing:
             if missing.name != "mujoco":
                 raise
-            say("MuJoCo is not installed")
+            log("MuJoCo is not installed")
             break
         except ValueError as unfit:
-            say(f"MuJoCo is left out: {unfit}")
+            log(f"MuJoCo is left out: {unfit}")
             break
         add("mujoco", one)
     return rows

@@ -18,9 +18,8 @@ from jaxrod.effects.clamps import Clamp, FixedEnd
 from jaxrod.effects.loads import ExponentialDamping, Gravity
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
-from jaxrod.tradeoff.measure import Measurement, Reference, tip_error
-from jaxrod.tradeoff.problem import Problem
-from jaxrod.tradeoff.setting import Setting
+from jaxrod.tradeoff.measure import Measurement, Reference, Setting, tip_error
+from jaxrod.tradeoff.workload import Workload
 
 SUBSTEPS = tuple(m * 2**k for k in range(12) for m in (2, 3))
 """Steps per control period that are tried, one after the other."""
@@ -29,7 +28,7 @@ SAME = 1.1
 
 
 def measure_mujoco(
-    problem: Problem,
+    problem: Workload,
     n_elements: int,
     exact: Reference,
     *,
@@ -122,7 +121,7 @@ def _model(rod: Rod, state: RodState, gravity: np.ndarray) -> Any:
 
 
 def _simulate(
-    model: Any, decay: float, substeps: int, problem: Problem
+    model: Any, decay: float, substeps: int, problem: Workload
 ) -> tuple[np.ndarray, float]:
     """Tip at the end of every control period [m], and the time it took [s]."""
     import mujoco

@@ -15,13 +15,12 @@ from jaxrod.effects.clamps import FixedEnd
 from jaxrod.effects.loads import ExponentialDamping, Gravity
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
-from jaxrod.tradeoff.measure import Measurement, Reference, tip_error
-from jaxrod.tradeoff.problem import Problem
-from jaxrod.tradeoff.setting import Setting, prepare
+from jaxrod.tradeoff.measure import Measurement, Reference, Setting, prepare, tip_error
+from jaxrod.tradeoff.workload import Workload
 
 
 def measure_pyelastica(
-    problem: Problem,
+    problem: Workload,
     n_elements: int,
     exact: Reference,
     *,
@@ -73,7 +72,7 @@ def measure_pyelastica(
     return Measurement(prepared.setting, error, dict.fromkeys(batches, per_second))
 
 
-def _couples(problem: Problem, scene: Scene) -> np.ndarray:
+def _couples(problem: Workload, scene: Scene) -> np.ndarray:
     """Couples on the elements during every period `(periods, 3, n)` [N m]."""
     n = scene.rod.n_elements
     with jax.enable_x64(True):

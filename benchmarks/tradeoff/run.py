@@ -117,19 +117,19 @@ def run(args: argparse.Namespace) -> int:
     out.mkdir(parents=True, exist_ok=True)
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
-    def say(line: str) -> None:
+    def log(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    problem = tradeoff.SCENES[args.scene]()
-    exact = tradeoff.reference(problem)
-    say(f"reference: uncertain by {exact.error:.2g} of the length")
+    workload = tradeoff.SCENES[args.scene]()
+    exact = tradeoff.reference(workload)
+    log(f"reference: uncertain by {exact.error:.2g} of the length")
 
     def elements(others: list[int] | None, usual: tuple[int, ...]) -> tuple[int, ...]:
         return usual if others is None else tuple(others)
 
     batches = tuple(args.batches or grid.BATCHES)
     rows = grid.measure_grid(
-        problem,
+        workload,
         exact,
         elements=args.elements or grid.ELEMENTS,
         batches=batches,
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
             args.pyelastica_elements, grid.PYELASTICA_ELEMENTS
         ),
         mujoco_elements=elements(args.mujoco_elements, grid.MUJOCO_ELEMENTS),
-        say=say,
+        log=log,
     )
     write_atomically(out / "tradeoff.csv", grid.as_csv(rows).encode())
     work_precision(
@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
         floor=exact.error,
     )
     tuned = {
-        batch: tradeoff.tune(problem, tolerance=args.tolerance, batch=batch, say=say)
+        batch: tradeoff.tune(workload, max_error=args.tolerance, batch=batch, log=log)
         for batch in batches
     }
     compared = [_compared(rows, tuned[batch]) for batch in batches]
@@ -175,7 +175,7 @@ def _compared(rows: list[Row], tuned: Tuned) -> dict[str, Any]:
 
     result: dict[str, Any] = {
         "batch": tuned.batch,
-        "tolerance": tuned.tolerance,
+        "tolerance": tuned.max_error,
         "met": tuned.met,
         "setting": str(tuned.setting),
         "error": tuned.error,
@@ -187,7 +187,7 @@ def _compared(rows: list[Row], tuned: Tuned) -> dict[str, Any]:
             for row in rows
             if row.simulator == simulator and row.batch == tuned.batch
         ]
-        other = cheapest(theirs, tuned.tolerance)
+        other = cheapest(theirs, tuned.max_error)
         shown = other or min(theirs, key=lambda row: row.error, default=None)
         if shown is not None:
             result[simulator] = {

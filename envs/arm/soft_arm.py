@@ -15,7 +15,7 @@ from jaxrod import (
     make_scene,
     straight_rod,
 )
-from jaxrod.control.trajectories.arm import ActuatedArm
+from jaxrod.control.trajectories.reach import ActuatedArm
 
 CONTROL_PERIOD = 1.4e-3
 """Time between actions in every case [s]."""

@@ -1,4 +1,4 @@
-r"""Measured highest frequency of small motions about a configuration.
+r"""Natural frequencies of small motions about a configuration: the highest, and all.
 
 With $z$ a small displacement of nodes and rotation of elements, loads change by $-Kz$,
 and $\omega^2$ are the eigenvalues of $M^{-1}K$. The largest is found from the action of
@@ -7,6 +7,8 @@ motion (Lanczos' method; Arnoldi's, because PyElastica's loads have no potential
 the largest eigenvalue in it is taken. The only dense matrix is the small one of that
 space. All loads on the rod are included: the scene's elastic law at this deformation,
 walls, user-defined effects.
+
+All frequencies of a rod at rest come from the dense eigenvalue problem.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -24,9 +27,9 @@ from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, scene_of
-from jaxrod.statics.freedoms import freedoms
+from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
 from jaxrod.structure import pytree
-from jaxrod.validation import check_count
+from jaxrod.validation import check_count, is_traced, knows_constants
 
 InertiaFactors = tuple[Array, Array]
 """Factors of node masses and of rotary inertias that represent damping."""
@@ -73,6 +76,61 @@ def highest_frequency(
     scene = scene_of(scene, state)
     size = check_count("size", size, 2, MOST_VECTORS)
     return _measure(scene, state, size).angular_frequency
+
+
+@knows_constants
+def natural_frequencies(
+    scene: Scene, state: RodState, n_modes: int | None = None
+) -> np.ndarray:
+    """Angular frequencies of small undamped motions about a state at rest.
+
+    They come from the dense eigenvalue problem of the `6 n + 3` degrees of freedom,
+    without those that constraints hold. It is for looking at a rod, not for the inside
+    of a loop. A straight rod of round section bends in the same way in two planes and
+    has its bending frequencies twice. A free one starts with the six zeros of rigid
+    motions.
+
+    Args:
+        scene: The scene, in consistent mode.
+        state: The configuration, in equilibrium.
+        n_modes: Number of modes, the lowest ones; by default all.
+
+    Returns:
+        Angular frequencies, increasing `(n_modes,)` [rad/s]; zero for motions without
+        (or with negative) stiffness.
+
+    Raises:
+        ValueError: If the scene's loads have no potential, there are fewer modes, or
+            anything is traced.
+        TypeError: If `scene` or `state` is of another type.
+    """
+    scene = scene_of(scene, state)
+    if n_modes is not None:
+        n_modes = check_count("n_modes", n_modes, 1)
+    if not scene.method.has_energy:
+        raise ValueError(
+            f"natural_frequencies needs the consistent law, got {scene.method!r}: "
+            "PyElastica's loads are not the gradient of an energy"
+        )
+    stiffness = _stiffness(scene, state)
+    if is_traced(stiffness):
+        raise ValueError(
+            "natural_frequencies needs numbers that are known, not traced by jax.jit, "
+            "grad or vmap; highest_frequency works inside them"
+        )
+    matrix = np.asarray(stiffness, np.float64)
+    free = np.asarray(_free(scene, state))
+    matrix = matrix[np.ix_(free, free)]
+    squares = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    frequencies = np.sqrt(np.maximum(squares, 0))
+    if n_modes is None:
+        return frequencies
+    if n_modes > frequencies.size:
+        raise ValueError(
+            f"n_modes must be at most {frequencies.size}, the free motions of this "
+            f"scene, got {n_modes}"
+        )
+    return frequencies[:n_modes]
 
 
 @jax.jit(static_argnames="size")
@@ -158,7 +216,7 @@ def linearised(
     _, change = jax.linearize(loads_after, jnp.zeros_like(root))
 
     # Constraints hold some degrees of freedom completely and leave the others.
-    nodes, (x, y, z) = freedoms(scene, still)
+    nodes, (x, y, z) = degrees_of_freedom(scene, still)
     about_axis = z if scene.method.twist else jnp.zeros_like(z)
     free = jnp.concatenate([*nodes, x, y, about_axis]) / root
 
@@ -229,3 +287,18 @@ def _norm(a: Array) -> Array:
     unit = lax.stop_gradient(jnp.max(jnp.abs(a)))
     unit = jnp.where(unit > 0, unit, 1)
     return unit * jnp.sqrt(jnp.sum((a / unit) ** 2))
+
+
+@jax.jit
+def _stiffness(scene: Scene, state: RodState) -> jax.Array:
+    """Stiffness over inertia, in coordinates in which it is symmetric [rad^2/s^2]."""
+    apply = linearised(scene, state, no_damping(scene.rod))
+    size = state.positions.size + state.angular_momenta.size
+    return jax.vmap(apply)(jnp.eye(size, dtype=state.positions.dtype))
+
+
+@jax.jit
+def _free(scene: Scene, state: RodState) -> jax.Array:
+    """Flags of degrees of freedom that are free; node displacements, then rotations."""
+    nodes, elements = degrees_of_freedom(scene, motion_of(state))
+    return jnp.concatenate([*nodes, *elements]) != 0

@@ -19,8 +19,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxrod.analysis.frequency import no_damping
-from jaxrod.analysis.modes import natural_frequencies
+from jaxrod.analysis.frequency import natural_frequencies, no_damping
 from jaxrod.analysis.stability import frequency_bounds, stable_dt
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, check_scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -12,7 +12,7 @@ import numpy as np
 from jaxrod.composition import make_scene
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp
-from jaxrod.rods.factories import rod_along
+from jaxrod.rods.factories import rod_along, straight_rod
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
 
@@ -22,14 +22,20 @@ MOST_RODS = 100_000
 Made = tuple[Rod, RodState]
 
 
-def equal_rods(make: Callable[[Any], Made], each: Any) -> Made:
-    """Equal rods with a leading axis.
+def equal_rods(n_elements: int, each: Mapping[str, Any], **rod: Any) -> Made:
+    """Equal straight rods with a leading axis.
 
     Args:
-        make: Function from one entry of `each` to a rod and its state.
-        each: Arrays with a leading axis, one entry for each rod.
+        n_elements: Elements of each rod.
+        each: Arguments of `jaxrod.straight_rod` in which the rods differ, arrays with a
+            leading axis.
+        **rod: Arguments that all rods share.
     """
-    made: Made = jax.vmap(make)(jax.tree.map(jnp.asarray, each))
+
+    def one(own: dict[str, Any]) -> Made:
+        return straight_rod(n_elements, **own, **rod)
+
+    made: Made = jax.vmap(one)({name: jnp.asarray(leaf) for name, leaf in each.items()})
     return made
 
 

@@ -13,7 +13,6 @@ from jaxrod.assemblies.groups import MOST_RODS, equal_rods, scenes
 from jaxrod.contacts.bodies import plane, signed_distance
 from jaxrod.contacts.factories import contact
 from jaxrod.effects.base import Effect
-from jaxrod.rods.factories import straight_rod
 from jaxrod.systems.contact.rod_contact import rod_contact
 from jaxrod.systems.system import System, make_system
 from jaxrod.validation import Numbers, as_array, check_count, check_seed
@@ -96,19 +95,14 @@ def nest(
     middles[:, 2] = thick * (1.2 + 2.2 * np.arange(n_rods))
     starts = middles - 0.5 * extent * ways
 
-    def made(each: Any) -> Any:
-        start, way = each
-        return straight_rod(
-            n_elements,
-            length=extent,
-            radius=thick,
-            start=start,
-            direction=way,
-            normal=(0.0, 0.0, 1.0),
-            **rod,
-        )
-
-    rods, states = equal_rods(made, (starts, ways))
+    rods, states = equal_rods(
+        n_elements,
+        {"start": starts, "direction": ways},
+        length=extent,
+        radius=thick,
+        normal=(0.0, 0.0, 1.0),
+        **rod,
+    )
     law: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
     if friction is not None:
         law["friction"] = friction

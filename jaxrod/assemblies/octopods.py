@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.assemblies.groups import equal_rods, scenes
 from jaxrod.contacts.bodies import sphere
 from jaxrod.effects.base import Effect
-from jaxrod.rods.factories import straight_rod
 from jaxrod.systems.joints.welds import attach
 from jaxrod.systems.members.rigid_bodies import rigid_body
 from jaxrod.systems.system import System, make_system
@@ -56,22 +56,20 @@ def octopus(
     check_count("arms", arms, 1, 1000)
     size = float(as_array("head_radius", head_radius, "m", positive=True))
     angles = 2 * np.pi * np.arange(arms) / arms
-    outwards = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    outwards = jnp.asarray(
+        np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    )
 
-    def made(way: Any) -> Any:
-        return straight_rod(
-            n_elements,
-            length=length,
-            radius=radius,
-            density=density,
-            youngs_modulus=youngs_modulus,
-            start=size * way,
-            direction=way,
-            normal=(0.0, 0.0, 1.0),
-            **rod,
-        )
-
-    rods, states = equal_rods(made, outwards)
+    rods, states = equal_rods(
+        n_elements,
+        {"start": size * outwards, "direction": outwards},
+        length=length,
+        radius=radius,
+        density=density,
+        youngs_modulus=youngs_modulus,
+        normal=(0.0, 0.0, 1.0),
+        **rod,
+    )
     head, of_head = rigid_body(
         sphere((0.0, 0.0, 0.0), size),
         density=density,

@@ -77,7 +77,7 @@ def tree(
     joints, before, extent, thick = [], "trunk", float(length), float(radius)
     for level in range(1, levels + 1):
         extent, thick = extent * shorter, thick * thinner
-        starts, axes, normals, roots = [], [], [], []
+        starts, axes, normals, parents = [], [], [], []
         for parent, (tip, frame) in enumerate(zip(tips, frames, strict=True)):
             for k in range(branches):
                 turn = 2 * np.pi * k / branches
@@ -86,29 +86,24 @@ def tree(
                 # The plane of the next fork is perpendicular to the plane of this one.
                 normals.append(np.cross(frame[2], side))
                 starts.append(tip)
-                roots.append(parent)
+                parents.append(parent)
         name = f"level {level}"
 
-        def made(each: Any, extent: float = extent, thick: float = thick) -> Any:
-            start, axis, normal = each
-            return straight_rod(
-                n_elements,
-                length=extent,
-                radius=thick,
-                start=start,
-                direction=axis,
-                normal=normal,
-                **rod,
-            )
-
-        rods, states = equal_rods(made, tuple(map(np.array, (starts, axes, normals))))
+        own = {"start": starts, "direction": axes, "normal": normals}
+        rods, states = equal_rods(
+            n_elements,
+            {key: np.array(rows) for key, rows in own.items()},
+            length=extent,
+            radius=thick,
+            **rod,
+        )
         members[name], state[name] = scenes(rods, states, effects), states
         ends = [
             (before, "finish") if before == "trunk" else (before, parent, "finish")
-            for parent in roots
+            for parent in parents
         ]
-        own = [(name, k, "start") for k in range(len(starts))]
-        joints.append(weld(ends, own, state))
+        roots = [(name, k, "start") for k in range(len(starts))]
+        joints.append(weld(ends, roots, state))
         tips = np.array(starts) + extent * np.array(axes)
         frames = np.stack([normals, np.cross(axes, normals), axes], axis=1)
         before = name

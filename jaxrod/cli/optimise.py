@@ -236,7 +236,7 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
         )
     bar = ProgressBar(args.iterations, "steps", done=1)
 
-    def progress(iteration: int, cost: float) -> None:
+    def log(iteration: int, cost: float) -> None:
         if iteration == 0:
             bar.restart()
         bar.update(iteration + 1, f"cost {cost:.2e} m^2")
@@ -252,7 +252,7 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
         learning_rate=args.learning_rate,
         enough=enough,
         seed=args.seed,
-        progress=progress,
+        log=log,
     )
 
 

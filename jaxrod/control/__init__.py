@@ -1,23 +1,30 @@
 """Differentiable control: problems, and solvers by gradients and by sampling."""
 
-from jaxrod.control.identification.fit import Fit, Forecast
-from jaxrod.control.identification.identify import identify
-from jaxrod.control.identification.identify_continuous import identify_continuous
-from jaxrod.control.identification.identify_shots import identify_shots
+from jaxrod.control.identification.fit import fit
 from jaxrod.control.identification.match_shape import ShapeMatch, match_shape
 from jaxrod.control.identification.parameters import Parameters, make_parameters
-from jaxrod.control.identification.shots import shots, windows
+from jaxrod.control.identification.result import Fit, Forecast
+from jaxrod.control.identification.windows import MultipleShooting, shots, windows
 from jaxrod.control.least_squares import LeastSquares, least_squares
-from jaxrod.control.planning.mpc import mpc
-from jaxrod.control.planning.policy import PlanningPolicy
+from jaxrod.control.planning.mpc import PlanningPolicy, mpc
 from jaxrod.control.trajectories.adam import adam
-from jaxrod.control.trajectories.arm import ActuatedArm
-from jaxrod.control.trajectories.codesign import codesign
 from jaxrod.control.trajectories.ilqr import ilqr
-from jaxrod.control.trajectories.levenberg_marquardt import levenberg_marquardt
-from jaxrod.control.trajectories.problem import Problem, make_problem
-from jaxrod.control.trajectories.reach import Reach, UnreachableTargetWarning, reach
-from jaxrod.control.trajectories.rolled_out import RolledOut, rolled_out
+from jaxrod.control.trajectories.levenberg_marquardt import (
+    codesign,
+    levenberg_marquardt,
+)
+from jaxrod.control.trajectories.problem import (
+    Problem,
+    RolledOut,
+    make_problem,
+    rolled_out,
+)
+from jaxrod.control.trajectories.reach import (
+    ActuatedArm,
+    Reach,
+    UnreachableTargetWarning,
+    reach,
+)
 from jaxrod.control.trajectories.sampling import cross_entropy, mppi
 from jaxrod.control.trajectories.solution import Solution
 
@@ -26,6 +33,7 @@ __all__ = [
     "Fit",
     "Forecast",
     "LeastSquares",
+    "MultipleShooting",
     "Parameters",
     "PlanningPolicy",
     "Problem",
@@ -37,9 +45,7 @@ __all__ = [
     "adam",
     "codesign",
     "cross_entropy",
-    "identify",
-    "identify_continuous",
-    "identify_shots",
+    "fit",
     "ilqr",
     "least_squares",
     "levenberg_marquardt",

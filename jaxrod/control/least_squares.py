@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -64,16 +65,117 @@ class LeastSquares:
 
 
 @pytree
-class _Search:
-    point: Array
-    residuals: Array
-    jacobian: Array
+class Search:
+    """State of a search: its best point so far, and the point to try next."""
+
+    point: Any
+    """Best point; the start until a cost is finite."""
+    found: Any
+    """Residuals and derivatives at the best point, as `evaluate` returns them."""
     cost: Array
+    """Cost of the best point."""
     damping: Array
-    candidate: Array
+    """Damping of the step to the candidate, as a fraction of the diagonal [1]."""
+    share: Array
+    """Fraction of the damped step that is taken [1]."""
+    candidate: Any
+    """Point to try next."""
     tried: Array
+    """Number of points tried, the start included."""
     converged: Array
+    """Whether the last step changed too little to go on."""
     costs: Array
+    """Cost of the best point after each trial, then NaN."""
+
+
+def levenberg_marquardt_loop(
+    evaluate: Callable[[Any], tuple[Any, Any, Array]],
+    propose: Callable[[Search, Array, Array], dict[str, Any]],
+    is_still: Callable[[Search, Array, Array], Array],
+    start: Any,
+    nothing: Any,
+    initial_damping: Any,
+    iterations: int,
+) -> Search:
+    """Searches for the least sum of squares of any problem by damped steps.
+
+    A point is accepted if its cost and its derivatives are finite and the cost falls.
+
+    Args:
+        evaluate: Takes a point; returns the point (changed where it does not fit), the
+            residuals and derivatives there, any pytree, and the cost.
+        propose: Takes the search with its new best point, whether a step was tried, and
+            whether it was accepted; returns the damping, the point to try next and, if
+            it changes, the share, by the names of the fields.
+        is_still: Takes the search before the trial, the cost that was tried, and
+            whether it was accepted; returns whether the finite step changed too little.
+        start: First point.
+        nothing: Result of `evaluate` before anything is known.
+        initial_damping: Damping of the first step.
+        iterations: Largest number of points tried after the start.
+    """
+    dtype = jax.tree.leaves(start)[0].dtype
+
+    def more(search: Search) -> Array:
+        going = (search.tried <= iterations) & ~search.converged
+        return going & (search.damping < MOST_DAMPING)
+
+    def again(search: Search) -> Search:
+        candidate, found, cost = evaluate(search.candidate)
+        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(found)]
+        sound = jnp.isfinite(cost) & jnp.all(jnp.stack(finite))
+        better = sound & (cost < search.cost)
+        begun = search.tried > 0
+        point, found, least = jax.tree.map(
+            lambda new, old: jnp.where(better, new, old),
+            (candidate, found, cost),
+            (search.point, search.found, search.cost),
+        )
+        best = replace(search, point=point, found=found, cost=least)
+        return replace(
+            best,
+            **propose(best, begun, better),
+            tried=search.tried + 1,
+            converged=begun & sound & is_still(search, cost, better),
+            costs=search.costs.at[search.tried].set(least),
+        )
+
+    return lax.while_loop(
+        more,
+        again,
+        Search(
+            point=start,
+            found=nothing,
+            cost=jnp.asarray(jnp.inf, dtype),
+            damping=jnp.asarray(initial_damping, dtype),
+            share=jnp.ones((), dtype),
+            candidate=start,
+            tried=jnp.zeros((), jnp.int32),
+            converged=jnp.zeros((), bool),
+            costs=jnp.full((iterations + 1,), jnp.nan, dtype),
+        ),
+    )
+
+
+def next_damping(
+    search: Search, begun: Array, better: Array, least: float = 0.0
+) -> Array:
+    """Returns less damping after an accepted point, and more after a rejected one [1].
+
+    Args:
+        search: The search, with its last damping.
+        begun: Whether a step was tried; if not, the damping stays as given.
+        better: Whether the step was accepted.
+        least: Smallest damping [1].
+    """
+    change = jnp.where(better, 1 / FASTER, SLOWER)
+    damping = jnp.where(begun, search.damping * change, search.damping)
+    return jnp.maximum(damping, least).astype(search.damping.dtype)
+
+
+def default_tolerance(dtype: Any) -> float:
+    """Relative change at which a search ends: machine epsilon to the power of 3/4."""
+    return float(jnp.finfo(dtype).eps) ** 0.75
 
 
 def least_squares(
@@ -84,7 +186,7 @@ def least_squares(
     upper: Any = None,
     ridge: Any = 0.0,
     centre: Any = None,
-    damping: Any = 1e-3,
+    initial_damping: Any = 1e-3,
     iterations: int = 50,
     tolerance: float | None = None,
     mode: str | None = None,
@@ -102,7 +204,7 @@ def least_squares(
             a tree like `start`.
         centre: Centre of the ridge, a number or a tree like `start`; `start` by
             default.
-        damping: Damping of the first step, as a fraction of the diagonal [1].
+        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
         iterations: Largest number of iterations.
         tolerance: Relative change of the cost, or of every unknown, at which the search
             ends; by default machine epsilon to the power of 3/4.
@@ -130,10 +232,14 @@ def least_squares(
 
     count = math.prod(jax.eval_shape(flat, first).shape)
     dtype = first.dtype
-    low, high = (_like(bound, start, sign) for bound, sign in ((lower, -1), (upper, 1)))
-    rho = jnp.broadcast_to(_like(ridge, start, 0), first.shape)
-    middle = first if centre is None else _like(centre, start, 0)
-    small = float(jnp.finfo(dtype).eps) ** 0.75 if tolerance is None else tolerance
+
+    def row(given: Any, sign: int = 1) -> Array:
+        full = ravel_pytree(broadcast_like(given, start, sign))[0]
+        return jnp.asarray(full, dtype)
+
+    low, high, rho = row(lower, -1), row(upper), row(ridge)
+    middle = first if centre is None else row(centre)
+    small = default_tolerance(dtype) if tolerance is None else tolerance
     forward = mode == "forward" or (mode is None and first.size <= count)
     ladder = jnp.asarray(LADDER, dtype)
     evaluated = _by_columns(flat) if forward else _by_rows(flat)
@@ -141,84 +247,59 @@ def least_squares(
     def total(values: Array, point: Array) -> Array:
         return jnp.sum(values**2) + jnp.sum(rho * (point - middle) ** 2)
 
-    def more(search: _Search) -> Array:
-        going = (search.tried <= iterations) & ~search.converged
-        return going & (search.damping < MOST_DAMPING)
+    def evaluate(point: Array) -> tuple[Array, tuple[Array, Array], Array]:
+        values, slopes = evaluated(point)
+        return point, (values, slopes), total(values, point)
 
-    def again(search: _Search) -> _Search:
-        values, slopes = evaluated(search.candidate)
-        cost = total(values, search.candidate)
-        sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(slopes))
-        better = sound & (cost < search.cost)
-        begun = search.tried > 0
+    def is_still(search: Search, cost: Array, better: Array) -> Array:
         # Each unknown is compared by itself, because units differ.
         moved = jnp.abs(search.candidate - search.point)
         scale = jnp.abs(search.point) + jnp.abs(search.candidate)
-        still = jnp.all(moved <= small * scale) & sound
         gained = (search.cost - cost) <= small * search.cost
-        done = begun & (still | (better & gained))
-        point = jnp.where(better, search.candidate, search.point)
-        now = jnp.where(better, values, search.residuals)
-        jacobian = jnp.where(better, slopes, search.jacobian)
-        least = jnp.where(better, cost, search.cost)
+        return jnp.all(moved <= small * scale) | (better & gained)
+
+    def propose(search: Search, begun: Array, better: Array) -> dict[str, Array]:
+        values, jacobian = search.found
 
         def stepped(mu: Array) -> Array:
-            pull = rho * (point - middle)
-            step = _step(jacobian, now, rho, pull, mu, point, low, high)
-            return jnp.clip(point + step, low, high)
+            pull = rho * (search.point - middle)
+            step = _step(jacobian, values, rho, pull, mu, search.point, low, high)
+            return jnp.clip(search.point + step, low, high)
 
-        def best_of_six() -> tuple[Array, Array]:
-            # Begin above all dampings that failed. Zero is avoided, because no factor
-            # leads back from it.
-            mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
-            dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
-            candidates = jax.vmap(stepped)(dampings)
-            costs = jax.vmap(lambda z: total(flat(z), z))(candidates)
-            # If no cost is finite, the shortest step is the best guess.
-            best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
-            chosen = jnp.arange(ladder.size) == best
-            candidate = jnp.sum(jnp.where(chosen[:, None], candidates, 0), axis=0)
-            return jnp.sum(jnp.where(chosen, dampings, 0)), candidate
+        if not several:
+            mu = next_damping(search, begun, better)
+            return {"damping": mu, "candidate": stepped(mu)}
+        # Begin above all dampings that failed. Zero is avoided, because no factor leads
+        # back from it.
+        mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
+        dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
+        candidates = jax.vmap(stepped)(dampings)
+        costs = jax.vmap(lambda z: total(flat(z), z))(candidates)
+        # If no cost is finite, the shortest step is the best guess.
+        best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
+        chosen = jnp.arange(ladder.size) == best
+        return {
+            "damping": jnp.sum(jnp.where(chosen, dampings, 0)),
+            "candidate": jnp.sum(jnp.where(chosen[:, None], candidates, 0), axis=0),
+        }
 
-        def next_one() -> tuple[Array, Array]:
-            change = jnp.where(better, 1 / FASTER, SLOWER)
-            mu = jnp.where(begun, search.damping * change, search.damping)
-            mu = jnp.asarray(mu, dtype)
-            return mu, stepped(mu)
-
-        mu, candidate = best_of_six() if several else next_one()
-        return _Search(
-            point=point,
-            residuals=now,
-            jacobian=jacobian,
-            cost=least,
-            damping=mu,
-            candidate=candidate,
-            tried=search.tried + 1,
-            converged=done,
-            costs=search.costs.at[search.tried].set(least),
-        )
-
-    begin = jnp.clip(first, low, high)
-    found = lax.while_loop(
-        more,
-        again,
-        _Search(
-            point=begin,
-            residuals=jnp.full((count,), jnp.inf, dtype),
-            jacobian=jnp.zeros((count, first.size), dtype),
-            cost=jnp.asarray(jnp.inf, dtype),
-            damping=jnp.asarray(damping, dtype),
-            candidate=begin,
-            tried=jnp.zeros((), jnp.int32),
-            converged=jnp.zeros((), bool),
-            costs=jnp.full((iterations + 1,), jnp.nan, dtype),
+    found = levenberg_marquardt_loop(
+        evaluate,
+        propose,
+        is_still,
+        jnp.clip(first, low, high),
+        (
+            jnp.full((count,), jnp.inf, dtype),
+            jnp.zeros((count, first.size), dtype),
         ),
+        initial_damping,
+        iterations,
     )
+    values, jacobian = found.found
     return LeastSquares(
         solution=unravel(found.point),
-        residuals=found.residuals,
-        jacobian=found.jacobian,
+        residuals=values,
+        jacobian=jacobian,
         cost=found.cost,
         converged=found.converged,
         iterations=found.tried - 1,
@@ -226,19 +307,17 @@ def least_squares(
     )
 
 
-def _like(bound: Any, start: Any, sign: int) -> Array:
-    """Flattens a number, or a tree like the unknowns, to one row; infinite if `None`.
+def broadcast_like(bound: Any, start: Any, sign: int) -> Any:
+    """Broadcasts a number, or a tree, to the unknowns; infinite if `None`.
 
     `sign` is the sign of that infinity.
     """
-    first, _ = ravel_pytree(start)
     if bound is None:
-        return jnp.full(first.shape, sign * jnp.inf, first.dtype)
+        bound = sign * jnp.inf
     kinds: list[Any] = [jax.tree.structure(tree) for tree in (bound, start)]
     if kinds[0] != kinds[1]:
         bound = jax.tree.map(lambda _: bound, start)
-    full = jax.tree.map(lambda b, s: jnp.broadcast_to(b, jnp.shape(s)), bound, start)
-    return jnp.asarray(ravel_pytree(full)[0], first.dtype)
+    return jax.tree.map(lambda b, s: jnp.broadcast_to(b, jnp.shape(s)), bound, start)
 
 
 def _by_columns(flat: Callable[[Array], Array]) -> Callable[[Array], Any]:

@@ -36,9 +36,12 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.rods.motion import Motion
 from jaxrod.scene import Scene
-from jaxrod.statics.block_tridiagonal import BlockTridiagonal
-from jaxrod.statics.blocks import blocks, unblocked
-from jaxrod.statics.freedoms import free_rates
+from jaxrod.statics.block_matrices import BlockTridiagonal
+from jaxrod.statics.degrees_of_freedom import (
+    free_velocity_mask,
+    stack_dofs,
+    unstack_dofs,
+)
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array
 
@@ -54,10 +57,10 @@ class InternalDamping(Effect):
         """Motion after strain rates have decayed for a step."""
         rod = scene.rod
         frame = directors(motion.orientation)
-        rates = blocks(motion.velocity, motion.angular_velocities(rod))
+        rates = stack_dofs(motion.velocity, motion.angular_velocities(rod))
         pairs = _pairs(scene, motion, self.relaxation_time * dt)
         mobility = _mobility(scene, motion)
-        pushes, turns = unblocked(pairs.impulses(mobility, rates))
+        pushes, turns = unstack_dofs(pairs.impulses(mobility, rates))
         inverse_masses = 1 / rod.node_masses
         if motion.spin_is_velocity:
             inertia = vectors.split(rod.principal_inertias)
@@ -167,7 +170,7 @@ def _mobility(scene: Scene, motion: Motion) -> Float[Array, "n+1 6 6"]:
     turning = jnp.pad(stacked(matrices), ((0, 1), (3, 0), (3, 0)))
     identity = jnp.eye(3, dtype=turning.dtype)[None]
     moving = (1 / rod.node_masses)[:, None, None] * identity
-    free = (blocks(*free_rates(scene, motion)) != 0).astype(turning.dtype)
+    free = (stack_dofs(*free_velocity_mask(scene, motion)) != 0).astype(turning.dtype)
     both = free[:, :, None] * free[:, None, :]
     return both * (jnp.pad(moving, ((0, 0), (0, 3), (0, 3))) + turning)
 

@@ -48,11 +48,10 @@ from jaxrod.scene import (
     damping_rates,
     dissipate,
 )
-from jaxrod.statics.blocks import blocks
-from jaxrod.statics.freedoms import free_places
+from jaxrod.statics.declared_properties import check_declared_properties
+from jaxrod.statics.degrees_of_freedom import free_position_mask, stack_dofs
 from jaxrod.statics.newton import default_tolerance, newton
-from jaxrod.statics.promises import check_promises
-from jaxrod.statics.residual import Balance, balanced, displaced
+from jaxrod.statics.residual import LoadBalance, displaced, implicit_solution
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_count
 
@@ -73,7 +72,7 @@ class Implicit(Method):
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError if an effect breaks a promise that a step relies on."""
-        check_promises(scene)
+        check_declared_properties(scene)
 
     def stepper(self, scene: Scene, state: RodState, dt: Array) -> ImplicitStepper:
         """Constants of the step."""
@@ -219,13 +218,13 @@ class ImplicitStepper:
 
     def stage(self, base: Base) -> Increments:
         """Takes a backward Euler step from a base."""
-        balance = Balance(
+        balance = LoadBalance(
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )
-        guess = self.duration * blocks(*base.rates)
-        placed = free_places(self.scene, base.motion)
+        guess = self.duration * stack_dofs(*base.rates)
+        placed = free_position_mask(self.scene, base.motion)
         if placed is not None:
-            guess = guess * blocks(*placed)
+            guess = guess * stack_dofs(*placed)
         tolerance = self.settings.tolerance
         if tolerance is None:
             tolerance = jnp.asarray(default_tolerance(guess.dtype), guess.dtype)
@@ -234,13 +233,17 @@ class ImplicitStepper:
             self.settings.max_iterations,
         )
         # Components that move at a prescribed rate have its derivative.
-        moves = balanced(balance, balance.following(guess, found.moves))
+        increment = implicit_solution(
+            balance, balance.with_held_components(guess, found.increment)
+        )
         # Failure is data: not finite, for health to find.
-        moves = jax.tree.map(lambda a: jnp.where(found.converged, a, jnp.nan), moves)
-        reached = balance.motion(moves)
+        increment = jax.tree.map(
+            lambda a: jnp.where(found.converged, a, jnp.nan), increment
+        )
+        reached = balance.motion(increment)
         return Increments(
-            displacement=moves.displacement,
-            turn=moves.turn,
+            displacement=increment.displacement,
+            turn=increment.turn,
             velocity=vectors.subtract(reached.velocity, base.motion.velocity),
             spin=vectors.subtract(reached.spin, base.motion.spin),
         )

@@ -21,9 +21,8 @@ from jaxrod.geometry.matrices import Matrix, add
 from jaxrod.geometry.rotations import directors, multiply_quaternions, to_world
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.scene import Scene, external_loads
-from jaxrod.statics.block_tridiagonal import BlockTridiagonal
-from jaxrod.statics.blocks import blocks, unblocked
-from jaxrod.statics.dense import Dense, columns, dense
+from jaxrod.statics.block_matrices import BlockTridiagonal, Dense, as_dense, matrix_of
+from jaxrod.statics.degrees_of_freedom import stack_dofs, unstack_dofs
 
 Tangent = BlockTridiagonal | Dense
 """Tangent of a chain: block-tridiagonal, or dense if distant parts are coupled."""
@@ -75,12 +74,12 @@ def with_differentiated(
         return lambda step: free * push(free * step)
 
     if near:
-        part = jax.tree.map(barrier, coloured(push_of(near), free))
+        part = jax.tree.map(barrier, matrix_by_colouring(push_of(near), free))
         chain = jax.tree.map(jnp.subtract, chain, part)
     if not far:
         return chain
-    rest = jax.tree.map(barrier, columns(push_of(far), free))
-    return jax.tree.map(jnp.subtract, dense(chain), rest)
+    rest = jax.tree.map(barrier, matrix_of(push_of(far), free))
+    return jax.tree.map(jnp.subtract, as_dense(chain), rest)
 
 
 def change_of_loads(
@@ -91,7 +90,7 @@ def change_of_loads(
     _, push = jax.linearize(lambda there: total_loads(scene, there, none), motion)
 
     def change(step: Array) -> Array:
-        displacement, turn = unblocked(step)
+        displacement, turn = unstack_dofs(step)
         half = vectors.scale(0.5, turn)
         still = jnp.zeros_like(half[0])
         turned = multiply_quaternions((still, *half), motion.orientation)
@@ -118,10 +117,12 @@ def total_loads(scene: Scene, motion: Motion, others: Loads) -> Float[Array, "n+
     # the differentiated variables.
     loads = jax.tree.map(lax.optimization_barrier, loads)
     assert loads.forces is not None and loads.couples is not None
-    return blocks(loads.forces, to_world(directors(motion.orientation), loads.couples))
+    return stack_dofs(
+        loads.forces, to_world(directors(motion.orientation), loads.couples)
+    )
 
 
-def coloured(
+def matrix_by_colouring(
     push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
 ) -> BlockTridiagonal:

@@ -14,11 +14,11 @@ from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene, constrain, constrain_rates, scene_of
-from jaxrod.statics.blocks import unblocked
+from jaxrod.statics.declared_properties import check_declared_properties
+from jaxrod.statics.degrees_of_freedom import unstack_dofs
 from jaxrod.statics.effect_tangents import has_closed_form
 from jaxrod.statics.newton import default_tolerance, largest, newton
-from jaxrod.statics.promises import check_promises
-from jaxrod.statics.residual import Balance, Moves, balanced
+from jaxrod.statics.residual import Increment, LoadBalance, implicit_solution
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count
 
@@ -100,7 +100,7 @@ def equilibrium(
             "loads, and any number without. Add jaxrod.clamp(state) or "
             "jaxrod.fixed_end(state)"
         )
-    check_promises(scene)
+    check_declared_properties(scene)
     return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
 
 
@@ -114,10 +114,10 @@ def _is_loose(scene: Scene) -> bool:
     )
 
 
-def _at_rest(scene: Scene, base: Motion) -> Balance:
+def _at_rest(scene: Scene, base: Motion) -> LoadBalance:
     """Balance of loads without inertia."""
     still = jnp.zeros((), scene.rod.rest_lengths.dtype)
-    return Balance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
+    return LoadBalance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
 
 
 @jax.jit
@@ -131,13 +131,13 @@ def _equilibrium(
         *lax.stop_gradient((_at_rest(scene, start), guess, tolerance)),
         max_iterations,
     )
-    found = _at_rest(scene, end.base).motion(end.moves)
+    found = _at_rest(scene, end.base).motion(end.increment)
     # Held components have the values of the state and the scene, with derivatives.
     balance = _at_rest(scene, _keep_held(scene, found, start))
-    moves = balanced(balance, _no_moves(found))
-    force, couple = unblocked(balance.residual(moves))
+    increment = implicit_solution(balance, _no_increment(found))
+    force, couple = unstack_dofs(balance.residual(increment))
     return Equilibrium(
-        state=replace(state_of(balance.motion(moves)), memory=state.memory),
+        state=replace(state_of(balance.motion(increment)), memory=state.memory),
         converged=end.converged,
         stable=end.converged & end.tangent.is_positive(),
         loose=end.loose,
@@ -147,8 +147,8 @@ def _equilibrium(
     )
 
 
-def _no_moves(motion: Motion) -> Moves:
-    """Moves that are zero, computed from the motion.
+def _no_increment(motion: Motion) -> Increment:
+    """Increment of zero, computed from the motion.
 
     Under `vmap` they must be batched like the inputs they are differentiated with.
     Plain zeros would be unbatched, and JAX takes the derivatives of a compiled function
@@ -161,19 +161,18 @@ def _no_moves(motion: Motion) -> Moves:
     _, *turning = motion.orientation
     x, y, z = motion.position
     q1, q2, q3 = turning
-    return Moves(*jax.tree.map(nothing, ((x, y, z), (q1, q2, q3))))
+    return Increment(*jax.tree.map(nothing, ((x, y, z), (q1, q2, q3))))
 
 
 def _keep_held(scene: Scene, found: Motion, start: Motion) -> Motion:
     """Motion found, with the components that the scene holds as at the start."""
-    nodes, elements = unblocked(_at_rest(scene, start).free)
+    nodes, elements = unstack_dofs(_at_rest(scene, start).free)
     turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)
-    x, y, z = (
-        jnp.where(free == 1, there, here)
-        for free, there, here in zip(nodes, found.position, start.position, strict=True)
+    free = nodes, (turning,) * 4
+    position, orientation = jax.tree.map(
+        lambda free, there, here: jnp.where(free == 1, there, here),
+        free,
+        (found.position, found.orientation),
+        (start.position, start.orientation),
     )
-    q0, q1, q2, q3 = (
-        jnp.where(turning, there, here)
-        for there, here in zip(found.orientation, start.orientation, strict=True)
-    )
-    return replace(found, position=(x, y, z), orientation=(q0, q1, q2, q3))
+    return replace(found, position=position, orientation=orientation)

@@ -28,9 +28,8 @@ from jaxrod.geometry.rotations import directors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.statics.block_tridiagonal import BlockTridiagonal
-from jaxrod.statics.blocks import blocks
-from jaxrod.statics.dense import Dense
+from jaxrod.statics.block_matrices import BlockTridiagonal, Dense
+from jaxrod.statics.degrees_of_freedom import stack_dofs
 
 _ROUNDINGS = 16
 """Multiple of the machine epsilon up to which a resistance counts as zero. Loose modes
@@ -104,9 +103,9 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
     for k in range(3):
         nodes, elements = _along(k, x), _along(k, d3[0])
         around = vectors.cross(nodes, (x, y, z))
-        modes.append(blocks(nodes, vectors.scale(0.0, elements)))
-        modes.append(blocks(around, elements))
-    return jnp.stack([*modes, blocks(vectors.scale(0.0, (x, y, z)), d3)])
+        modes.append(stack_dofs(nodes, vectors.scale(0.0, elements)))
+        modes.append(stack_dofs(around, elements))
+    return jnp.stack([*modes, stack_dofs(vectors.scale(0.0, (x, y, z)), d3)])
 
 
 def _along(axis: int, like: Array) -> Vec3:

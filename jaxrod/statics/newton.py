@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
-from jaxrod.statics.blocks import unblocked
+from jaxrod.statics.degrees_of_freedom import unstack_dofs
 from jaxrod.statics.effect_tangents import Tangent
-from jaxrod.statics.residual import Balance, Moves
+from jaxrod.statics.residual import Increment, LoadBalance
 from jaxrod.structure import pytree
 
 LARGEST_TURN = 1.0
@@ -32,16 +32,16 @@ SMALLEST_SHARE = 1e-4
 
 @pytree
 class Search:
-    """State of Newton's method: moves from a base, and the correction to try next."""
+    """State of Newton's method: the increment, and the correction to try next."""
 
     base: Motion
-    moves: Moves
+    increment: Increment
     tangent: Tangent
-    """Tangent at the moves."""
+    """Tangent at the increment."""
     loose: Bool[Array, ""]
     """Whether nothing resists a motion of the rod as a whole there."""
     step: Float[Array, "n+1 6"]
-    """Full correction of the moves."""
+    """Full correction of the increment."""
     share: Float[Array, ""]
     """Fraction of the correction to try [1]."""
     trials: Int[Array, ""]
@@ -52,12 +52,12 @@ class Search:
 
 
 def newton(
-    balance: Balance,
+    balance: LoadBalance,
     guess: Float[Array, "n+1 6"],
     tolerance: Array,
     max_iterations: int | Array,
 ) -> Search:
-    """Searches for moves that balance.
+    """Searches for the increment at which loads balance.
 
     At rest every accepted configuration becomes the new base, so that elements can
     rotate any number of times. Without inertia, which makes any tangent definite,
@@ -88,11 +88,16 @@ def newton(
 
     def improve(search: Search) -> Search:
         here = replace(balance, base=search.base)
-        moves = here.followed(search.moves, search.share * search.step)
+        increment = here.retract_along_edges(
+            search.increment, search.share * search.step
+        )
         if balance.at_rest:
-            here, moves = replace(here, base=here.motion(moves)), Moves(*none)
-        tangent, loose = here.held_tangent(moves)
-        residual = here.residual(moves)
+            here, increment = (
+                replace(here, base=here.motion(increment)),
+                Increment(*none),
+            )
+        tangent, loose = here.held_tangent(increment)
+        residual = here.residual(increment)
         step = tangent.solve(-residual)
         if balance.at_rest:
             rest = size(search.tangent.solve(-residual))
@@ -103,12 +108,12 @@ def newton(
         first = search.iterations == 0
         unmoved = search.share * size(search.step) == 0
         better = jnp.where(first, unmoved | (size(step) <= 2 * size(guess)), better)
-        displacement, turn = unblocked(step)
+        displacement, turn = unstack_dofs(step)
         turned = largest(turn)
         correction = jnp.maximum(largest(displacement) / smallest, turned)
         accepted = Search(
             base=here.base,
-            moves=moves,
+            increment=increment,
             tangent=tangent,
             loose=loose,
             step=step,
@@ -121,10 +126,10 @@ def newton(
         after = jax.tree.map(lambda a, b: jnp.where(better, a, b), accepted, rejected)
         return replace(after, trials=search.trials + 1)
 
-    shapes = jax.eval_shape(lambda: balance.tangent(Moves(*none)))
+    shapes = jax.eval_shape(lambda: balance.tangent(Increment(*none)))
     begin = Search(
         base=balance.base,
-        moves=Moves(*none),
+        increment=Increment(*none),
         tangent=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes),
         loose=jnp.zeros((), bool),
         step=guess,
@@ -135,7 +140,7 @@ def newton(
     )
     end = lax.while_loop(unfinished, improve, begin)
     here = replace(balance, base=end.base)
-    return replace(end, moves=here.moved(end.moves, end.step))
+    return replace(end, increment=here.retract(end.increment, end.step))
 
 
 def largest(field: Vec3) -> Array:

@@ -49,21 +49,24 @@ from jaxrod.rods.elastic_tangents import (
 from jaxrod.rods.elasticity import ElasticLaw, internal_loads
 from jaxrod.rods.motion import Motion
 from jaxrod.scene import Scene, constrain_rates
-from jaxrod.statics.block_tridiagonal import BlockTridiagonal
-from jaxrod.statics.blocks import blocks, unblocked
+from jaxrod.statics.block_matrices import BlockTridiagonal
+from jaxrod.statics.degrees_of_freedom import (
+    degrees_of_freedom,
+    stack_dofs,
+    unstack_dofs,
+)
 from jaxrod.statics.effect_tangents import (
     Tangent,
     total_loads,
     with_differentiated,
     with_turning_tangents,
 )
-from jaxrod.statics.freedoms import freedoms
 from jaxrod.statics.loose_modes import are_any, held_in_the_middle, loose_modes
 from jaxrod.structure import pytree, static
 
 
 @pytree
-class Moves:
+class Increment:
     """Displacements of nodes and rotations of elements from a base configuration."""
 
     displacement: Vec3
@@ -73,44 +76,44 @@ class Moves:
 
 
 @pytree
-class Balance:
-    """Balance of loads (and inertia) of a scene, as a function of moves from a base."""
+class LoadBalance:
+    """Balance of loads and inertia of a scene, as a function of the increment."""
 
     scene: Scene
     """The scene."""
     law: ElasticLaw
     """Constants of the elastic law."""
     base: Motion
-    """Configuration from which moves start, with the rates that inertia maintains."""
+    """Configuration that is incremented, with the rates that inertia maintains."""
     pace: Float[Array, ""]
-    """Rates per move [1/s]; zero in statics."""
+    """Rates per increment [1/s]; zero in statics."""
     damping: tuple[Array, Array] | None
     """Decay rates of velocities and spins [1/s]."""
     at_rest: bool = static(default=False)
     """Whether there is no inertia."""
 
-    def motion(self, moves: Moves) -> Motion:
-        """Motion after moves: the configuration and its rates."""
+    def motion(self, increment: Increment) -> Motion:
+        """Motion after an increment: the configuration and its rates."""
         orientation = normalise(
-            multiply_quaternions(self.base.orientation, rotation_exp(moves.turn))
+            multiply_quaternions(self.base.orientation, rotation_exp(increment.turn))
         )
-        rates = vectors.scale(self.pace, moves.turn)
+        rates = vectors.scale(self.pace, increment.turn)
         momentum = vectors.multiply(self._inertia, rates)
         moved = replace(
-            displaced(self.base, moves.displacement),
+            displaced(self.base, increment.displacement),
             orientation=orientation,
-            velocity=vectors.scale(self.pace, moves.displacement),
+            velocity=vectors.scale(self.pace, increment.displacement),
             spin=to_world(directors(orientation), momentum),
         )
-        # Driven components have moved already: their rate does not follow from moves.
+        # Driven components have moved already: their rate is not that of the increment.
         return moved if self.at_rest else constrain_rates(self.scene, moved)
 
-    def residual(self, moves: Moves) -> Float[Array, "n+1 6"]:
+    def residual(self, increment: Increment) -> Float[Array, "n+1 6"]:
         """Inertia and damping minus the loads; zero for held components.
 
         Forces on nodes [N] and couples on elements [N m], world frame.
         """
-        motion = self.motion(moves)
+        motion = self.motion(increment)
         internal = internal_loads(self.law, motion)
         node_rate, element_rate = self._rates
         change = vectors.subtract(
@@ -123,20 +126,20 @@ class Balance:
             vectors.scale(self.pace, self.base.spin),
         )
         loads = total_loads(self.scene, motion, internal)
-        return self.free * (blocks(push, twist) - loads)
+        return self.free * (stack_dofs(push, twist) - loads)
 
-    def tangent(self, moves: Moves) -> Tangent:
-        """Derivative of the residual by a step as in `moved`.
+    def tangent(self, increment: Increment) -> Tangent:
+        """Derivative of the residual by a step as in `retract`.
 
         Rows and columns of held components are those of the identity.
         """
-        motion = self.motion(moves)
+        motion = self.motion(increment)
         node_rate, element_rate = self._rates
         masses = self.pace * node_rate * self.scene.rod.node_masses
-        momentum = self._momentum_tangent(moves, motion)
+        momentum = self._momentum_tangent(increment, motion)
         turning = scale(element_rate, momentum)
         turning = with_turning_tangents(turning, self.scene, motion)
-        chain = assembled(
+        chain = assemble_tangent(
             element_tangent(self.law, motion),
             joint_tangent(self.law, motion),
             jnp.broadcast_to(masses, self.base.position[0].shape),
@@ -147,83 +150,75 @@ class Balance:
             _restricted(chain, free), self.scene, motion, self.pace, momentum, free
         )
 
-    def held_tangent(self, moves: Moves) -> tuple[Tangent, Bool[Array, ""]]:
+    def held_tangent(self, increment: Increment) -> tuple[Tangent, Bool[Array, ""]]:
         """Tangent to solve with: without inertia, loose modes are held.
 
         Returns:
             The tangent, and whether there are loose modes.
         """
-        tangent = self.tangent(moves)
+        tangent = self.tangent(increment)
         if not self.at_rest:
             return tangent, jnp.zeros((), bool)
         rod = self.scene.rod
-        there = (tangent, rod, self.motion(moves), self.free)
+        there = (tangent, rod, self.motion(increment), self.free)
         modes = loose_modes(*lax.stop_gradient(there))
         return held_in_the_middle(tangent, rod, modes), are_any(modes)
 
-    def moved(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """Moves with a small step added, to first order.
+    def retract(self, increment: Increment, step: Float[Array, "n+1 6"]) -> Increment:
+        """Increment with a small step added, to first order.
 
         A step displaces the nodes and rotates the elements, both in the world frame.
         """
-        change = self.change(moves, step)
-        return Moves(
-            displacement=vectors.add(moves.displacement, change.displacement),
-            turn=vectors.add(moves.turn, change.turn),
-        )
+        return jax.tree.map(jnp.add, increment, self.change(increment, step))
 
-    def followed(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """Moves as in `moved` to first order, but with strains that change linearly.
+    def retract_along_edges(
+        self, increment: Increment, step: Float[Array, "n+1 6"]
+    ) -> Increment:
+        """Increment as in `retract` to first order, but with linearly changing strains.
 
         Otherwise the nodes of rotated elements of a slender rod would be off by the
         square of the rotation, which stretches the elements. Stretching is far stiffer
         than bending, so that would limit Newton's method to small rotations. Therefore
         the edges turn with the elements.
         """
-        moved = self.moved(moves, step)
-        displacement, turn = unblocked(step)
-        before = self.motion(moves)
+        moved = self.retract(increment, step)
+        displacement, turn = unstack_dofs(step)
+        before = self.motion(increment)
         edges = before.edges
         linear = vectors.add(edges, vectors.inner_difference(displacement))
         strained = vectors.add(linear, vectors.cross(edges, turn))
         local = to_material(directors(before.orientation), strained)
         edges = to_world(directors(self.motion(moved).orientation), local)
-        free = unblocked(self.free)[0]
+        free = unstack_dofs(self.free)[0]
         gaps = zip(vectors.subtract(edges, linear), free, strict=True)
         x, y, z = (_closed(gap, nodes) for gap, nodes in gaps)
         return replace(moved, displacement=vectors.add(moved.displacement, (x, y, z)))
 
-    def change(self, moves: Moves, step: Float[Array, "n+1 6"]) -> Moves:
-        """Change of the moves by a step."""
-        displacement, turn = unblocked(step)
+    def change(self, increment: Increment, step: Float[Array, "n+1 6"]) -> Increment:
+        """Change of the increment by a step."""
+        displacement, turn = unstack_dofs(step)
         own = to_material(directors(self.base.orientation), turn)
-        once = vectors.cross(moves.turn, own)
-        twice = vectors.cross(moves.turn, once)
+        once = vectors.cross(increment.turn, own)
+        twice = vectors.cross(increment.turn, once)
         change = vectors.add(
-            vectors.scale(-0.5, once), vectors.scale(_coupling(moves), twice)
+            vectors.scale(-0.5, once), vectors.scale(_coupling(increment), twice)
         )
-        return Moves(displacement, vectors.add(own, change))
+        return Increment(displacement, vectors.add(own, change))
 
-    def following(self, guess: Float[Array, "n+1 6"], found: Moves) -> Moves:
-        """Moves found, with those of the guess for held components."""
-        free = unblocked(self.free)
-        displacement, turn = unblocked(guess)
+    def with_held_components(
+        self, guess: Float[Array, "n+1 6"], found: Increment
+    ) -> Increment:
+        """Increment found, with those of the guess for held components."""
+        free = Increment(*unstack_dofs(self.free))
+        displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
-
-        def mixed(free: Vec3, found: Vec3, held: Vec3) -> Vec3:
-            parts = zip(free, found, held, strict=True)
-            x, y, z = (jnp.where(a == 1, b, c) for a, b, c in parts)
-            return x, y, z
-
-        return Moves(
-            displacement=mixed(free[0], found.displacement, displacement),
-            turn=mixed(free[1], found.turn, own),
-        )
+        held = Increment(displacement, own)
+        return jax.tree.map(lambda a, b, c: jnp.where(a == 1, b, c), free, found, held)
 
     @property
     def free(self) -> Float[Array, "n+1 6"]:
         """Array that is one for components that can move, zero for held ones."""
-        return blocks(*freedoms(self.scene, self.base))
+        return stack_dofs(*degrees_of_freedom(self.scene, self.base))
 
     @property
     def _inertia(self) -> Vec3:
@@ -237,18 +232,18 @@ class Balance:
             return self.pace, self.pace
         return self.pace + self.damping[0], self.pace + self.damping[1]
 
-    def _momentum_tangent(self, moves: Moves, motion: Motion) -> Matrix:
+    def _momentum_tangent(self, increment: Increment, motion: Motion) -> Matrix:
         """Derivative of the angular momenta by the rotation."""
         frame = directors(motion.orientation)
         inertia = turned_diagonal(frame, vectors.scale(self.pace, self._inertia))
-        turn = to_world(frame, moves.turn)
-        changed = times_inverse(inertia, turn, _coupling(moves))
+        turn = to_world(frame, increment.turn)
+        changed = times_inverse(inertia, turn, _coupling(increment))
         return subtract(changed, skew(motion.spin))
 
 
-def _coupling(moves: Moves) -> Array:
+def _coupling(increment: Increment) -> Array:
     """Coupling coefficient of the rotations: see `rotation_log_and_coupling`."""
-    return rotation_log_and_coupling(rotation_exp(moves.turn))[1]
+    return rotation_log_and_coupling(rotation_exp(increment.turn))[1]
 
 
 def _restricted(
@@ -290,28 +285,28 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
 
 
 @jax.custom_jvp
-def balanced(balance: Balance, moves: Moves) -> Moves:
-    """Moves that balance, found by other means, as a function of the balance.
+def implicit_solution(balance: LoadBalance, increment: Increment) -> Increment:
+    """Increment that balances, found by other means, as a function of the balance.
 
-    The value is `moves` itself. Its derivative is that of the exact solution, by the
-    implicit function theorem: one linear solve, however many iterations it took. Held
-    components change as they do in `moves`.
+    The value is `increment` itself. Its derivative is that of the exact solution, by
+    the implicit function theorem: one linear solve, however many iterations it took.
+    Held components change as they do in `increment`.
     """
-    return moves
+    return increment
 
 
-@balanced.defjvp
-def _balanced_jvp(
-    primals: tuple[Balance, Moves], tangents: tuple[Balance, Moves]
-) -> tuple[Moves, Moves]:
+@implicit_solution.defjvp
+def _implicit_solution_jvp(
+    primals: tuple[LoadBalance, Increment], tangents: tuple[LoadBalance, Increment]
+) -> tuple[Increment, Increment]:
     balance, found = primals
-    found = balanced(balance, found)
-    _, change = jax.jvp(Balance.residual, (balance, found), tangents)
+    found = implicit_solution(balance, found)
+    _, change = jax.jvp(LoadBalance.residual, (balance, found), tangents)
     step = balance.held_tangent(found)[0].solve(-change)
     return found, jax.tree.map(jnp.add, tangents[1], balance.change(found, step))
 
 
-def assembled(
+def assemble_tangent(
     element: ElementTangent, joint: JointTangent, masses: Array, turning: Matrix
 ) -> BlockTridiagonal:
     """Matrix of the whole rod.

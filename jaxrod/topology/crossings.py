@@ -14,8 +14,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxrod.geometry.vectors import Vec3, dot, split, subtract
-from jaxrod.topology.curves import Curve, nodes_of
-from jaxrod.topology.solid_angles import quadrilateral, unit
+from jaxrod.topology.curves import Curve, nodes_of, quadrilateral, unit
 
 
 def crossings(

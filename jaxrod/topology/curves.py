@@ -1,8 +1,19 @@
-r"""Curves as polylines: their forms as arguments, and the completion of their ends.
+r"""Curves as polylines: arguments, the completion of their ends, and solid angles.
 
 Writhe and link are invariants of closed curves. An open curve is left open, closed by a
 segment, or lengthened by a straight piece at each end. The pieces are so long that the
 rest of a closure would add little.
+
+A spherical triangle of unit vectors $a, b, c$ has the signed area
+
+$$\Omega = 2\,\mathrm{atan2}\big(a\cdot(b\times c),\ 1 + a\cdot b + b\cdot c
+    + c\cdot a\big)$$
+
+(van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30, 1983). Seen from all points of
+one segment, another one sweeps a spherical parallelogram: two such triangles. There are
+no arcsines whose argument round-off could put out of range. A vector without direction
+(between points that coincide) subtends no angle and has zero gradient: everything is
+finite and differentiable for any position of the curves.
 """
 
 from __future__ import annotations
@@ -13,9 +24,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.geometry.vectors import Vec3, dot, inner_difference, scale, split, subtract
+from jaxrod.geometry.vectors import (
+    Vec3,
+    cross,
+    dot,
+    inner_difference,
+    scale,
+    split,
+    subtract,
+)
 from jaxrod.rods.rod import RodState, check_one
-from jaxrod.topology.solid_angles import unit
 from jaxrod.validation import Numbers, as_array, numeric
 
 Ends = Literal["open", "joined", "next_tangent", "end_to_end", "net_tangent"]
@@ -29,8 +47,16 @@ from one end to the other, along the line between the mean nodes of both halves.
 
 KINDS = (jnp.float32, jnp.float64)
 
+ROUNDING = 64
+"""Multiple of round-off below which sine and cosine together define no direction."""
+
 Curve = RodState | Numbers
 """A state, or node positions `(3, n + 1)` [m]."""
+
+
+def state_of(curve: Curve) -> RodState | None:
+    """The state, if the curve is given as one."""
+    return curve if isinstance(curve, RodState) else None
 
 
 def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
@@ -39,9 +65,10 @@ def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
     Raises:
         ValueError: If they are not at least two points, in three rows.
     """
-    if isinstance(curve, RodState):
-        check_one(curve)
-        return curve.positions
+    state = state_of(curve)
+    if state is not None:
+        check_one(state)
+        return state.positions
     points = numeric(name, curve, "m")
     if points.ndim != 2 or points.shape[0] != 3 or points.shape[1] < 2:
         raise ValueError(
@@ -63,8 +90,9 @@ def normals_of(curve: Curve, normals: Numbers | None) -> Float[Array, "3 n"]:
     Raises:
         ValueError: If there are none, or not one per element.
     """
-    if isinstance(curve, RodState) and normals is None:
-        return curve.directors[0]
+    state = state_of(curve)
+    if state is not None and normals is None:
+        return state.directors[0]
     if normals is None:
         raise ValueError("normals (3, n) of the elements must be given with positions")
     nodes = nodes_of("curve", curve)
@@ -125,19 +153,43 @@ def completed(
     return jnp.concatenate([first[:, None], nodes, last[:, None]], axis=1)
 
 
-def length_of(nodes: Float[Array, "3 nodes"]) -> Array:
-    """Length of a curve [m]."""
+def element_lengths(nodes: Float[Array, "3 nodes"]) -> Float[Array, " n"]:
+    """Lengths of the elements [m]."""
     edges: Vec3 = inner_difference(split(nodes))
-    return jnp.sum(dot(edges, unit(edges)))
-
-
-def shortest(nodes: Float[Array, "3 nodes"]) -> Array:
-    """Length of the shortest element [m]."""
-    edges: Vec3 = inner_difference(split(nodes))
-    return jnp.min(dot(edges, unit(edges)))
+    return dot(edges, unit(edges))
 
 
 def across(directions: Vec3, tangents: Vec3) -> Vec3:
     """Unit vectors along the components of vectors perpendicular to unit tangents."""
     along = scale(dot(directions, tangents), tangents)
     return unit(subtract(directions, along))
+
+
+def unit(a: Vec3) -> Vec3:
+    """Unit vectors; zero, with zero gradient, for zero vectors."""
+    squared = dot(a, a)
+    there = squared > 0
+    inverse = 1 / jnp.sqrt(jnp.where(there, squared, 1))
+    return scale(jnp.where(there, inverse, 0), a)
+
+
+def triangle(a: Vec3, b: Vec3, c: Vec3) -> Array:
+    """Signed area of spherical triangles of unit vectors, within 2 pi [sr].
+
+    It is zero, the mean of the values on both sides, if the centre of the sphere lies
+    in the flat triangle.
+    """
+    volume = dot(a, cross(b, c))
+    cosines = 1 + dot(a, b) + dot(b, c) + dot(c, a)
+    least = ROUNDING * jnp.finfo(volume.dtype).eps
+    through = (volume * volume + cosines * cosines < least * least) | (
+        (volume == 0) & (cosines < 0)
+    )
+    return 2 * jnp.arctan2(
+        jnp.where(through, 0, volume), jnp.where(through, 1, cosines)
+    )
+
+
+def quadrilateral(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Array:
+    """Signed area of spherical quadrilaterals, cut from `a` to `c` [sr]."""
+    return triangle(a, b, c) + triangle(a, c, d)

@@ -1,4 +1,4 @@
-"""Named problems on which the trade-off of speed and accuracy is measured."""
+"""Named workloads on which the trade-off of speed and accuracy is measured."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene
-from jaxrod.tradeoff.problem import Problem
+from jaxrod.tradeoff.workload import Workload
 
 N_CONTROLS = 6
 COUPLE_DENSITY = 1500.0
@@ -31,52 +31,39 @@ VISCOSITY = 30.0
 """Viscous force per length and speed of the tracking task's arm [kg/(m s)]."""
 
 
-def swing() -> Problem:
+def swing() -> Workload:
     """The arm released from a horizontal position: 1 s of swinging under its weight.
 
     It is 1 m long, 5 cm in radius, 10 MPa, clamped and lightly damped, and stays in a
     plane.
     """
-
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
-        rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        return _clamped(rod, state, law, 0.5, gravity((0.0, -9.81, 0.0)))
-
-    return Problem("swing", build, 0.01, np.zeros((100, 0)), plane="xy")
+    return _released("swing", 100, 0.05, 0.5)
 
 
-def rope() -> Problem:
+def rope() -> Workload:
     """A rope, 4 mm thick and 1 m long, released from a horizontal position: 0.3 s.
 
     Its elements are much longer than thick: a scene for enlarged inertia and implicit
     steps.
     """
-
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
-        rod, state = _arm(n_elements, 0.002, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        return _clamped(rod, state, law, 1.0, gravity((0.0, -9.81, 0.0)))
-
-    return Problem("rope", build, 0.01, np.zeros((30, 0)), plane="xy")
+    return _released("rope", 30, 0.002, 1.0)
 
 
-def slam() -> Problem:
+def slam() -> Workload:
     """The arm of `swing` released above a post, which it hits and bends over: 0.6 s.
 
     The post is a cylinder of 15 cm radius across the plane of motion, under two thirds
     of the arm's length. Contact is soft, so that few elements resolve it.
     """
 
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
-        rod, state = _arm(n_elements, 0.05, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        post = cylinder((0.65, -0.3, -0.5), (0.65, -0.3, 0.5), radius=0.15)
-        touch = contact(post, stiffness=3e5, damping=300.0, points_per_element=2)
-        weight = gravity((0.0, -9.81, 0.0))
-        return _clamped(rod, state, law, 0.5, weight, touch)
+    def post() -> Effect:
+        body = cylinder((0.65, -0.3, -0.5), (0.65, -0.3, 0.5), radius=0.15)
+        return contact(body, stiffness=3e5, damping=300.0, points_per_element=2)
 
-    return Problem("slam", build, 0.01, np.zeros((60, 0)), plane="xy")
+    return _released("slam", 60, 0.05, 0.5, post)
 
 
-def tracking_arm() -> Problem:
+def tracking_arm() -> Workload:
     """The tracking task's arm under recorded actions of a trained policy: 1 s.
 
     Twelve control values change every 1.4 ms and shape the bending couples along the
@@ -94,10 +81,7 @@ def tracking_arm() -> Problem:
             VISCOSITY / float(rod.linear_density[0]),
             VISCOSITY / float(rod.rotary_inertia[0, 0]),
         )
-        held = clamp(state) if law == "consistent" else fixed_end(state)
-        return make_scene(
-            rod, held, exponential_damping(*rates), method=IN_SPACE[law]
-        ), state
+        return _clamped(rod, state, law, exponential_damping(*rates)), state
 
     def act(scene: Scene) -> Callable[[jax.Array], Scene]:
         spline = control_spline(N_CONTROLS, 1.0, scene.rod.rest_lengths.dtype)
@@ -111,16 +95,16 @@ def tracking_arm() -> Problem:
 
         return during
 
-    return Problem("tracking", build, 1.4e-3, actions[:714], act)
+    return Workload("tracking", build, 1.4e-3, actions[:714], act)
 
 
-SCENES: dict[str, Callable[[], Problem]] = {
+SCENES: dict[str, Callable[[], Workload]] = {
     "swing": swing,
     "tracking": tracking_arm,
     "rope": rope,
     "slam": slam,
 }
-"""Factories of the named problems."""
+"""Factories of the named workloads."""
 
 
 def _arm(
@@ -142,9 +126,24 @@ def _arm(
     )
 
 
-def _clamped(
-    rod: Rod, state: RodState, law: Law, damping_rate: float, *effects: Effect
-) -> tuple[Scene, RodState]:
+def _clamped(rod: Rod, state: RodState, law: Law, *effects: Effect) -> Scene:
     held = clamp(state) if law == "consistent" else fixed_end(state)
-    damping = exponential_damping(damping_rate)
-    return make_scene(rod, held, damping, *effects, method=IN_SPACE[law]), state
+    return make_scene(rod, held, *effects, method=IN_SPACE[law])
+
+
+def _released(
+    name: str,
+    periods: int,
+    radius: float,
+    damping_rate: float,
+    *others: Callable[[], Effect],
+) -> Workload:
+    """A clamped rod released from a horizontal position, with periods of 10 ms."""
+
+    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
+        rod, state = _arm(n_elements, radius, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        effects = exponential_damping(damping_rate), gravity((0.0, -9.81, 0.0))
+        own = [effect() for effect in others]
+        return _clamped(rod, state, law, *effects, *own), state
+
+    return Workload(name, build, 0.01, np.zeros((periods, 0)), plane="xy")

@@ -1,4 +1,4 @@
-"""Search for the cheapest setting within a tolerance, by measurement."""
+"""Search for the cheapest setting within an allowed error, by measurement."""
 
 from __future__ import annotations
 
@@ -14,22 +14,20 @@ from jaxrod.analysis.inertia_scaling import scale_inertia
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.tradeoff.measure import (
+    Integrator,
     Measurement,
+    Prepared,
+    Reduction,
     Reference,
+    Setting,
     cost,
+    may_be_untwisted,
+    prepare,
     reference,
     tip_error,
     tips_of,
 )
-from jaxrod.tradeoff.problem import Problem, problem_of
-from jaxrod.tradeoff.setting import (
-    Integrator,
-    Prepared,
-    Reduction,
-    Setting,
-    may_be_untwisted,
-    prepare,
-)
+from jaxrod.tradeoff.workload import Workload, workload_of
 from jaxrod.validation import check_array, check_count, is_traced
 
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
@@ -37,7 +35,7 @@ ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
 STEPS_FOR_IMPLICIT = 100
 """Number of explicit steps an implicit one must replace for it to be tried."""
 TRUSTED = 0.2
-"""Largest error of the reference, as a fraction of the tolerance."""
+"""Largest error of the reference, as a fraction of the error allowed."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +43,18 @@ class Tuned:
     """Result of `tune`."""
 
     met: bool
-    """Whether the setting is within the tolerance. If no setting is, `setting` is the
+    """Whether the error is allowed. If no setting is, `setting` is the
     most accurate one that was tried."""
     setting: Setting
-    """The cheapest setting within the tolerance."""
+    """The cheapest setting whose error is allowed."""
     error: float
     """Measured error: root mean square over time of the tip's distance from the
     reference, in lengths of the rod."""
     wall_s_per_sim_s: float
     """Measured cost: wall-clock time per simulated second and rod, at the requested
     batch size."""
-    tolerance: float
-    """Requested tolerance, in lengths of the rod."""
+    max_error: float
+    """Largest error allowed, in lengths of the rod."""
     batch: int
     """Batch size it was timed with."""
     reference_error: float
@@ -74,96 +72,98 @@ class Tuned:
             f"{self.wall_s_per_sim_s:.2g} s per simulated second"
         )
         if self.met:
-            return f"{found} (tolerance {self.tolerance:g})"
-        return f"nothing keeps {self.tolerance:g}; the most accurate is {found}"
+            return f"{found} (allowed: {self.max_error:g})"
+        return f"nothing keeps {self.max_error:g}; the most accurate is {found}"
 
 
 def tune(
-    scene: Scene | Problem,
+    scene: Scene | Workload,
     state: RodState | None = None,
     *,
-    tolerance: float = 0.01,
+    max_error: float = 0.01,
     duration: float = 1.0,
     batch: int = 1,
     elements: Sequence[int] = ELEMENTS,
     seconds: float = 0.3,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Finds the cheapest setting within a tolerance, by measuring on the scene.
+    """Finds the cheapest setting within an allowed error, by measuring on the scene.
 
     First it finds the number of elements: the smallest with which explicit float64
-    steps are within the tolerance. Then it tries the methods with that number, or
+    steps are accurate enough. Then it tries the methods with that number, or
     somewhat more: explicit steps, with enlarged inertia if the rod is slender, in the
     plane if the scene has one, and implicit steps if there are many explicit ones. Each
     is tried in float32, then with compensated positions, then in float64, until it is
-    within the tolerance. Every setting within the tolerance is timed; the fastest is
+    accurate enough. Every setting that is accurate enough is timed; the fastest is
     returned. Errors are relative to a converged reference of 160 elements. It takes a
     minute or two and does not work inside jit.
 
     Args:
-        scene: The scene, of the consistent law; or a `Problem`, with controls in time.
+        scene: The scene, of the consistent law; or a `Workload`, with controls in time.
         state: Its initial state.
-        tolerance: Largest error allowed, in lengths of the rod: root mean square over
+        max_error: Largest error allowed, in lengths of the rod: root mean square over
             time of the tip's distance from the reference.
         duration: Simulated time [s].
         batch: Batch size to optimise the speed for.
         elements: Numbers of elements to choose from, increasing.
         seconds: Time spent on timing each setting [s].
-        say: Called with a line of text after every measurement.
+        log: Called with a line of text after every measurement.
 
     Returns:
         The setting with its measured error and cost.
 
     Raises:
-        ValueError: If `tolerance`, `batch` or `seconds` is not positive, `elements` do
+        ValueError: If `max_error`, `batch` or `seconds` is not positive, `elements` do
             not increase, `state` is missing or does not fit, or the reference is not
             converged well enough to judge by. Then the motion depends on details that
-            no resolution captures, or needs a looser tolerance.
+            no resolution captures, or needs a larger `max_error`.
     """
     if is_traced(scene, state):
         raise ValueError(
             "tune needs numbers that are known, not traced by jax.jit, grad or vmap"
         )
-    check_array("tolerance", tolerance, [()], "", positive=True)
+    check_array("max_error", max_error, [()], "", positive=True)
     check_array("seconds", seconds, [()], "s", positive=True)
     batch = check_count("batch", batch, 1)
     elements = tuple(check_count("elements", n, 2) for n in elements)
     if not elements or any(a >= b for a, b in itertools.pairwise(elements)):
         raise ValueError(f"elements must be some, increasing, got {elements}")
-    if isinstance(scene, Problem):
-        problem = scene
+    if isinstance(scene, Workload):
+        workload = scene
     elif state is None:
         raise ValueError("state must be given with a scene")
     else:
-        problem = problem_of(scene, state, duration=duration)
-    exact = reference(problem)
-    if not exact.error <= TRUSTED * tolerance:
+        workload = workload_of(scene, state, duration=duration)
+    exact = reference(workload)
+    if not exact.error <= TRUSTED * max_error:
         raise ValueError(
             f"the reference of {exact.n_elements} elements is itself uncertain by "
-            f"{exact.error:.2g} of the length, too much to judge a tolerance of "
-            f"{tolerance:g}: try a tolerance above {exact.error / TRUSTED:.1g}, or a "
+            f"{exact.error:.2g} of the length, too much to judge a max_error "
+            f"of {max_error:g}: try one above {exact.error / TRUSTED:.1g}, or a "
             "shorter duration"
         )
-    search = _Search(problem, exact, tolerance, elements, say)
-    found = [
-        _timed(problem, one, batch, seconds, say) for one in search.accurate_settings()
-    ]
+
+    def timed(prepared: Prepared) -> tuple[Prepared, float]:
+        found = cost(workload, prepared, batch, seconds)
+        log(f"{prepared.setting}: {found:.2g} s per simulated second")
+        return prepared, found
+
+    search = _Search(workload, exact, max_error, elements, log)
+    found = [timed(one) for one in search.accurate_settings()]
     met = bool(found)
     if not found:
         closest = min(search.tried, key=lambda one: one.error)
-        found = [
-            _timed(problem, prepare(problem, closest.setting), batch, seconds, say)
-        ]
-    costs = [timed for _, timed in found]
-    prepared, timed = found[int(np.argmin(costs))]
+        found = [timed(prepare(workload, closest.setting))]
+    costs = [seconds for _, seconds in found]
+    prepared, wall = found[int(np.argmin(costs))]
     error = next(m.error for m in search.tried if m.setting == prepared.setting)
-    times = {one.setting: {batch: cost} for one, cost in found}
+    times = {one.setting: {batch: seconds} for one, seconds in found}
     return Tuned(
         met=met,
         setting=prepared.setting,
         error=error,
-        wall_s_per_sim_s=timed,
-        tolerance=tolerance,
+        wall_s_per_sim_s=wall,
+        max_error=max_error,
         batch=batch,
         reference_error=exact.error,
         tried=tuple(
@@ -174,43 +174,24 @@ def tune(
     )
 
 
-def _timed(
-    problem: Problem,
-    prepared: Prepared,
-    batch: int,
-    seconds: float,
-    say: Callable[[str], None],
-) -> tuple[Prepared, float]:
-    timed = cost(problem, prepared, batch, seconds)
-    say(f"{prepared.setting}: {timed:.2g} s per simulated second")
-    return prepared, timed
-
-
+@dataclass
 class _Search:
-    """Settings of a problem that are within a tolerance, and all that were tried."""
+    """Settings of a workload that are accurate enough, and all that were tried."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        exact: Reference,
-        tolerance: float,
-        elements: tuple[int, ...],
-        say: Callable[[str], None],
-    ) -> None:
-        self.elements = elements
-        self.problem = problem
-        self.exact = exact
-        self.tolerance = tolerance
-        self.say = say
-        self.tried: list[Measurement] = []
+    workload: Workload
+    exact: Reference
+    max_error: float
+    elements: tuple[int, ...]
+    log: Callable[[str], None]
+    tried: list[Measurement] = dataclasses.field(default_factory=list)
 
     def accurate_settings(self) -> Iterator[Prepared]:
-        """Each method that can stay within the tolerance, in its cheapest setting."""
+        """Each method that can be accurate enough, in its cheapest setting."""
         index = self._coarsest()
         if index is None:
             return
         explicit = None
-        for reductions in _kinds(self.problem, self.elements[index]):
+        for reductions in _kinds(self.workload, self.elements[index]):
             best = self._in_some_precision(index, "explicit", reductions, None)
             if best is not None:
                 yield best
@@ -219,7 +200,7 @@ class _Search:
         substeps = 1
         most = explicit.substeps if explicit is not None else STEPS_FOR_IMPLICIT
         while substeps * STEPS_FOR_IMPLICIT <= most:
-            dt = self.problem.period / substeps
+            dt = self.workload.period / substeps
             best = self._in_some_precision(index, "implicit", (), dt)
             if best is not None:
                 yield best
@@ -227,19 +208,15 @@ class _Search:
             substeps *= 2
 
     def _error(self, setting: Setting) -> tuple[Prepared, float]:
-        prepared = prepare(self.problem, setting)
+        prepared = prepare(self.workload, setting)
         for one in self.tried:
             if one.setting == prepared.setting:
                 return prepared, one.error
-        tips = tips_of(self.problem, prepared)
+        tips = tips_of(self.workload, prepared)
         error = tip_error(tips, self.exact.tips, self.exact.length)
         self.tried.append(Measurement(prepared.setting, error, {}))
-        self.say(f"{prepared.setting}: error {error:.2g}")
+        self.log(f"{prepared.setting}: error {error:.2g}")
         return prepared, error
-
-    def _keeps(self, setting: Setting) -> Prepared | None:
-        prepared, error = self._error(setting)
-        return prepared if error <= self.tolerance else None
 
     def _coarsest(self) -> int | None:
         """Index of the smallest number of elements that suffices in float64."""
@@ -252,16 +229,16 @@ class _Search:
         index = min(int(np.searchsorted(self.elements, 10)), last)
         for _ in range(3):
             size = min(error(index), 1.0)
-            wanted = self.elements[index] * np.sqrt(size / self.tolerance)
+            wanted = self.elements[index] * np.sqrt(size / self.max_error)
             jump = min(int(np.searchsorted(self.elements, wanted)), last)
             if jump == index:
                 break
             index = jump
-        while error(index) > self.tolerance:
+        while error(index) > self.max_error:
             index += 1
             if index > last:
                 return None
-        while index > 0 and error(index - 1) <= self.tolerance:
+        while index > 0 and error(index - 1) <= self.max_error:
             index -= 1
         return index
 
@@ -272,23 +249,18 @@ class _Search:
         reductions: tuple[Reduction, ...],
         dt: float | None,
     ) -> Prepared | None:
-        """Cheapest precision within the tolerance, with somewhat more elements.
+        """Cheapest precision that is accurate enough, with somewhat more elements.
 
         Reductions and larger steps have errors of their own, which a few more elements
         may compensate.
         """
         for n in self.elements[index : index + 3]:
             for dtype, more in _PRECISIONS:
-                best = self._keeps(
-                    Setting(
-                        n,
-                        dt,
-                        dtype,
-                        integrator=integrator,
-                        reductions=(*reductions, *more),
-                    )
+                both = (*reductions, *more)
+                best, error = self._error(
+                    Setting(n, dt, dtype, integrator=integrator, reductions=both)
                 )
-                if best is not None:
+                if error <= self.max_error:
                     return best
         return None
 
@@ -300,20 +272,20 @@ _PRECISIONS: tuple[tuple[str, tuple[Reduction, ...]], ...] = (
 )
 
 
-def _kinds(problem: Problem, n_elements: int) -> list[tuple[Reduction, ...]]:
-    """Combinations of reductions that make sense for a problem."""
+def _kinds(workload: Workload, n_elements: int) -> list[tuple[Reduction, ...]]:
+    """Combinations of reductions that make sense for a workload."""
     kinds: list[tuple[Reduction, ...]] = [()]
-    if _is_slender(problem, n_elements):
+    if _is_slender(workload, n_elements):
         kinds.append(("inertia",))
-    if problem.plane is not None:
+    if workload.plane is not None:
         kinds += [("planar", *kind) for kind in kinds]
-    elif may_be_untwisted(problem):
+    elif may_be_untwisted(workload):
         kinds += [("untwisted", *kind) for kind in kinds]
     return kinds
 
 
-def _is_slender(problem: Problem, n_elements: int) -> bool:
+def _is_slender(workload: Workload, n_elements: int) -> bool:
     """Whether enlarging the transverse inertia changes anything."""
     with jax.enable_x64(True):
-        scene, _ = problem.build(n_elements, "consistent")
+        scene, _ = workload.build(n_elements, "consistent")
         return bool((scale_inertia(scene).factors > 1).any())

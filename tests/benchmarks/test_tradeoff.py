@@ -95,7 +95,7 @@ def test_simulators_without_our_contact_are_left_out_with_a_word(monkeypatch):
     monkeypatch.setattr(grids, "settings_of", lambda problem, elements: [])
     said: list[str] = []
     problem = short(slam(), 2)
-    assert grids.measure_grid(problem, _reference_of(problem), say=said.append) == []
+    assert grids.measure_grid(problem, _reference_of(problem), log=said.append) == []
     assert [line.split(":")[0] for line in said] == [
         "PyElastica is left out",
         "MuJoCo is left out",

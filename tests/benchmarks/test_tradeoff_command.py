@@ -21,14 +21,14 @@ def measured(monkeypatch):
         rows += [grid.Row("pyelastica", theirs, b, 0.02, 0.1) for b in batches]
         return rows + [grid.Row("mujoco", cable, b, 0.01, 0.05) for b in batches]
 
-    def tune(problem, *, tolerance, batch, say):
-        say("looking")
+    def tune(workload, *, max_error, batch, log):
+        log("looking")
         return tradeoff.Tuned(
             met=True,
             setting=setting,
             error=0.008,
             wall_s_per_sim_s=1e-3,
-            tolerance=tolerance,
+            max_error=max_error,
             batch=batch,
             reference_error=1e-5,
             tried=(),
@@ -38,7 +38,7 @@ def measured(monkeypatch):
     reference = tradeoff.Reference(np.zeros((1, 3)), 1.0, 1e-5, 160, 1e-5)
     monkeypatch.setattr(grid, "measure_grid", measure_grid)
     monkeypatch.setattr(tradeoff, "tune", tune)
-    monkeypatch.setattr(tradeoff, "reference", lambda problem: reference)
+    monkeypatch.setattr(tradeoff, "reference", lambda workload: reference)
 
 
 def test_it_writes_table_picture_and_page(measured, run_json, tmp_path):

@@ -44,7 +44,7 @@ def solved(**settings):
 
 def test_the_cost_it_reports_is_that_of_the_motion_it_returns():
     seen = []
-    found = solved(progress=lambda k, value: seen.append((k, value)))
+    found = solved(log=lambda k, value: seen.append((k, value)))
     assert seen == list(enumerate(found.history["cost"]))
     assert found.cost == pytest.approx(min(found.history["cost"]), rel=1e-12)
     assert found.cost < 0.05 * found.history["cost"][0]

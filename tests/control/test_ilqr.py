@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from jaxrod import control
-from jaxrod.control.trajectories.box_step import box_step
-from jaxrod.control.trajectories.riccati import Linear, backward
+from jaxrod.control.trajectories.riccati import Linear, backward, box_step
 
 STEP, COUNT = 0.1, 30
 
@@ -55,7 +54,7 @@ def as_least_squares(problem):
 
 def test_a_linear_problem_is_solved_in_a_step_and_its_gains_are_those_of_riccati():
     problem = cart()
-    found = control.ilqr(problem, damping=1e-12, iterations=3)
+    found = control.ilqr(problem, initial_damping=1e-12, iterations=3)
     matrix, right = as_least_squares(problem)
     expected, *_ = np.linalg.lstsq(matrix, -right, rcond=None)
     np.testing.assert_allclose(found.controls[:, 0], expected, atol=1e-7)
@@ -165,7 +164,7 @@ def test_a_solution_says_what_it_is():
     ("settings", "message"),
     [
         ({"iterations": 0}, "iterations must be at least 1"),
-        ({"damping": 0.0}, "damping must be positive"),
+        ({"initial_damping": 0.0}, "initial_damping must be positive"),
         ({"tolerance": -1.0}, "tolerance must be positive"),
         ({"initial_controls": np.zeros((2, 1))}, "initial_controls must have shape"),
         ({"initial_controls": np.full((COUNT, 1), 3.0)}, "within the bounds .* got 3"),

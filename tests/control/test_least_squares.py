@@ -33,7 +33,9 @@ def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, b
         return rosenbrock({"a": point[0], "b": point[1]})
 
     def search(start):
-        return least_squares(made, start, damping=3e-3, iterations=40, several=True)
+        return least_squares(
+            made, start, initial_damping=3e-3, iterations=40, several=True
+        )
 
     values, slopes = np.asarray(made(start)), np.asarray(jax.jacfwd(made)(start))
     normal = slopes.T @ slopes
@@ -58,7 +60,7 @@ def test_a_first_damping_that_is_far_off_costs_few_iterations(damping):
     found = least_squares(
         lambda z: rosenbrock({"a": z[0], "b": z[1]}),
         start,
-        damping=damping,
+        initial_damping=damping,
         several=True,
     )
     assert bool(found.converged) and int(found.iterations) < 40
@@ -101,7 +103,9 @@ def test_bounds_hold_and_the_rest_is_best_within_them():
 def test_points_that_are_not_finite_are_never_taken():
     # From 0.1 the full step of Newton's method for log z = 0 is short of what is right;
     # from 5 it leads below zero, where there is no logarithm.
-    found = least_squares(lambda z: jnp.log(z), jnp.asarray([5.0]), damping=1e-9)
+    found = least_squares(
+        lambda z: jnp.log(z), jnp.asarray([5.0]), initial_damping=1e-9
+    )
     assert bool(found.converged)
     assert float(found.solution[0]) == pytest.approx(1, abs=1e-6)
 

@@ -41,8 +41,8 @@ def test_stiffness_alone_is_found_where_it_is_what_has_changed():
     scene = replace(shapes.scene, rod=made)
     target = jaxrod.equilibrium(scene, shapes.state).state.positions[:, 1:]
     found = match_shape(
-        shapes.scene, shapes.state, target, range(1, 6), over=("stiffness",),
-        tolerance=1e-4,
+        shapes.scene, shapes.state, target, range(1, 6), free=("stiffness",),
+        max_error=1e-4,
     )  # fmt: skip
     assert bool(found.converged)
     assert float(found.error) < 1e-4
@@ -55,12 +55,12 @@ def test_stiffness_alone_is_found_where_it_is_what_has_changed():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"over": ("colour",)}, "over must name"),
-        ({"over": ()}, "over must name"),
+        ({"free": ("colour",)}, "free must name"),
+        ({"free": ()}, "free must name"),
         ({"nodes": (3, 2)}, "different and in order"),
         ({"nodes": (2, 9)}, "nodes must be at most 4"),
         ({"markers": np.zeros((2, 3))}, "markers must have shape"),
-        ({"tolerance": 0.0}, "tolerance must be positive"),
+        ({"max_error": 0.0}, "max_error must be positive"),
     ],
 )
 def test_bad_arguments_are_refused(change, words):

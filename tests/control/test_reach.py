@@ -250,7 +250,7 @@ def test_bad_settings_of_solvers_are_named():
     for settings, message in (
         ({"n_knots": 0}, "n_knots must be at least 1"),
         ({"ridge": -1.0}, "ridge must be non-negative"),
-        ({"damping": 0.0}, "damping must be positive"),
+        ({"initial_damping": 0.0}, "initial_damping must be positive"),
         ({"initial_knots": np.zeros((2, 2))}, "initial_knots must have shape"),
         ({"mode": "central"}, "mode must be"),
     ):

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.control import identify, shots, windows
+from jaxrod import control
+from jaxrod.control import shots, windows
 
 
 def test_windows_hold_the_frames_after_their_starts():
@@ -40,14 +41,14 @@ def test_a_fork_that_a_single_run_gets_wrong_is_followed_in_windows():
     start = {"rate": 1.0}
     # What is known of the start is on the wrong side of the fork.
     wrong = (jnp.asarray(-1e-3), jnp.asarray(0.0))
-    single = identify(lambda p: forked(p["rate"], wrong, 400)[0], x, start, sd=sd)
+    single = control.fit(lambda p: forked(p["rate"], wrong, 400)[0], x, start, noise=sd)
     assert float(single.misfit) > 100
     every = 3
     starts = tuple(leaf[:-every:every] for leaf in (x, v))
     simulate = shots(lambda p, s: forked(p["rate"], s, every)[0], starts)
     seen = windows(x, every)
     assert jax.eval_shape(simulate, start).shape == seen.shape
-    fit = identify(simulate, seen, start, sd=sd)
+    fit = control.fit(simulate, seen, start, noise=sd)
     assert float(fit.misfit) < 4  # The starts are as noisy as what follows them.
     assert float(fit.values["rate"]) == pytest.approx(truth, rel=0.1)
 

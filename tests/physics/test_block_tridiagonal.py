@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.statics.block_tridiagonal import BlockTridiagonal
-from jaxrod.statics.dense import columns, dense
+from jaxrod.statics.block_matrices import BlockTridiagonal, as_dense, matrix_of
 from physics.rods import difference, largest
 
 N, M = 7, 6
@@ -24,7 +23,7 @@ def random_matrix(seed, dtype=jnp.float64, n=N, m=M):
 
 
 # A block-tridiagonal matrix as it is, and as a dense one.
-both_forms = pytest.mark.parametrize("form", [lambda matrix: matrix, dense])
+both_forms = pytest.mark.parametrize("form", [lambda matrix: matrix, as_dense])
 
 
 def whole(matrix):
@@ -67,7 +66,7 @@ def test_the_product_is_that_of_the_whole_matrix(form):
 
 def test_transpose_and_dense_form_have_the_entries_they_should():
     matrix, _ = random_matrix(1)
-    entries = dense(matrix).entries.reshape(N * M, N * M)
+    entries = as_dense(matrix).entries.reshape(N * M, N * M)
     np.testing.assert_array_equal(entries, whole(matrix))
     np.testing.assert_array_equal(whole(matrix.transposed), whole(matrix).T)
 
@@ -75,8 +74,8 @@ def test_transpose_and_dense_form_have_the_entries_they_should():
 @pytest.mark.parametrize("n", [N, 25])
 def test_columns_are_found_one_by_one_or_some_at_once(n):
     matrix, right = random_matrix(1, n=n)
-    found = columns(matrix.multiply, right)
-    assert difference(found, dense(matrix)) == 0
+    found = matrix_of(matrix.multiply, right)
+    assert difference(found, as_dense(matrix)) == 0
 
 
 @both_forms

@@ -9,8 +9,8 @@ import pytest
 import jaxrod
 from jaxrod.geometry.matrices import skew
 from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.effect_tangents import has_closed_form
-from jaxrod.statics.promises import check_promises
 from jaxrod.structure import pytree
 from physics.distant import Repulsion, Tendon
 from physics.pins import Pin
@@ -157,13 +157,13 @@ def scene_with(effect, dtype):
 
 @pytest.mark.parametrize("name", HONEST)
 def test_what_is_so_is_accepted(name, dtype):
-    check_promises(scene_with(HONEST[name](), dtype))
+    check_declared_properties(scene_with(HONEST[name](), dtype))
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_what_is_not_so_is_refused_in_words(name, dtype):
     with pytest.raises(ValueError, match=name):
-        check_promises(scene_with(BROKEN[name](), dtype))
+        check_declared_properties(scene_with(BROKEN[name](), dtype))
 
 
 def test_it_is_refused_before_a_step_or_an_iteration_is_made():

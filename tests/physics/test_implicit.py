@@ -15,7 +15,7 @@ from jaxrod.geometry import vectors
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Loads, motion_of
 from jaxrod.scene import damping_rates
-from jaxrod.statics.residual import Balance, Moves
+from jaxrod.statics.residual import Increment, LoadBalance
 from jaxrod.structure import pytree
 from physics.rods import arm, deformed, difference, largest, random_rod
 
@@ -258,15 +258,15 @@ def test_the_tangent_is_the_derivative_of_the_residual(distant, record):
         *([Belt(jnp.asarray(5.0))] if distant else []),
     )
     law, rates = elastic_law(rod), damping_rates(scene)
-    start = Balance(scene, law, motion_of(state), jnp.asarray(0.0), rates)
+    start = LoadBalance(scene, law, motion_of(state), jnp.asarray(0.0), rates)
     random = np.random.default_rng(0)
     draw = lambda size, n: tuple(jnp.asarray(size * random.normal(size=(3, n))))
-    moves = Moves(draw(0.02, N + 1), draw(0.3, N))
+    moves = Increment(draw(0.02, N + 1), draw(0.3, N))
 
     # Operation by operation: as one program it would take minutes to compile.
     def derivative(balance, moves, direction):
         def residual(step):
-            return balance.residual(balance.moved(moves, step))
+            return balance.residual(balance.retract(moves, step))
 
         return jax.jvp(residual, (jnp.zeros_like(direction),), (direction,))[1]
 

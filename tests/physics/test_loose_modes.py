@@ -11,8 +11,8 @@ import pytest
 import jaxrod
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import motion_of
-from jaxrod.statics.freedoms import freedoms
-from jaxrod.statics.residual import Balance, Moves
+from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
+from jaxrod.statics.residual import Increment, LoadBalance
 from physics.pins import Pin, Place, pinned
 from physics.rods import arm, difference
 
@@ -138,10 +138,10 @@ def test_what_something_resists_is_not_loose(dtype):
     @hurried
     def is_loose(rod, state, effects):
         still = motion_of(state)
-        none = Moves(*jax.tree.map(jnp.zeros_like, (still.position, still.spin)))
+        none = Increment(*jax.tree.map(jnp.zeros_like, (still.position, still.spin)))
         pace = jnp.zeros((), dtype)
         scene = jaxrod.make_scene(rod, *effects)
-        balance = Balance(scene, elastic_law(rod), still, pace, None, at_rest=True)
+        balance = LoadBalance(scene, elastic_law(rod), still, pace, None, at_rest=True)
         return balance.held_tangent(none)[1]
 
     for radius in (0.02, 0.001):
@@ -158,7 +158,7 @@ def test_places_held_without_a_word_of_velocities_are_not_free():
     rod, state = beam()
     motion = motion_of(state)
     both, places = (
-        freedoms(jaxrod.make_scene(rod, *pinned(state, kind)), motion)
+        degrees_of_freedom(jaxrod.make_scene(rod, *pinned(state, kind)), motion)
         for kind in (Pin, Place)
     )
     assert difference(both, places) == 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.tradeoff.resampling import resampled
+from jaxrod.tradeoff.workload import resampled
 from physics.rods import arm, deformed
 
 

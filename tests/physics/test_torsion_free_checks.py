@@ -12,7 +12,7 @@ from jaxrod.effects.base import Effect
 from jaxrod.geometry.rotations import directors
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.tradeoff.resampling import resampled
+from jaxrod.tradeoff.workload import resampled
 from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm
 from physics.torsion_free import largest_gap, swinging, with_twist

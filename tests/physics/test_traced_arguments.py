@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.tradeoff.resampling import resampled
+from jaxrod.tradeoff.workload import resampled
 from physics.numeric_arguments import BALL, FACTORIES, MATERIAL, SCENE, STATE
 
 ELSEWHERE = {

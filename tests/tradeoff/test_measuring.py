@@ -8,28 +8,28 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.tradeoff import Setting, measure, prepare, problem_of, reference
+from jaxrod.tradeoff import Setting, measure, prepare, reference, workload_of
 from jaxrod.tradeoff.measure import tip_error, tips_of
 from jaxrod.tradeoff.scenes import rope, slam, swing, tracking_arm
 
 
-def short(problem, periods):
-    return dataclasses.replace(problem, controls=problem.controls[:periods])
+def short(workload, periods):
+    return dataclasses.replace(workload, controls=workload.controls[:periods])
 
 
 @pytest.fixture(scope="module")
 def swinging():
     """A quarter of a swing, with a reference of 24 elements."""
     with jax.enable_x64(True):
-        problem = short(swing(), 25)
-        return problem, reference(problem, 24)
+        workload = short(swing(), 25)
+        return workload, reference(workload, 24)
 
 
 @pytest.mark.slow
 def test_the_error_falls_with_the_square_of_the_number_of_elements(swinging):
-    problem, exact = swinging
+    workload, exact = swinging
     errors = [
-        measure(problem, Setting(n, dtype="float64"), exact, seconds=0.01).error
+        measure(workload, Setting(n, dtype="float64"), exact, seconds=0.01).error
         for n in (4, 8)
     ]
     # The reference of 24 elements has a ninth of the error of 8.
@@ -38,8 +38,10 @@ def test_the_error_falls_with_the_square_of_the_number_of_elements(swinging):
 
 
 def test_the_reference_knows_how_wrong_it_is(swinging):
-    problem, exact = swinging
-    finer = tips_of(problem, prepare(problem, Setting(48, dtype="float64", safety=0.1)))
+    workload, exact = swinging
+    finer = tips_of(
+        workload, prepare(workload, Setting(48, dtype="float64", safety=0.1))
+    )
     assert 0.5 < tip_error(exact.tips, finer, exact.length) / exact.error < 2.0
 
 
@@ -47,9 +49,9 @@ def test_the_reference_knows_how_wrong_it_is(swinging):
     "reductions", [("planar",), ("untwisted",), ("compensated",), ("inertia",)]
 )
 def test_reductions_are_what_they_say(swinging, reductions):
-    problem, exact = swinging
-    plain = measure(problem, Setting(8), exact, seconds=0.01)
-    reduced = measure(problem, Setting(8, reductions=reductions), exact, seconds=0.01)
+    workload, exact = swinging
+    plain = measure(workload, Setting(8), exact, seconds=0.01)
+    reduced = measure(workload, Setting(8, reductions=reductions), exact, seconds=0.01)
     assert reduced.setting.reductions == reductions
     assert reduced.error == pytest.approx(plain.error, rel=1.0)
     if reductions == ("inertia",):
@@ -60,25 +62,25 @@ def test_reductions_are_what_they_say(swinging, reductions):
 
 @pytest.mark.slow
 def test_implicit_steps_are_measured_too(swinging):
-    problem, exact = swinging
-    setting = Setting(5, problem.period, "float64", integrator="implicit")
-    assert measure(problem, setting, exact, seconds=0.01).error < 0.05
+    workload, exact = swinging
+    setting = Setting(5, workload.period, "float64", integrator="implicit")
+    assert measure(workload, setting, exact, seconds=0.01).error < 0.05
     with pytest.raises(ValueError, match="needs a step dt"):
-        prepare(problem, dataclasses.replace(setting, dt=None))
+        prepare(workload, dataclasses.replace(setting, dt=None))
 
 
 def test_steps_divide_the_control_period():
-    problem = tracking_arm()
+    workload = tracking_arm()
     for n in (5, 20):
-        prepared = prepare(problem, Setting(n))
+        prepared = prepare(workload, Setting(n))
         assert prepared.setting.dt * prepared.substeps == pytest.approx(1.4e-3)
         limit = float(jaxrod.stable_dt(prepared.scene, 1.0).dt)
         assert prepared.setting.dt <= 0.9 * limit * (1 + 1e-6)
 
 
 def test_a_run_that_blows_up_has_an_infinite_error(swinging):
-    problem, exact = swinging
-    assert measure(problem, Setting(10, 0.01), exact, seconds=0.01).error > 10
+    workload, exact = swinging
+    assert measure(workload, Setting(10, 0.01), exact, seconds=0.01).error > 10
 
 
 def test_a_rod_without_a_plane_is_not_planar():
@@ -87,31 +89,31 @@ def test_a_rod_without_a_plane_is_not_planar():
 
 
 @pytest.mark.slow
-def test_own_scenes_become_problems():
+def test_own_scenes_become_workloads():
     rod, state = jaxrod.straight_rod(
         8, length=2.0, radius=0.05, density=1000.0, youngs_modulus=1e6
     )
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity((0.5, 0, 0)))
-    problem = problem_of(scene, state, duration=0.2, periods=4)
-    assert problem.duration == pytest.approx(0.2)
-    tips = tips_of(problem, prepare(problem, Setting(8, dtype="float64")))
-    steps = round(0.2 / prepare(problem, Setting(8, dtype="float64")).setting.dt)
+    workload = workload_of(scene, state, duration=0.2, periods=4)
+    assert workload.duration == pytest.approx(0.2)
+    tips = tips_of(workload, prepare(workload, Setting(8, dtype="float64")))
+    steps = round(0.2 / prepare(workload, Setting(8, dtype="float64")).setting.dt)
     alone = jaxrod.advance(scene, state, 0.2 / steps, steps)
     np.testing.assert_allclose(tips[-1], alone.tip, atol=1e-12)
     with pytest.raises(ValueError, match="duration must be positive"):
-        problem_of(scene, state, duration=0.0)
+        workload_of(scene, state, duration=0.0)
     with pytest.raises(ValueError, match="PyElastica's law has no setting"):
-        problem_of(dataclasses.replace(scene, method=jaxrod.pyelastica()), state)
+        workload_of(dataclasses.replace(scene, method=jaxrod.pyelastica()), state)
 
 
 @pytest.mark.slow
 def test_a_slammed_arm_hits_its_post_and_converges():
-    problem = slam()
+    workload = slam()
     coarse, fine, finer = (
-        tips_of(problem, prepare(problem, Setting(n, reductions=("planar",))))
+        tips_of(workload, prepare(workload, Setting(n, reductions=("planar",))))
         for n in (10, 20, 40)
     )
-    free = dataclasses.replace(problem, build=swing().build)
+    free = dataclasses.replace(workload, build=swing().build)
     missed = tips_of(free, prepare(free, Setting(20, reductions=("planar",))))
     assert np.max(np.abs(missed - fine)) > 0.1
     errors = [tip_error(tips, finer, 1.0) for tips in (coarse, fine)]

@@ -15,7 +15,7 @@ from jaxrod.tradeoff.scenes import swing
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """A small reference: enough for tolerances of some per cent."""
-    monkeypatch.setattr(tuning, "reference", lambda problem: reference(problem, 24))
+    monkeypatch.setattr(tuning, "reference", lambda workload: reference(workload, 24))
 
 
 tune = partial(jaxrod.tune, elements=(4, 5, 7, 10), seconds=0.01)
@@ -28,11 +28,11 @@ def quarter_of_a_swing():
 @pytest.mark.slow
 def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
     lines = []
-    problem = quarter_of_a_swing()
-    found = tune(problem, tolerance=0.002, say=lines.append)
+    workload = quarter_of_a_swing()
+    found = tune(workload, max_error=0.002, log=lines.append)
     assert found.met and found.error <= 0.002
-    exact = reference(problem, 24)
-    again = tip_error(tips_of(problem, found.prepared), exact.tips, exact.length)
+    exact = reference(workload, 24)
+    again = tip_error(tips_of(workload, found.prepared), exact.tips, exact.length)
     assert again == pytest.approx(found.error, rel=0.01)
     # Fewer elements were tried and do not keep it; the cheapest may have a few more.
     accurate = [one for one in found.tried if one.error <= 0.002]
@@ -45,7 +45,7 @@ def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
 
 
 def test_it_says_so_when_nothing_keeps_the_tolerance():
-    found = tune(quarter_of_a_swing(), tolerance=0.0006, elements=(4, 10))
+    found = tune(quarter_of_a_swing(), max_error=0.0006, elements=(4, 10))
     assert not found.met
     assert found.error > 0.0006
     assert found.error == min(one.error for one in found.tried)
@@ -60,7 +60,7 @@ def test_own_scenes_are_tuned_by_resampling_them():
     scene = jaxrod.make_scene(
         rod, jaxrod.clamp(state), jaxrod.gravity((9.81, 0.0, 0.0))
     )
-    found = tune(scene, state, tolerance=0.03, duration=0.3)
+    found = tune(scene, state, max_error=0.03, duration=0.3)
     assert found.met
     assert found.setting.n_elements < 20
     assert found.prepared.scene.rod.n_elements == found.setting.n_elements
@@ -71,16 +71,16 @@ def test_bad_input_is_refused():
         4, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
     )
     scene = jaxrod.make_scene(rod)
-    with pytest.raises(ValueError, match="tolerance must be positive, got 0"):
-        jaxrod.tune(scene, state, tolerance=0.0)
+    with pytest.raises(ValueError, match="max_error must be positive, got 0"):
+        jaxrod.tune(scene, state, max_error=0.0)
     with pytest.raises(
         ValueError, match=r"elements must be some, increasing, got \(8, 8\)"
     ):
         jaxrod.tune(scene, state, elements=(8, 8))
     with pytest.raises(ValueError, match="state must be given"):
         jaxrod.tune(scene)
-    with pytest.raises(ValueError, match="too much to judge a tolerance of 1e-06"):
-        jaxrod.tune(quarter_of_a_swing(), tolerance=1e-6)
+    with pytest.raises(ValueError, match="too much to judge a max_error of 1e-06"):
+        jaxrod.tune(quarter_of_a_swing(), max_error=1e-6)
     with pytest.raises(ValueError, match="batch must be at least 1, got 0"):
         jaxrod.tune(scene, state, batch=0)
     with pytest.raises(TypeError, match=r"scene must be a jaxrod.Scene, got Rod"):

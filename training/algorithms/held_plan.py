@@ -21,8 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.control.planning.plans import PlanCost, by_gauss_newton
-from jaxrod.control.planning.policy import check_model
+from jaxrod.control.planning.plans import PlanCost, by_gauss_newton, check_model
 from jaxrod.envs import Environment
 from jaxrod.envs.wrappers import ActionRepeat
 

@@ -1,252 +1,386 @@
-r"""A fit: parameters found from data, their uncertainty, and undetermined directions.
+r"""Identification: parameters of a simulation from observations, with uncertainty.
 
-With residuals $r$ in units of their noise and their Jacobian $J$ by the search
-variables (logarithms, or values as fractions of the start),
+Least squares in units of the noise,
 
-$$\mathrm{cov} = \sigma^2 (J^T J)^{-1} = \sigma^2 V \mathrm{diag}(s^{-2}) V^T,
-\qquad J = U\, \mathrm{diag}(s)\, V^T,$$
+$$\min_p \sum_k \Big(\frac{y_k(p) - \hat y_k}{\sigma_k}\Big)^2,$$
 
-which is the Cramér-Rao bound if the noise is Gaussian. $\sigma$ is one if the noise is
-given; otherwise it is estimated from the residuals. The data do not determine a
-direction $v_k$ if $\sigma / s_k$ exceeds 100 % of a value, or if $s_k$ is round-off
-next to the largest.
-
-Source: G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989, sections 2.1 and 3.4.
+over logarithms of positive parameters, by damped Gauss-Newton steps
+(`least_squares`, or `windowed_least_squares` for windows with unknown initial states).
+The uncertainty follows from the Jacobian at the end (`Fit`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
 
-from jaxrod.control.identification.parameters import Parameters
-from jaxrod.structure import pytree
+from jaxrod.control.identification.multiple_shooting import windowed_least_squares
+from jaxrod.control.identification.parameters import Parameters, make_parameters
+from jaxrod.control.identification.result import NEAR, Fit, smallest_ratio, vague_ways
+from jaxrod.control.identification.windows import MultipleShooting
+from jaxrod.control.least_squares import least_squares
 from jaxrod.validation import is_traced
 
-VAGUE = 1.0
-"""Relative uncertainty above which a direction counts as not determined."""
-NEAR = 0.1
-"""Largest remaining step of a converged search, in standard deviations."""
-PLAIN = 0.05
-"""Components of a direction below this fraction are left out of its description."""
+Simulate = Callable[..., Any]
+"""`parameters -> observations`; observations are any pytree of floats."""
+CLOSED = 1.0
+"""Bound on the change of all residuals by closing the gaps (norm), below which the gaps
+count as closed. What the fit does not contain is of second order in the gaps."""
 
 
-@pytree
-class Forecast:
-    """A fit's prediction of observations that were not made."""
+def fit(
+    simulate: Simulate,
+    observed: Any,
+    start: Mapping[str, Any],
+    *,
+    multiple_shooting: MultipleShooting | None = None,
+    noise: Any = None,
+    logarithmic: bool | Iterable[str] = True,
+    lower: Mapping[str, Any] | None = None,
+    upper: Mapping[str, Any] | None = None,
+    iterations: int = 50,
+    initial_damping: Any = None,
+    tolerance: Any = None,
+    mode: str | None = None,
+) -> Fit:
+    """Finds the parameters that fit observations best, and their uncertainty.
 
-    value: Any
-    """Expected observations."""
-    sd: Any
-    """Standard deviations due to the uncertainty of the parameters, without noise.
-    Along directions that the data do not determine, parameters are taken to be
-    uncertain by 100 % of their values."""
+    Pure: under `jax.jit` it is one program for all numbers, and `jax.vmap` makes many
+    fits at once, of many films or of many draws of the noise. A point whose simulation
+    blows up is rejected; the simulation at the start must not blow up.
 
+    Args:
+        simulate: Takes parameters by name and returns observations. With
+            `multiple_shooting` it runs one window: it takes parameters, the window's
+            initial state and its known data, and returns the window's observations; for
+            joined windows, also the initial state of the next window.
+        observed: Observations, a pytree like the result of `simulate`. Values that are
+            not finite count as not observed and are left out. With `multiple_shooting`
+            they are stacked on the leading axis by window, or by trajectory and window
+            for joined windows. Each observation must belong to one window only, or it
+            counts twice.
+        start: First values: numbers or arrays by name.
+        multiple_shooting: Windows whose initial states are unknown too.
+        noise: Standard deviation of the noise, a number or a tree prefix of `observed`
+            (one for each kind). If `None`, it is estimated from the residuals.
+        logarithmic: Parameters that are positive and sought by their logarithm: all,
+            none, or names.
+        lower: Lower bounds, of all or some parameters. Those sought by their logarithm
+            are bounded by a thousandth of the start by default.
+        upper: Upper bounds; by default a thousand times the start for those sought by
+            their logarithm. An explicit time step must be stable up to them.
+        iterations: Largest number of points tried after the first.
+        initial_damping: Damping of the first step, as a fraction of the diagonal [1];
+            by default 1e-3, and 1e-2 for joined windows. More damping makes shorter
+            first steps.
+        tolerance: Relative change of the sum of squares at which the search ends, as in
+            `least_squares`.
+        mode: `"forward"` or `"reverse"`, as in `least_squares`. Windows are always
+            differentiated forward.
 
-@pytree
-class Fit:
-    """Parameters found from data by `identify`; a batch of fits under `jax.vmap`.
+    Returns:
+        The fit; look at `converged`, `misfit` and `undetermined`, or print it. With
+        `multiple_shooting` it has the initial states too, and its standard deviations
+        account for their unknowns. For joined windows `converged` also means that
+        closing the remaining gaps would change all observations together by less than
+        one standard deviation.
 
-    `print(fit)` shows a table, and describes in words what the data do not determine.
+    Raises:
+        ValueError: Names, shapes or numbers of windows do not fit, a number is out of
+            range, nothing was observed, or several kinds are observed and `noise` is
+            not given.
     """
+    windows = multiple_shooting
+    if windows is None:
+        whole = simulate
+    else:
+        windows.check(simulate, observed, start)
+        whole = windows.simulation(simulate)
+    problem = make_fit_problem(whole, observed, start, noise, logarithmic, lower, upper)
+    damping = initial_damping
+    if damping is None:
+        damping = 1e-2 if windows is not None and windows.joined else 1e-3
+    if windows is not None:
+        if mode == "reverse":
+            raise ValueError('mode must be "forward" with multiple_shooting')
+        return _fit_windows(simulate, problem, windows, iterations, damping, tolerance)
+
+    def residuals(point: Array) -> Any:
+        made = simulate(problem.parameters.values(point))
+        return _misses(made, problem.target, problem.seen, problem.noise)
+
+    found = least_squares(
+        residuals,
+        jnp.zeros_like(problem.low),
+        lower=problem.low,
+        upper=problem.high,
+        iterations=iterations,
+        initial_damping=damping,
+        tolerance=tolerance,
+        mode=mode,
+    )
+    return fit_of(problem, found)
+
+
+def _fit_windows(
+    simulate: Simulate,
+    problem: FitProblem,
+    windows: MultipleShooting,
+    iterations: int,
+    damping: Any,
+    tolerance: Any,
+) -> Fit:
+    """Finds parameters and initial states of windows together."""
+    values = problem.parameters.values
+    noise = jax.tree.map(
+        lambda n, t: jnp.broadcast_to(n, t.shape), problem.noise, problem.target
+    )
+    given = (windows.known, problem.target, problem.seen, noise)
+    states = windows.states
+    if not windows.joined:
+        # Each window is a trajectory of its own, and ends nowhere.
+        first = jax.vmap(windows.state, (None, 0, 0))(
+            problem.parameters.start, windows.unknowns, windows.known
+        )
+        states, given = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf)[:, None], (first, given)
+        )
+
+    def residuals(point: Array, state: Any, given: Any) -> tuple[Any, Any]:
+        known, *others = given
+        made = simulate(values(point), state, known)
+        made, end = made if windows.joined else (made, state)
+        return _misses(made, *others), end
+
+    found = windowed_least_squares(
+        residuals,
+        lambda point, own, given: windows.state(values(point), own, given[0]),
+        jnp.zeros_like(problem.low),
+        windows.unknowns,
+        states,
+        given,
+        lower=problem.low,
+        upper=problem.high,
+        iterations=iterations,
+        initial_damping=damping,
+        tolerance=tolerance,
+    )
+    numbers = sum(np.size(leaf) for leaf in jax.tree.leaves(windows.unknowns))
+    result = fit_of(problem, found, numbers)
+    spread = jnp.ones_like(found.gap)
+    if not problem.noise_is_given:
+        squares = jnp.sum(found.residuals**2)
+        spread = jnp.sqrt(squares / jnp.maximum(result.freedoms, 1))
+    # Independent windows have no gaps to close.
+    closed = found.gap < CLOSED * spread if windows.joined else True
+    return replace(
+        result,
+        converged=result.converged & closed,
+        unknowns=found.own,
+        states=found.states
+        if windows.joined
+        else jax.tree.map(lambda leaf: leaf[:, 0], found.states),
+    )
+
+
+def _misses(made: Any, target: Any, seen: Any, noise: Any) -> Any:
+    """Residuals in units of the noise; zero where nothing was observed."""
+    return jax.tree.map(
+        lambda y, t, s, n: jnp.where(s, y - t, 0) / n, made, target, seen, noise
+    )
+
+
+class FitProblem(NamedTuple):
+    """Checked arguments of an identification, as arrays."""
 
     parameters: Parameters
-    """Names, start and scales of the parameters, and the search variables."""
-    values: dict[str, Any]
-    """Parameters at the minimum of the sum of squares."""
-    standard_deviations: dict[str, Any]
-    """Standard deviations of the parameters, in their units; infinite where round-off
-    hides them."""
-    covariance: Float[Array, "p p"]
-    """Covariance of the search variables: logarithms, or fractions of the start."""
-    singular_values: Float[Array, " p"]
-    """Singular values of the Jacobian, in units of the noise, the largest first."""
-    directions: Float[Array, "p p"]
-    """Right singular vectors as rows: directions in the space of search variables."""
-    residual_sd: Any
-    """Root mean square of the residuals of each kind of observation, in its units."""
-    misfit: Float[Array, ""]
-    """Sum of squares per degree of freedom, in units of the noise: one if model and
-    noise are right. One by definition if the noise was not given."""
-    remaining: Float[Array, ""]
-    """Gauss-Newton step from here to the minimum, in standard deviations."""
-    converged: Bool[Array, ""]
-    """Whether the remaining step is less than a tenth of a standard deviation."""
-    iterations: Int[Array, ""]
-    """Number of iterations made."""
-    at_bound: Bool[Array, " p"]
-    """Whether each parameter is at a bound; its standard deviation then means
-    little."""
-    freedoms: Int[Array, ""]
-    """Degrees of freedom: number of observations less number of unknowns."""
+    """Names and scales of the parameters."""
+    target: Any
+    """Observations; zero where there is none."""
+    seen: Any
+    """Masks: whether each observation was made."""
+    noise: Any
+    """Standard deviations of the observations."""
+    low: Array
+    """Lower bounds of the search variables."""
+    high: Array
+    """Upper bounds of the search variables."""
+    observations: Array
+    """Number of observations."""
+    noise_is_given: bool
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the numbers sought, in the order of the matrices."""
-        return self.parameters.names
 
-    @property
-    def correlation(self) -> Float[Array, "p p"]:
-        """Correlations of the search variables."""
-        sd = jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
-        scale = jnp.where(sd > 0, sd, 1)
-        return self.covariance / (scale[..., :, None] * scale[..., None, :])
+def make_fit_problem(
+    simulate: Simulate,
+    observed: Any,
+    start: Mapping[str, Any],
+    noise: Any,
+    logarithmic: bool | Iterable[str],
+    lower: Mapping[str, Any] | None,
+    upper: Mapping[str, Any] | None,
+) -> FitProblem:
+    """Checks the arguments of `fit`.
 
-    @property
-    def vague(self) -> Bool[Array, " p"]:
-        """Whether each row of `directions` is one that the data do not determine."""
-        return vague_ways(self.singular_values)
+    Raises:
+        ValueError: An argument is invalid, as in `fit`.
+    """
+    parameters = make_parameters(start, logarithmic)
+    _check_names("lower", lower, parameters)
+    _check_names("upper", upper, parameters)
+    seen = _checked(simulate, parameters, observed)
+    deviations = _noise(noise, observed)
+    low, high = parameters.bound(lower, -1), parameters.bound(upper, 1)
+    if not is_traced(low, high) and not np.all(np.asarray(low) < np.asarray(high)):
+        raise ValueError(f"lower must be below upper, got {lower!r} and {upper!r}")
+    count = sum((jnp.sum(s) for s in jax.tree.leaves(seen)), jnp.zeros((), jnp.int32))
+    target = jax.tree.map(lambda o, s: jnp.where(s, o, 0), observed, seen)
+    return FitProblem(
+        parameters, target, seen, deviations, low, high, count, noise is not None
+    )
 
-    @property
-    def determined(self) -> Bool[Array, ""]:
-        """Whether the data determine every direction."""
-        return ~jnp.any(self.vague, axis=-1)
 
-    @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Directions that the data do not determine, in words.
+def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
+    """Makes a fit from the result of a search.
 
-        Raises:
-            ValueError: This is a batch of fits: take one of it,
-                `jax.tree.map(lambda a: a[0], fit)`.
-        """
-        self._alone("undetermined")
-        rows = zip(self.vague, self.directions, self.singular_values, strict=True)
-        return tuple(
-            _words(np.asarray(way), self.names, self.parameters.by_log)
-            for hidden, way, _ in rows
-            if bool(hidden)
+    Args:
+        problem: Checked arguments of the identification.
+        found: Result with `solution`, `residuals`, `jacobian` and `iterations`.
+        others: Number of further unknowns, such as those of initial states.
+    """
+    parameters, seen, noise = problem.parameters, problem.seen, problem.noise
+    given, bounds = problem.noise_is_given, (problem.low, problem.high)
+    point = found.solution
+    freedoms = problem.observations - point.size - others
+    squares = jnp.sum(found.residuals**2)
+    misfit = squares / jnp.maximum(freedoms, 1)
+    unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)
+    safe = jnp.where(unit > 0, unit, 1)
+    # If the start was not finite, the Jacobian is not, and the SVD would not end.
+    sound = jnp.all(jnp.isfinite(found.jacobian)) & jnp.isfinite(squares)
+    jacobian = jnp.where(sound, found.jacobian, 0) / safe
+    s, ways = _decomposed(jacobian)
+    least = jnp.finfo(s.dtype).tiny ** 0.25
+    inverse = 1 / jnp.maximum(s, least)
+    covariance = (ways.T * inverse[None] ** 2) @ ways
+    hidden = s <= smallest_ratio(s.dtype) * s[:1]
+    shared = jnp.any(hidden[:, None] & (ways**2 > 1e-4), axis=0)
+    sds = jnp.abs(parameters.slopes(point)) * jnp.sqrt(jnp.diagonal(covariance))
+    low, high = bounds
+    at_bound = (point <= low) | (point >= high)
+    # The remaining Gauss-Newton step in standard deviations, along directions that the
+    # data determine, of parameters that no bound holds.
+    pull = (found.residuals / safe) @ jacobian
+    pull = jnp.where(sound & ~at_bound, pull, 0)
+    left = jnp.where(vague_ways(s), 0, (ways @ pull) * inverse)
+    remaining = jnp.where(sound, jnp.sqrt(jnp.sum(left**2)), jnp.inf)
+    return Fit(
+        parameters=parameters,
+        values=parameters.values(point),
+        standard_deviations=parameters.named(jnp.where(shared, jnp.inf, sds)),
+        covariance=covariance,
+        singular_values=s,
+        directions=ways,
+        residual_sd=_spreads(found.residuals, seen, noise),
+        misfit=misfit if given else misfit / safe**2,
+        remaining=remaining,
+        converged=remaining < NEAR,
+        iterations=found.iterations,
+        at_bound=at_bound,
+        freedoms=freedoms,
+    )
+
+
+def _decomposed(jacobian: Array) -> tuple[Array, Array]:
+    """Returns singular values and right singular vectors (rows), one per unknown."""
+    rows, columns = jacobian.shape
+    if rows < columns:
+        # With fewer observations than unknowns, the missing singular values are zero.
+        empty = jnp.zeros((columns - rows, columns), jacobian.dtype)
+        jacobian = jnp.concatenate([jacobian, empty])
+    # The triangular factor of a QR decomposition has the same ones, and is small.
+    triangle = jnp.linalg.qr(jacobian, mode="r")
+    _, s, ways = jnp.linalg.svd(triangle, full_matrices=False)
+    return s, ways
+
+
+def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
+    """Returns the root mean square residual of each kind, in its units."""
+    _, unravel = ravel_pytree(jax.tree.map(lambda s: s.astype(flat.dtype), seen))
+    return jax.tree.map(
+        lambda r, s, n: jnp.sqrt(jnp.sum((r * n) ** 2) / jnp.maximum(jnp.sum(s), 1)),
+        unravel(flat),
+        seen,
+        noise,
+    )
+
+
+def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
+    """Checks the observations, and returns masks of those that were made."""
+    made = jax.eval_shape(simulate, parameters.start)
+    wanted: Any = jax.tree.structure(made)
+    given: Any = jax.tree.structure(observed)
+    if wanted != given:
+        raise ValueError(
+            f"observed must be a tree as simulate makes, {wanted}, got {given}"
         )
-
-    def z(self, truth: Mapping[str, Any]) -> dict[str, Array]:
-        """Returns the search variables' errors in standard deviations (z-scores).
-
-        Args:
-            truth: True parameters, with the names and shapes of `values`.
-        """
-        if self.covariance.ndim > 2:
-            return jax.vmap(lambda fit: fit.z(truth))(self)
-        away = self.parameters.searched(self.values) - self.parameters.searched(truth)
-        sd = jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
-        return self.parameters.named(away / sd)
-
-    def forecast(self, simulate: Callable[[dict[str, Any]], Any]) -> Forecast:
-        """Predicts the result of another simulation, with its uncertainty.
-
-        Args:
-            simulate: Takes parameters and returns any pytree, for example of a longer
-                time or under other loads.
-        """
-        if self.covariance.ndim > 2:
-            return jax.vmap(lambda fit: fit.forecast(simulate))(self)
-        point = self.parameters.searched(self.values)
-
-        def made(point: Array) -> Any:
-            return simulate(self.parameters.values(point))
-
-        sd = 1 / jnp.where(self.vague, 1 / VAGUE, self.singular_values)
-        ways = sd[:, None] * self.directions
-
-        def along(way: Array) -> tuple[Any, Any]:
-            return jax.jvp(made, (point,), (way,))
-
-        value, moved = jax.vmap(along, out_axes=(None, 0))(ways)
-        spread = jax.tree.map(lambda m: jnp.sqrt(jnp.sum(m**2, axis=0)), moved)
-        return Forecast(value, spread)
-
-    def __repr__(self) -> str:
-        """Returns a table of the parameters, with remarks on the fit."""
-        if is_traced(self) or self.covariance.ndim > 2:
-            return f"Fit of {', '.join(self.names)}, {self.covariance.shape[:-2]} fits"
-        return "\n".join([*_table(self), *_remarks(self)])
-
-    def _alone(self, what: str) -> None:
-        if self.covariance.ndim > 2:
+    for y, o in zip(jax.tree.leaves(made), jax.tree.leaves(observed), strict=True):
+        if y.shape != jnp.shape(o):
             raise ValueError(
-                f"{what} is of one fit, and this is a batch of "
-                f"{self.covariance.shape[:-2]}: take one of it, "
-                "jax.tree.map(lambda leaf: leaf[0], fit)"
+                f"observed must have the shapes that simulate makes: {y.shape}, got "
+                f"{jnp.shape(o)}"
             )
+    seen = jax.tree.map(jnp.isfinite, observed)
+    if sum(leaf.size for leaf in jax.tree.leaves(made)) == 0:
+        raise ValueError("observed must hold at least one number")
+    if not is_traced(seen):
+        numbers = sum(int(np.sum(np.asarray(s))) for s in jax.tree.leaves(seen))
+        if numbers == 0:
+            raise ValueError("observed must hold at least one finite number")
+    return seen
 
 
-def vague_ways(s: Array) -> Array:
-    """Whether each singular value has a direction that the data do not determine."""
-    hidden = s <= smallest_ratio(s.dtype) * s[..., :1]
-    return hidden | (s * VAGUE < 1) | ~jnp.isfinite(s)
-
-
-def smallest_ratio(dtype: Any) -> float:
-    """Ratio to the largest singular value below which one is round-off."""
-    return float(jnp.finfo(dtype).eps) ** 0.5
-
-
-def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
-    """Describes a direction in words."""
-    shares = way / way[np.argmax(np.abs(way))]
-    part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
-    if len(part) == 1:
-        return f"{names[part[0]]}: the data say next to nothing about it"
-    changes = ", ".join(
-        f"{names[k]} by {10 * shares[k]:+.2g} %"
-        + ("" if by_log[k] else " of its start")
-        for k in sorted(part)
+def _noise(noise: Any, observed: Any) -> Any:
+    """Returns the standard deviations of all observations, as arrays or numbers."""
+    leaves, tree = jax.tree.flatten(observed)
+    if noise is None:
+        if len(leaves) > 1:
+            raise ValueError(
+                "noise must be given for several kinds of observations, one for each: "
+                "without it, metres would be weighed against newtons"
+            )
+        return jax.tree.map(lambda o: jnp.ones((), jnp.asarray(o).dtype), observed)
+    for leaf in jax.tree.leaves(noise):
+        if not is_traced(leaf) and not np.all(np.asarray(leaf) > 0):
+            raise ValueError(f"noise must be positive, got {leaf!r}")
+    try:
+        full = jax.tree.broadcast(noise, observed)
+    except ValueError as error:
+        raise ValueError(
+            "noise must be a number, or a tree as observed is or begins, got "
+            f"{jax.tree.structure(noise)} for {tree}"
+        ) from error
+    return jax.tree.map(
+        lambda s, o: jnp.broadcast_to(
+            jnp.asarray(s, jnp.asarray(o).dtype), jnp.shape(o)
+        ),
+        full,
+        observed,
     )
-    several = " and ".join(names[k] for k in sorted(part))
-    return f"{several} each: changing {changes} together leaves the data as they are"
 
 
-def _table(fit: Fit) -> list[str]:
-    values = np.asarray(fit.parameters.flat(fit.values), float)
-    sds = np.asarray(fit.parameters.flat(fit.standard_deviations), float)
-    relative = np.sqrt(np.diag(np.asarray(fit.covariance, float)))
-    width = max(len("parameter"), *map(len, fit.names))
-    correlation = np.asarray(fit.correlation, float)
-    few = len(fit.names) <= 8
-    head = f"{'parameter':<{width}}  {'value':>12} {'sd':>12}"
-    lines = [head + ("   correlations" if few and len(fit.names) > 1 else "")]
-    for k, name in enumerate(fit.names):
-        sure = np.isfinite(sds[k]) and relative[k] <= VAGUE
-        sd = f"{sds[k]:>12.2g}" if sure else f"{'not known':>12}"
-        row = f"{name:<{width}}  {values[k]:>12.5g} {sd}"
-        if few:
-            row += "  " + "".join(f" {correlation[k, j]:+.2f}" for j in range(k))
-        lines.append(row.rstrip())
-    return lines
-
-
-def _remarks(fit: Fit) -> list[str]:
-    if not np.isfinite(float(fit.misfit)):
-        return [
-            "NOTHING FOUND: what is simulated at the start is not finite, or its "
-            "derivatives are not (is the step stable there?)"
-        ]
-    kinds, _ = jax.tree_util.tree_flatten_with_path(fit.residual_sd)
-    lines = []
-    for path, rms in kinds:
-        name = jax.tree_util.keystr(path, simple=True, separator=".") or "observations"
-        lines.append(f"residual sd of {name}: {float(rms):.3g}")
-    lines.append(
-        f"misfit {float(fit.misfit):.3g} over {int(fit.freedoms)} degrees of freedom; "
-        f"{int(fit.iterations)} iterations"
-        + (
-            ""
-            if bool(fit.converged)
-            else f", NOT CONVERGED: {float(fit.remaining):.2g} standard deviations left"
+def _check_names(
+    what: str, given: Mapping[str, Any] | None, parameters: Parameters
+) -> None:
+    strange = [name for name in given or () if name not in parameters.start]
+    if strange:
+        raise ValueError(
+            f"{what} names {', '.join(strange)}, which start does not: it has "
+            f"{', '.join(parameters.start)}"
         )
-    )
-    if float(fit.misfit) > 1 + 5 * np.sqrt(2 / max(int(fit.freedoms), 1)):
-        lines.append(
-            "the misfit is more than noise: the model is wrong somewhere, the search "
-            "has stopped short, or sd is too small; the standard deviations are too "
-            "small then"
-        )
-    for k, name in enumerate(fit.names):
-        if bool(fit.at_bound[k]):
-            lines.append(f"{name} is at its bound")
-    lines += [f"not determined: {words}" for words in fit.undetermined]
-    return lines

@@ -5,7 +5,7 @@ markers $m_k$ of the equilibrium reach their targets $\hat m_k$,
 
 $$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
 
-with a tolerance $\epsilon$. The unknowns $z$ are changes of the rest curvatures in
+with a largest error $\epsilon$. The unknowns $z$ are changes of the rest curvatures in
 units of a curvature, or scaled logarithms of stiffness factors. Of the many designs
 with the same markers, the second term selects the one nearest to the given rod.
 Derivatives are those of `equilibrium`, one linear solve for each number matched.
@@ -29,7 +29,7 @@ from jaxrod.statics.equilibrium import Equilibrium, equilibrium
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, is_traced
 
-OVER = ("rest_curvature", "stiffness")
+QUANTITIES = ("rest_curvature", "stiffness")
 """Quantities that may be sought."""
 
 
@@ -48,7 +48,7 @@ class ShapeMatch:
     stiffness: Float[Array, " n"]
     """Factors of the elements' stiffnesses [1]; one if not sought."""
     converged: Bool[Array, ""]
-    """Whether the error is below the tolerance, in a stable equilibrium."""
+    """Whether the error is below `max_error`, in a stable equilibrium."""
     iterations: Int[Array, ""]
     """Number of iterations made."""
 
@@ -59,8 +59,8 @@ def match_shape(
     markers: Any,
     nodes: Sequence[int],
     *,
-    over: Sequence[str] = ("rest_curvature",),
-    tolerance: float = 1e-3,
+    free: Sequence[str] = ("rest_curvature",),
+    max_error: float = 1e-3,
     curvature: float | None = None,
     stiffness: float = 1.0,
     twist: bool = False,
@@ -73,12 +73,12 @@ def match_shape(
         state: First state of the search for equilibria, as in `equilibrium`.
         markers: Target positions of the nodes `(3, markers)` [m].
         nodes: Indices of the nodes.
-        over: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
-        tolerance: Largest accepted distance of a marker from its target [m].
-        curvature: Change of a rest curvature that costs as much as a marker off by the
-            tolerance [1/m]; by default 30 radians over the length of the rod.
+        free: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
+        max_error: Largest accepted distance of a marker from its target [m].
+        curvature: Change of a rest curvature that costs as much as a marker off by
+            `max_error` [1/m]; by default 30 radians over the length of the rod.
         stiffness: Logarithm of a stiffness factor that costs as much as a marker off by
-            the tolerance [1].
+            `max_error` [1].
         twist: Whether the rest twist is also sought with `"rest_curvature"`.
         iterations: Largest number of iterations.
 
@@ -91,9 +91,11 @@ def match_shape(
     rod = scene.rod
     dtype, n = rod.rest_lengths.dtype, rod.n_elements
     at = _checked_nodes(nodes, n)
-    if not over or any(word not in OVER for word in over):
-        raise ValueError(f"over must name some of {', '.join(OVER)}, got {over!r}")
-    for name, value in (("tolerance", tolerance), ("stiffness", stiffness)):
+    if not free or any(word not in QUANTITIES for word in free):
+        raise ValueError(
+            f"free must name some of {', '.join(QUANTITIES)}, got {free!r}"
+        )
+    for name, value in (("max_error", max_error), ("stiffness", stiffness)):
         as_array(name, value, "", positive=True, dtype=dtype)
     target = jnp.asarray(markers, dtype)
     if target.shape != (3, len(at)):
@@ -105,9 +107,9 @@ def match_shape(
     unit = 30 / jnp.sum(rod.rest_lengths) if curvature is None else curvature
     unit = jnp.asarray(unit, dtype)
     unknowns: dict[str, Array] = {}
-    if "rest_curvature" in over:
+    if "rest_curvature" in free:
         unknowns["rest_curvature"] = jnp.zeros((3 if twist else 2, n - 1), dtype)
-    if "stiffness" in over:
+    if "stiffness" in free:
         unknowns["stiffness"] = jnp.zeros((n,), dtype)
 
     def designed(z: dict[str, Array]) -> tuple[Array, Array, Scene]:
@@ -131,7 +133,7 @@ def match_shape(
         rest = found(z)
         gap = _columns(rest.state.positions, at) - target
         # A point without an equilibrium is rejected.
-        return jnp.where(rest.converged, gap, jnp.inf) / tolerance
+        return jnp.where(rest.converged, gap, jnp.inf) / max_error
 
     best = least_squares(away, unknowns, ridge=1.0, iterations=iterations)
     bent, factor, made = designed(best.solution)
@@ -144,7 +146,7 @@ def match_shape(
         error=error,
         rest_curvature=bent,
         stiffness=factor,
-        converged=(error < tolerance) & rest.stable,
+        converged=(error < max_error) & rest.stable,
         iterations=best.iterations,
     )
 

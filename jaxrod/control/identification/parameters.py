@@ -32,7 +32,7 @@ class Parameters:
     """Scales $s$ of parameters not sought by logarithm: sizes of the start, 1 for 0."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Names in alphabetical order, each with its shape."""
-    log: tuple[str, ...] = static()
+    logarithmic: tuple[str, ...] = static()
     """Names of parameters that are sought by their logarithm."""
 
     @property
@@ -48,8 +48,14 @@ class Parameters:
     def by_log(self) -> tuple[bool, ...]:
         """Whether each number, in the order of `flat`, is sought by its logarithm."""
         return tuple(
-            name in self.log for name, shape in self.shapes for _ in np.ndindex(shape)
+            name in self.logarithmic
+            for name, shape in self.shapes
+            for _ in np.ndindex(shape)
         )
+
+    @property
+    def _forms(self) -> tuple[Array, Array, np.ndarray]:
+        return self.flat(self.start), self.flat(self.scales), np.asarray(self.by_log)
 
     def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
         """Concatenates the numbers of all parameters."""
@@ -66,23 +72,20 @@ class Parameters:
 
     def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
         """Converts parameters to search variables."""
-        first, scale, value = map(self.flat, (self.start, self.scales, values))
-        log = np.asarray(self.by_log)
+        (first, scale, log), value = self._forms, self.flat(values)
         # Both branches must be finite, so that derivatives are finite too.
         ratio = jnp.where(log, value, 1) / jnp.where(log, first, 1)
         return jnp.where(log, jnp.log(ratio), (value - first) / scale)
 
     def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
         """Converts search variables to parameters."""
-        first, scale = self.flat(self.start), self.flat(self.scales)
-        log = np.asarray(self.by_log)
+        first, scale, log = self._forms
         factor = jnp.exp(jnp.where(log, point, 0))
         return self.named(jnp.where(log, first * factor, first + scale * point))
 
     def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
         """Derivative of each parameter by its own search variable."""
-        first, scale = self.flat(self.start), self.flat(self.scales)
-        log = np.asarray(self.by_log)
+        first, scale, log = self._forms
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
     def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:
@@ -95,33 +98,34 @@ class Parameters:
         """
         far = dict(given or {})
         for name, shape in self.shapes:
-            log = name in self.log
+            log = name in self.logarithmic
             none = self.start[name] * FARTHEST**sign if log else sign * jnp.inf
             far[name] = jnp.broadcast_to(far.get(name, none), shape)
         return self.searched(far)
 
 
 def make_parameters(
-    start: Mapping[str, Any], log: bool | Iterable[str] = True
+    start: Mapping[str, Any], logarithmic: bool | Iterable[str] = True
 ) -> Parameters:
     """Makes named parameters from checked arguments.
 
     Args:
         start: Values at which a search begins; numbers or arrays by name.
-        log: Parameters sought by their logarithm, so that they stay positive: names, or
-            all or none.
+        logarithmic: Parameters sought by their logarithm, so that they stay positive:
+            names, or all or none.
 
     Raises:
-        ValueError: There is no parameter, `log` has an unknown name, a parameter sought
-            by its logarithm is not positive, or a parameter is not finite.
+        ValueError: There is no parameter, `logarithmic` has an unknown name, a
+            parameter sought by its logarithm is not positive, or a parameter is not
+            finite.
     """
     if not start:
         raise ValueError("start must name at least one parameter")
-    names = tuple(start) if log is True else tuple(log or ())
+    names = tuple(start) if logarithmic is True else tuple(logarithmic or ())
     strange = [name for name in names if name not in start]
     if strange:
         raise ValueError(
-            f"log names {', '.join(strange)}, which start does not: "
+            f"logarithmic names {', '.join(strange)}, which start does not: "
             f"it has {', '.join(start)}"
         )
     dtype = jnp.result_type(1.0, *jax.tree.leaves(dict(start)))
@@ -134,7 +138,7 @@ def make_parameters(
         if name in names and not np.all(np.asarray(value) > 0):
             raise ValueError(
                 f"start of {name} must be positive to be sought by its logarithm, got "
-                f"{start[name]!r}: leave it out of log"
+                f"{start[name]!r}: leave it out of logarithmic"
             )
     scales = jax.tree.map(lambda a: jnp.where(a == 0, 1, jnp.abs(a)), first)
     shapes = tuple((name, np.shape(first[name])) for name in sorted(first))

@@ -20,30 +20,178 @@ smoothness $s$. Methods:
 - `"mppi"`: the mean of noisy plans, weighted by exponentials of their costs (Williams
   et al., 2017); no derivatives.
 
-This module only uses the protocol of an environment. Plans do not foresee randomness:
-`predict` takes no key.
+Only the protocol of an environment is used (`jaxrod.envs.Plannable`). Plans do not
+foresee randomness: `predict` takes no key.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.control.planning.plans import SHAPES
-from jaxrod.control.planning.policy import (
-    METHODS,
-    Model,
-    PlanningPolicy,
+from jaxrod.control.planning.plans import (
+    SHAPES,
+    PlanCost,
+    by_gauss_newton,
+    by_gradient,
+    by_sampling,
     check_model,
+    piece_weights,
+    shift_weights,
 )
+from jaxrod.structure import pytree, static
 from jaxrod.validation import check_count, check_seed
+
+START_DEVIATION, START_ITERATIONS = 0.6, 8
+"""Standard deviation of the noisy plans from which an episode's first plan is made, and
+number of times they are drawn."""
+METHODS = ("gauss-newton", "gradient", "mppi")
+
+
+@pytree
+class Plan:
+    """Memory of a planner for a batch of episodes."""
+
+    values: Float[Array, "batch knots_and_now action"]
+    """Actions at the time of the plan, and at its knots."""
+    calls: Int[Array, ""]
+    """Number of actions so far; the same for all episodes."""
+    key: Key[Array, ""]
+    """Random key for sampling."""
+    cost: Float[Array, " batch"]
+    """Cost of the plan, as the method defines it."""
+
+
+@pytree
+class PlanningPolicy:
+    """A policy with memory that plans; see the module. Make one with `mpc`."""
+
+    cost: PlanCost
+    """Cost of a plan, with the model and the knots."""
+    rate: Float[Array, ""]
+    """Step size of Adam, or standard deviation of the samples."""
+    key: Key[Array, ""]
+    """First random key for sampling."""
+    replan: int = static()
+    """Control steps from plan to plan."""
+    iterations: int = static()
+    """Iterations of each plan."""
+    first: int = static()
+    """Iterations of an episode's first plan."""
+    samples: int = static()
+    """Noisy plans in each iteration of `"mppi"`."""
+    starts: int = static()
+    """Noisy plans from which an episode's first plan is made."""
+    method: str = static()
+    """One of `METHODS`."""
+
+    @property
+    def action_repeat(self) -> int:
+        """Control steps for which an action is held."""
+        return self.cost.hold
+
+    def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
+        """Returns the memory at the start of a batch of episodes."""
+        del state
+        batch, dtype = observation.shape[0], observation.dtype
+        shape = (batch, self.cost.knots + 1, self.cost.env.action_size)
+        return Plan(
+            values=jnp.zeros(shape, dtype),
+            calls=jnp.zeros((), jnp.int32),
+            key=self.key,
+            cost=jnp.full(batch, jnp.inf, dtype),
+        )
+
+    def act(
+        self, memory: Plan, observation: Float[Array, "batch observation"], state: Any
+    ) -> tuple[Float[Array, "batch action"], Plan]:
+        """Returns the actions of a batch and the new memory; plans if it is due.
+
+        All episodes of the batch plan at the same time, so that a jitted program
+        computes no plans in between.
+        """
+        del observation
+        cost = self.cost
+        calls = self.replan // cost.hold
+        place = memory.calls % calls
+        memory = lax.cond(
+            place == 0,
+            lambda plan: self.planned(plan, state),
+            lambda plan: plan,
+            memory,
+        )
+        table = piece_weights(cost.knots, cost.spacing, cost.hold, cost.shape)
+        row = lax.dynamic_index_in_dim(
+            jnp.asarray(table[:calls], memory.values.dtype), place, keepdims=False
+        )
+        action = jnp.sum(row[None, :, None] * memory.values, axis=1)
+        return action, Plan(memory.values, memory.calls + 1, memory.key, memory.cost)
+
+    def planned(self, memory: Plan, state: Any) -> Plan:
+        """Shifts the plans of a batch to the present time, and improves them."""
+        cost, dtype = self.cost, memory.values.dtype
+        begun = memory.calls > 0
+        shift = jnp.asarray(
+            shift_weights(cost.knots, cost.spacing, self.replan, cost.shape), dtype
+        )
+        moved = jnp.sum(shift[None, :, :, None] * memory.values[:, None], axis=2)
+        values = jnp.where(begun, moved, memory.values)
+        iterations = jnp.where(begun, self.iterations, self.first)
+        cost = replace(
+            cost,
+            effort=cost.effort.astype(dtype),
+            smoothness=cost.smoothness.astype(dtype),
+        )
+        rate = self.rate.astype(dtype)
+        key, own = jax.random.split(memory.key)
+        keys = jax.random.split(own, values.shape[0])
+
+        def begin(values: Array, state: Any, key: Array) -> Array:
+            wide = jnp.asarray(START_DEVIATION, dtype)
+            knots, _ = by_sampling(
+                cost,
+                values[0],
+                values[1:],
+                state,
+                jnp.asarray(START_ITERATIONS),
+                wide,
+                key,
+                self.starts,
+            )
+            return jnp.concatenate([values[:1], knots])
+
+        if self.starts > 0:
+            values = lax.cond(
+                begun,
+                lambda values: values,
+                lambda values: jax.vmap(begin)(values, state, keys),
+                values,
+            )
+
+        def one(values: Array, state: Any, key: Array) -> tuple[Array, Array]:
+            now, knots = values[0], values[1:]
+            if self.method == "gauss-newton":
+                knots, reached = by_gauss_newton(cost, now, knots, state, iterations)
+            elif self.method == "gradient":
+                knots, reached = by_gradient(cost, now, knots, state, iterations, rate)
+            else:
+                knots, reached = by_sampling(
+                    cost, now, knots, state, iterations, rate, key, self.samples
+                )
+            return jnp.concatenate([now[None], knots]), reached
+
+        values, reached = jax.vmap(one)(values, state, keys)
+        return Plan(values, memory.calls, key, reached)
 
 
 def mpc(
-    env: Model,
+    env: Any,
     params: Any = None,
     *,
     horizon: int = 96,
@@ -132,20 +280,22 @@ def mpc(
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be positive and finite, got {rate!r}")
     return PlanningPolicy(
-        params=env.default_params() if params is None else params,
-        effort=jnp.asarray(effort),
-        smoothness=jnp.asarray(smoothness),
+        cost=PlanCost(
+            params=env.default_params() if params is None else params,
+            effort=jnp.asarray(effort),
+            smoothness=jnp.asarray(smoothness),
+            env=env,
+            knots=knots,
+            spacing=horizon // knots,
+            hold=hold,
+            shape=shape,
+        ),
         rate=jnp.asarray(rate),
         key=jax.random.key(check_seed(seed)),
-        env=env,
-        horizon=horizon,
-        knots=knots,
-        action_repeat=hold,
         replan=replan,
         iterations=iterations,
         first=first,
         samples=samples,
         starts=starts,
         method=method,
-        shape=shape,
     )

@@ -22,6 +22,22 @@ TEMPERATURE = 0.1
 """Temperature of the samples' weights, in standard deviations of their costs."""
 
 
+def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
+    """Raises a ValueError unless an environment has the methods that a planner needs.
+
+    Args:
+        env: The environment.
+        needed: Names of the methods.
+        planner: Words for the planner in the error message.
+    """
+    missing = [name for name in needed if not hasattr(env, name)]
+    if missing:
+        raise ValueError(
+            f"{type(env).__name__} cannot be planned with{planner}: it has no "
+            f"{' and no '.join(missing)} (jaxrod.envs.Plannable)"
+        )
+
+
 @pytree
 class PlanCost:
     """Cost of a plan; see `jaxrod.control.mpc`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,7 @@ from jaxrod.control.trajectories.problem import (
     over_time,
     trajectory,
 )
-from jaxrod.control.trajectories.programs import timed
-from jaxrod.control.trajectories.solution import Solution
+from jaxrod.control.trajectories.solution import Solution, timed
 from jaxrod.validation import check_array, check_count
 
 
@@ -35,7 +34,7 @@ def adam(
     enough: float = 0.0,
     initial_knots: Any = None,
     seed: int = 0,
-    progress: Callable[[int, float], None] | None = None,
+    log: Callable[[int, float], None] | None = None,
 ) -> Solution:
     """Finds controls, linear in time between knots, by following the cost's gradient.
 
@@ -55,7 +54,7 @@ def adam(
         initial_knots: First knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.
-        progress: Called with the iteration and the cost.
+        log: Called with the iteration and the cost.
 
     Returns:
         The best controls found, with their motion.
@@ -70,7 +69,7 @@ def adam(
     widths = half_widths(problem)[None]
     start = first_knots(problem, n_knots, initial_knots, seed) / widths
     if optimiser is None:
-        optimiser = clipped_adam(
+        optimiser = _clipped_adam(
             float(check_array("learning_rate", learning_rate, [()], "", positive=True)),
             float(
                 check_array(
@@ -79,51 +78,63 @@ def adam(
             ),
             iterations,
         )
-    took = np.zeros(2)
+
+    @jax.jit
+    def stepped(point: Array, memory: Any, gradient: Array) -> tuple[Array, Any]:
+        change, memory = optimiser.update(gradient, memory, point)
+        # Projection keeps every control value within the actuators' range.
+        moved = jnp.clip(
+            point + change.astype(point.dtype),
+            problem.lower[None] / widths,
+            problem.upper[None] / widths,
+        )
+        return moved, memory
+
+    memory = optimiser.init(start)
+    point = best = start
+    least, took = np.inf, np.zeros(2)
     rows: list[tuple[float, float]] = []
-
-    def evaluated(scaled: Array) -> tuple[Any, None, Array]:
-        (value, gradient), compile_s, run_s = timed(_valued, problem, scaled)
-        took[:] += compile_s, run_s
-        return value, None, gradient
-
-    def seen(iteration: int, value: float, norm: float, report: None) -> bool:
-        del report
-        rows.append((value, norm))
-        if progress is not None:
-            progress(iteration, value)
-        return value <= target
-
-    best, ending = follow_gradient(
-        evaluated,
-        seen,
-        start,
-        optimiser,
-        iterations,
-        (problem.lower / widths[0])[None],
-        (problem.upper / widths[0])[None],
-    )
-    (knots, controls, states, least), compile_s, _ = timed(_recorded, problem, best)
-    reasons = {
-        "converged": f"the cost is at most {target:g}",
-        "max iterations": f"{iterations} iterations were made",
-        "not finite": "the cost or its gradient is not finite",
-        "interrupted": "it was interrupted",
-    }
+    interrupted, ending = False, f"{iterations} iterations were made"
+    try:
+        for iteration in range(iterations):
+            (made, gradient), *seconds = timed(_valued, problem, point)
+            took += seconds
+            value, norm = (
+                float(made),
+                float(np.linalg.norm(np.asarray(gradient, float))),
+            )
+            rows.append((value, norm))
+            if log is not None:
+                log(iteration, value)
+            if not np.isfinite([value, norm]).all():
+                ending = "the cost or its gradient is not finite"
+                break
+            if value <= target or value < least:
+                best, least = point, value
+            if value <= target:
+                break
+            if iteration + 1 < iterations:
+                point, memory = stepped(point, memory, gradient)
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+        interrupted, ending = True, "it was interrupted"
+    (knots, controls, states, final), compile_s, _ = timed(_recorded, problem, best)
+    converged = least <= target
     history = np.array(rows, float).T
     return Solution(
         problem=problem,
         solver="adam",
         controls=controls,
         states=states,
-        cost=float(least),
+        cost=float(final),
         history={"cost": history[0], "gradient_norm": history[1]},
-        converged=ending == "converged",
-        reason=reasons[ending],
+        converged=converged,
+        reason=f"the cost is at most {target:g}" if converged else ending,
         iterations=len(rows),
         compile_s=took[0] + compile_s,
         run_s=float(took[1]),
-        interrupted=ending == "interrupted",
+        interrupted=interrupted,
         knots=knots,
     )
 
@@ -150,73 +161,7 @@ def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array
     )
 
 
-Ending = Literal["converged", "max iterations", "not finite", "interrupted"]
-
-
-def follow_gradient(
-    evaluated: Callable[[Array], tuple[Any, Any, Array]],
-    seen: Callable[[int, float, float, Any], bool],
-    start: Array,
-    optimiser: Any,
-    iterations: int,
-    lower: Any = -1.0,
-    upper: Any = 1.0,
-) -> tuple[Array, Ending]:
-    """Follows a gradient with an optax optimiser, projecting onto the bounds.
-
-    Ctrl-C stops the loop and returns the best point so far.
-
-    Args:
-        evaluated: Takes a point and returns its cost, a report and the gradient.
-        seen: Takes the iteration, the cost, the norm of the gradient and the report,
-            and returns whether the point is good enough.
-        start: First point.
-        optimiser: An `optax.GradientTransformation`.
-        iterations: Largest number of points to evaluate.
-        lower: Lower bounds.
-        upper: Upper bounds.
-
-    Returns:
-        The best point, or the point that was good enough, and why the loop ended.
-
-    Raises:
-        KeyboardInterrupt: It was interrupted before the first evaluation was done.
-    """
-
-    @jax.jit
-    def stepped(point: Array, memory: Any, gradient: Array) -> tuple[Array, Any]:
-        change, memory = optimiser.update(gradient, memory, point)
-        # Projection keeps every control value within the actuators' range.
-        moved = jnp.clip(point + change.astype(point.dtype), lower, upper)
-        return moved, memory
-
-    memory = optimiser.init(start)
-    point = best = start
-    least = np.inf
-    looked_at = 0
-    try:
-        for iteration in range(iterations):
-            made, report, gradient = evaluated(point)
-            cost = float(made)
-            norm = float(np.linalg.norm(np.asarray(gradient, float)))
-            arrived = seen(iteration, cost, norm, report)
-            looked_at += 1
-            if not np.isfinite([cost, norm]).all():
-                return best, "not finite"
-            if arrived or cost < least:
-                best, least = point, cost
-            if arrived:
-                return best, "converged"
-            if iteration + 1 < iterations:
-                point, memory = stepped(point, memory, gradient)
-    except KeyboardInterrupt:
-        if not looked_at:
-            raise
-        return best, "interrupted"
-    return best, "max iterations"
-
-
-def clipped_adam(
+def _clipped_adam(
     learning_rate: float, max_gradient_norm: float, iterations: int
 ) -> Any:
     """Adam on clipped gradients, whose learning rate decays along a cosine to 1/10."""

@@ -33,9 +33,8 @@ from jaxrod.control.trajectories.problem import (
     over_time,
     within_bounds,
 )
-from jaxrod.control.trajectories.programs import timed
 from jaxrod.control.trajectories.riccati import Linear, backward
-from jaxrod.control.trajectories.solution import Solution
+from jaxrod.control.trajectories.solution import Solution, reason_to_stop, timed
 from jaxrod.structure import pytree
 from jaxrod.validation import check_array, check_count
 
@@ -50,7 +49,7 @@ def ilqr(
     problem: Problem,
     *,
     iterations: int = 50,
-    damping: float = 1e-3,
+    initial_damping: float = 1e-3,
     tolerance: float = 1e-4,
     initial_controls: Any = None,
     spread: float = 0.1,
@@ -64,8 +63,8 @@ def ilqr(
     Args:
         problem: The problem.
         iterations: Largest number of steps tried.
-        damping: Damping of the first step: cost of changing every control by half the
-            range between its bounds, as a fraction of the first cost [1].
+        initial_damping: Damping of the first step: cost of changing every control by
+            half the range between its bounds, as a fraction of the first cost [1].
         tolerance: Relative decrease of the cost at which the search ends.
         initial_controls: First controls `(n_intervals, n_controls)`; random ones by
             default. Controls of a motion like the desired one are often much better.
@@ -93,7 +92,10 @@ def ilqr(
         name: jnp.asarray(
             check_array(name, number, [()], "", positive=True), start.dtype
         )
-        for name, number in (("damping", damping), ("tolerance", tolerance))
+        for name, number in (
+            ("initial_damping", initial_damping),
+            ("tolerance", tolerance),
+        )
     }
     found, compile_s, run_s = timed(
         _solved, problem, start, settings, iterations=iterations
@@ -103,12 +105,9 @@ def ilqr(
     cost = float(found.cost)
     if not np.isfinite(cost):
         reason = "the motion under the first controls is not finite"
-    elif converged:
-        reason = "a step gains less than asked"
-    elif tried >= iterations:
-        reason = f"{iterations} iterations were made"
     else:
-        reason = "no step makes the cost smaller"
+        gained = "a step gains less than asked"
+        reason = reason_to_stop(converged, tried, iterations, gained)
     _, unravel = ravel_pytree(problem.start)
     return Solution(
         problem=problem,
@@ -146,6 +145,9 @@ def _solved(
     n, (count, m) = first.size, start.shape
     shares = 0.5 ** jnp.arange(SHARES, dtype=start.dtype)
 
+    def end(last: Array) -> Array:
+        return _flat(problem.at_the_end(unravel(last)), last.dtype)
+
     def tried_with(
         search: _Search, changes: Array, gains: Array, share: Array
     ) -> tuple[Array, Array, Array]:
@@ -155,15 +157,16 @@ def _solved(
             k, control, change, gain, planned = given
             wanted = control + share * change + gain @ (state - planned)
             used = jnp.clip(wanted, problem.lower, problem.upper)
-            after, made = _moved(problem, unravel, state, used, k)
-            return after, (used, after, jnp.sum(made**2))
+            moved, made = problem.step(unravel(state), used, k)
+            after = ravel_pytree(moved)[0]
+            return after, (used, after, jnp.sum(_flat(made, after.dtype) ** 2))
 
         last, (controls, states, costs) = lax.scan(
             one,
             first,
             (numbers(problem), search.controls, changes, gains, search.states[:-1]),
         )
-        total = jnp.sum(costs) + jnp.sum(_at_end(problem, unravel, last) ** 2)
+        total = jnp.sum(costs) + jnp.sum(end(last) ** 2)
         return controls, jnp.concatenate([first[None], states]), total
 
     def again(search: _Search) -> _Search:
@@ -213,7 +216,7 @@ def _solved(
         states=jnp.broadcast_to(first, (count + 1, n)),
         cost=jnp.asarray(jnp.inf, start.dtype),
         gains=jnp.zeros((count, m, n), start.dtype),
-        damping=settings["damping"],
+        damping=settings["initial_damping"],
         tried=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
         ended=jnp.zeros((), bool),
@@ -236,28 +239,9 @@ def _solved(
 Unravel = Callable[[Array], Any]
 
 
-def _moved(
-    problem: Problem, unravel: Unravel, state: Array, control: Array, k: Array
-) -> tuple[Array, Array]:
-    """Returns the state after an interval, and the residuals of the interval."""
-    after = problem.move(problem.data, unravel(state), control, k)
-    flat = ravel_pytree(after)[0]
-    return flat, _on_the_way(problem, unravel, flat, control, k)
-
-
-def _on_the_way(
-    problem: Problem, unravel: Unravel, after: Array, control: Array, k: Array
-) -> Array:
-    if problem.running is None:
-        return jnp.zeros((0,), after.dtype)
-    made = problem.running(problem.data, unravel(after), control, k)
-    return ravel_pytree(made)[0].astype(after.dtype)
-
-
-def _at_end(problem: Problem, unravel: Unravel, last: Array) -> Array:
-    if problem.final is None:
-        return jnp.zeros((0,), last.dtype)
-    return ravel_pytree(problem.final(problem.data, unravel(last)))[0]
+def _flat(residuals: Any, dtype: Any) -> Array:
+    """Residuals as one row, empty if there are none."""
+    return ravel_pytree(residuals)[0].astype(dtype)
 
 
 def _linearised(
@@ -282,7 +266,7 @@ def _linearised(
 
     def costs(x: Array, u: Array, k: Array) -> tuple[Array, Array, Array]:
         def made(x: Array, u: Array) -> Array:
-            return _on_the_way(problem, unravel, x, u, k)
+            return _flat(problem.on_the_way(unravel(x), u, k), x.dtype)
 
         by_state, by_control = jax.jacfwd(made, (0, 1))(x, u)
         return made(x, u), by_state, by_control
@@ -290,7 +274,7 @@ def _linearised(
     k = numbers(problem)
     a, b = jax.vmap(moves)(states[:-1], controls, k)
     r, by_states, by_controls = jax.vmap(costs)(states[1:], controls, k)
-    end = lambda x: _at_end(problem, unravel, x)
+    end = lambda x: _flat(problem.at_the_end(unravel(x)), x.dtype)
     return Linear(
         states=a,
         controls=b,

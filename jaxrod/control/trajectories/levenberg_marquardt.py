@@ -1,14 +1,18 @@
-"""Trajectories by damped Gauss-Newton steps on knots in time."""
+"""Trajectories, and bodies with them, by damped Gauss-Newton steps on knots in time."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.least_squares import LeastSquares, broadcast_like, least_squares
 from jaxrod.control.trajectories.problem import (
     Problem,
     check_problem,
@@ -17,9 +21,11 @@ from jaxrod.control.trajectories.problem import (
     residuals,
     trajectory,
 )
-from jaxrod.control.trajectories.programs import timed
-from jaxrod.control.trajectories.solution import Solution
+from jaxrod.control.trajectories.solution import Solution, reason_to_stop, timed
 from jaxrod.validation import check_array, check_count
+
+Body = Callable[[Any, Any], Any]
+"""`(data, design) -> data`: the problem's data for a body."""
 
 
 def levenberg_marquardt(
@@ -28,7 +34,7 @@ def levenberg_marquardt(
     n_knots: int = 11,
     iterations: int = 20,
     ridge: float = 1e-5,
-    damping: float = 1.0,
+    initial_damping: float = 1.0,
     tolerance: float | None = None,
     initial_knots: Any = None,
     seed: int = 0,
@@ -46,7 +52,7 @@ def levenberg_marquardt(
         iterations: Largest number of iterations.
         ridge: Weight of the mean squared knot value; it selects one of the many
             controls with the same result.
-        damping: Damping of the first step, as a fraction of the diagonal [1].
+        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
         tolerance: Relative change at which the search ends; by default machine epsilon
             to the power of 3/4.
         initial_knots: First knots `(n_knots, n_controls)`; small random ones by
@@ -63,67 +69,168 @@ def levenberg_marquardt(
         TypeError: `problem` is not a `Problem`.
     """
     check_problem(problem)
-    knots = first_knots(problem, n_knots, initial_knots, seed)
-    numbers = {
-        "ridge": check_array("ridge", ridge, [()], "", non_negative=True),
-        "damping": check_array("damping", damping, [()], "", positive=True),
-    }
-    (found, controls, states, least), compile_s, run_s = timed(
-        _solved,
+    check_array("ridge", ridge, [()], "", non_negative=True)
+    return _found(
+        "levenberg_marquardt",
         problem,
-        knots,
-        {name: jnp.asarray(n, knots.dtype) for name, n in numbers.items()},
-        iterations=check_count("iterations", iterations, 1),
-        tolerance=tolerance,
-        mode=mode,
-    )
-    tried = int(found.iterations)
-    if bool(found.converged):
-        reason = "a step changes the cost, or the knots, by less than asked"
-    elif tried >= iterations:
-        reason = f"{iterations} iterations were made"
-    else:
-        reason = "no step makes the cost smaller"
-    return Solution(
-        problem=problem,
-        solver="levenberg_marquardt",
-        controls=controls,
-        states=states,
-        cost=float(least),
-        history={"cost": np.asarray(found.costs)[: tried + 1]},
-        converged=bool(found.converged),
-        reason=reason,
-        iterations=tried,
-        compile_s=compile_s,
-        run_s=run_s,
-        knots=found.solution,
-    )
-
-
-def _solved(
-    problem: Problem,
-    knots: Array,
-    numbers: dict[str, Array],
-    *,
-    iterations: int,
-    tolerance: float | None,
-    mode: str | None,
-) -> tuple[LeastSquares, Array, Any, Array]:
-    """Returns the solution, its controls, its motion and its cost."""
-    found = least_squares(
-        lambda z: residuals(problem, over_time(z, problem.n_intervals)),
-        knots,
-        lower=jnp.broadcast_to(problem.lower, knots.shape),
-        upper=jnp.broadcast_to(problem.upper, knots.shape),
-        ridge=numbers["ridge"] / knots.size,
-        centre=0.0,
-        damping=numbers["damping"],
+        first_knots(problem, n_knots, initial_knots, seed),
+        {"ridge": ridge, "initial_damping": initial_damping},
         iterations=iterations,
         tolerance=tolerance,
         mode=mode,
         several=True,
     )
-    controls = over_time(found.solution, problem.n_intervals)
+
+
+def codesign(
+    problem: Problem,
+    body: Body,
+    design: Any,
+    *,
+    n_knots: int = 11,
+    iterations: int = 30,
+    ridge: float = 1e-4,
+    lower: Any = None,
+    upper: Any = None,
+    initial_damping: float = 1.0,
+    initial_knots: Any = None,
+    seed: int = 0,
+) -> Solution:
+    """Finds the design of a body and its controls that minimise the sum of squares.
+
+    It applies the method of `levenberg_marquardt` to both together. The simulation's
+    time step is that of the problem: the bounds of the design must keep the body stable
+    with it.
+
+    Args:
+        problem: The problem; all bodies start from its initial state.
+        body: `(data, design) -> data`, defined at module level; pure and
+            differentiable.
+        design: First design, any pytree of floats.
+        n_knots: Knots in time, equally spaced.
+        iterations: Largest number of iterations.
+        ridge: Weight of the mean squared knot value: the effort.
+        lower: Lower bounds of the design, a number or a tree like `design`.
+        upper: Upper bounds of the design, a number or a tree like `design`.
+        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
+        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
+            default.
+        seed: Seed of the small random knots.
+
+    Returns:
+        The best pair: `design` is the body's design, and `problem` has its data.
+
+    Raises:
+        ValueError: An argument is out of range or does not fit.
+        TypeError: `problem` is not a `Problem`.
+    """
+    check_problem(problem)
+    knots = first_knots(problem, n_knots, initial_knots, seed)
+    check_array("ridge", ridge, [()], "", positive=True)
+    floats = partial(jax.tree.map, lambda leaf: jnp.asarray(leaf, knots.dtype))
+    begin = floats(design)
+    if not jax.tree.leaves(begin):
+        raise ValueError("design must have at least one number")
+    return _found(
+        "codesign",
+        problem,
+        knots,
+        {"ridge": ridge, "initial_damping": initial_damping},
+        begin,
+        (
+            floats(broadcast_like(lower, begin, -1)),
+            floats(broadcast_like(upper, begin, 1)),
+        ),
+        body=body,
+        iterations=iterations,
+    )
+
+
+def _found(
+    solver: str,
+    problem: Problem,
+    knots: Array,
+    numbers: dict[str, float],
+    design: Any = None,
+    bounds: tuple[Any, ...] = (None, None),
+    *,
+    iterations: int,
+    **structure: Any,
+) -> Solution:
+    """Solves a problem for knots and, if there is one, a design."""
+    check_array("initial_damping", numbers["initial_damping"], [()], "", positive=True)
+    (found, controls, states, least, data), compile_s, run_s = timed(
+        _solved,
+        problem,
+        {"design": design, "knots": knots},
+        {name: jnp.asarray(n, knots.dtype) for name, n in numbers.items()},
+        bounds,
+        iterations=check_count("iterations", iterations, 1),
+        **structure,
+    )
+    tried, converged = int(found.iterations), bool(found.converged)
+    gained = "a step changes the cost, or the unknowns, by less than asked"
+    return Solution(
+        problem=replace(problem, data=data),
+        solver=solver,
+        controls=controls,
+        states=states,
+        cost=float(least),
+        history={"cost": np.asarray(found.costs)[: tried + 1]},
+        converged=converged,
+        reason=reason_to_stop(converged, tried, iterations, gained),
+        iterations=tried,
+        compile_s=compile_s,
+        run_s=run_s,
+        knots=found.solution["knots"],
+        design=found.solution["design"],
+    )
+
+
+def _solved(
+    problem: Problem,
+    start: dict[str, Any],
+    numbers: dict[str, Array],
+    bounds: tuple[Any, Any],
+    *,
+    iterations: int,
+    body: Body | None = None,
+    tolerance: float | None = None,
+    mode: str | None = None,
+    several: bool = False,
+) -> tuple[LeastSquares, Array, Any, Array, Any]:
+    """Returns the solution, its controls, motion and cost, and the data of its body."""
+    knots = start["knots"]
+    low, high = (
+        {"design": bound, "knots": jnp.broadcast_to(limit, knots.shape)}
+        for bound, limit in zip(bounds, (problem.lower, problem.upper), strict=True)
+    )
+
+    def of_body(design: Any) -> Problem:
+        if body is None:
+            return problem
+        return replace(problem, data=body(problem.data, design))
+
+    # The ridge does not act on the design.
+    free = jax.tree.map(jnp.zeros_like, start["design"])
+    effort = jnp.full(knots.shape, numbers["ridge"] / knots.size)
+    found = least_squares(
+        lambda z: residuals(
+            of_body(z["design"]), over_time(z["knots"], problem.n_intervals)
+        ),
+        start,
+        lower=low,
+        upper=high,
+        ridge={"design": free, "knots": effort},
+        centre=0.0,
+        initial_damping=numbers["initial_damping"],
+        iterations=iterations,
+        tolerance=tolerance,
+        mode=mode,
+        several=several,
+    )
+    best = of_body(found.solution["design"])
+    controls = over_time(found.solution["knots"], problem.n_intervals)
     # The sum of squared residuals, without the ridge.
     least = jnp.sum(found.residuals**2)
-    return found, controls, trajectory(problem, controls), least
+    return found, controls, trajectory(best, controls), least, best.data

@@ -29,6 +29,10 @@ Running = Callable[[Any, Any, Array, Array], Any]
 """`(data, state, control, interval) -> residuals`, for the state after the interval."""
 Final = Callable[[Any, Any], Any]
 """`(data, state) -> residuals`, for the last state."""
+Policy = Callable[[Any, Array], Array]
+"""`(state, interval) -> control`, called at the beginning of the interval."""
+Disturbance = Callable[[Any, Array], Any]
+"""`(state, interval) -> state`, applied before the policy is called."""
 
 
 @pytree
@@ -63,6 +67,21 @@ class Problem:
     def n_controls(self) -> int:
         """Number of values in one control vector."""
         return int(self.lower.shape[-1])
+
+    def step(self, state: Any, control: Array, interval: Array) -> tuple[Any, Any]:
+        """Returns the state after an interval, and its residuals or `None`."""
+        after = self.move(self.data, state, control, interval)
+        return after, self.on_the_way(after, control, interval)
+
+    def on_the_way(self, after: Any, control: Array, interval: Array) -> Any:
+        """Residuals of an interval, from the state after it; `None` without any."""
+        if self.running is None:
+            return None
+        return self.running(self.data, after, control, interval)
+
+    def at_the_end(self, last: Any) -> Any:
+        """Residuals of the last state; `None` without any."""
+        return None if self.final is None else self.final(self.data, last)
 
 
 def make_problem(
@@ -156,25 +175,13 @@ def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) ->
     In reverse mode, one state per interval is stored, and the steps of only one
     interval at a time (checkpointing).
     """
-    along, last = run(problem, controls)
-    end = None if problem.final is None else problem.final(problem.data, last)
-    return along, end
-
-
-def run(
-    problem: Problem, controls: Float[Array, "intervals controls"]
-) -> tuple[Any, Any]:
-    """Returns the residuals of all intervals, stacked in front, and the last state."""
 
     def one(state: Any, given: tuple[Array, Array]) -> tuple[Any, Any]:
-        after = problem.move(problem.data, state, *given)
-        if problem.running is None:
-            return after, None
-        return after, problem.running(problem.data, after, *given)
+        return problem.step(state, *given)
 
     kept = jax.checkpoint(one, prevent_cse=False)
     last, along = lax.scan(kept, problem.start, (controls, numbers(problem)))
-    return along, last
+    return along, problem.at_the_end(last)
 
 
 def cost(
@@ -226,6 +233,53 @@ def _floats(tree: Any) -> list[Array]:
         for leaf in jax.tree.leaves(tree)
         if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating)
     ]
+
+
+@pytree
+class RolledOut:
+    """A motion under a policy."""
+
+    states: Any
+    """States at the start and after each interval, stacked in front."""
+    controls: Float[Array, "intervals controls"]
+    """Controls of the policy, clipped to the bounds."""
+    cost: Float[Array, ""]
+    """Sum of the squares of all residuals."""
+
+
+def rolled_out(
+    problem: Problem, policy: Policy, disturbance: Disturbance | None = None
+) -> RolledOut:
+    """Simulates the motion under a policy, such as a solution's. Pure; traceable.
+
+    Args:
+        problem: The problem.
+        policy: `(state, interval) -> control`: `solution.policy` with feedback,
+            `solution.open_loop` without, or any other.
+        disturbance: `(state, interval) -> state`, a change of the state before an
+            interval; none by default.
+
+    Raises:
+        TypeError: `problem` is not a `Problem`.
+    """
+    check_problem(problem)
+
+    def one(state: Any, k: Array) -> tuple[Any, Any]:
+        met = state if disturbance is None else disturbance(state, k)
+        control = jnp.clip(policy(met, k), problem.lower, problem.upper)
+        after, made = problem.step(met, control, k)
+        return after, (after, control, made)
+
+    last, (states, controls, made) = lax.scan(one, problem.start, numbers(problem))
+    return RolledOut(
+        states=jax.tree.map(
+            lambda first, rest: jnp.concatenate([first[None], rest]),
+            problem.start,
+            states,
+        ),
+        controls=controls,
+        cost=squares((made, problem.at_the_end(last))),
+    )
 
 
 SPREAD = 1e-3

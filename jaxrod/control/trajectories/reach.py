@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from typing import Any, Protocol
 
 import jax.numpy as jnp
@@ -18,6 +19,8 @@ from jaxtyping import Array, Float
 
 from jaxrod.analysis.stability import stable_dt
 from jaxrod.control.trajectories.problem import Problem, make_problem
+from jaxrod.effects.actuation import spline_couples
+from jaxrod.effects.control_splines import ControlSpline, ElementAverages
 from jaxrod.geometry import vectors
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
@@ -45,6 +48,49 @@ class Arm(Protocol):
 
     def with_controls(self, controls: Any) -> Scene:
         """Returns the scene under controls."""
+
+
+@pytree
+class ActuatedArm:
+    """A scene, its initial state, and the muscles that are added to it.
+
+    Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
+    couple_density)`. `jaxrod.envs.actuated_arm` makes the benchmark's arm.
+    """
+
+    scene: Scene
+    """The rod and everything that acts on it except its muscles."""
+    state: RodState
+    """Initial state."""
+    spline: ControlSpline | ElementAverages
+    """Shape of the muscle couples along the rod, from `control_spline`."""
+    couple_density: Float[Array, ""]
+    """Couple per unit rest length at a control value of one [N m/m]."""
+
+    @property
+    def control_shape(self) -> tuple[int, int]:
+        """Shape of the controls that bend the arm: two directions, points along it."""
+        return 2, self.spline.n_controls
+
+    @property
+    def prepared(self) -> ActuatedArm:
+        """The same arm, its spline averaged over the elements once for all controls."""
+        averages = self.spline.averaged(self.scene.rod)
+        return replace(self, spline=averages)
+
+    def with_controls(self, controls: Float[Array, "directions n_controls"]) -> Scene:
+        """Returns the scene with its muscles active.
+
+        Args:
+            controls: Control values [1] about d1 and d2 and, if there is a third
+                row, d3 (twist).
+        """
+        missing = 3 - controls.shape[0]
+        padded = jnp.pad(controls, ((0, missing), (0, 0)))
+        muscles = spline_couples(
+            self.scene.rod, self.spline, padded, self.couple_density
+        )
+        return replace(self.scene, effects=(*self.scene.effects, muscles))
 
 
 @pytree
@@ -129,33 +175,7 @@ def reach(
             the arm is long.
         jaxrod.UnstableStepWarning: `dt` is above the stability bound.
     """
-    return reach_problem(
-        arm,
-        target,
-        duration,
-        weights=(speed_weight, running_weight, effort_weight),
-        control_interval=control_interval,
-        dt=dt,
-        control_shape=control_shape,
-        bounds=(lower, upper),
-        depth=1,
-    )
-
-
-def reach_problem(
-    arm: Any,
-    target: Numbers,
-    duration: float,
-    *,
-    weights: tuple[float, float, float],
-    control_interval: float,
-    dt: float | None,
-    control_shape: tuple[int, ...] | None,
-    bounds: tuple[Any, Any],
-    depth: int,
-) -> Problem:
-    """Does the work of `reach`; warnings point `depth` more callers up the stack."""
-    place = _checked(arm, target, depth)
+    place = _checked(arm, target)
     shape = control_shape
     if shape is None:
         shape = getattr(arm, "control_shape", None)
@@ -167,19 +187,17 @@ def reach_problem(
     largest = None if dt is None else _positive("dt", dt, "s")
     held = _positive("control_interval", control_interval, "s")
     units = {"speed_weight": "s^2", "running_weight": "", "effort_weight": "m^2"}
-    speed_weight, running_weight, effort_weight = (
-        float(check_array(name, weight, [()], unit, non_negative=True))
+    weights = speed_weight, running_weight, effort_weight
+    roots = [
+        math.sqrt(check_array(name, weight, [()], unit, non_negative=True))
         for (name, unit), weight in zip(units.items(), weights, strict=True)
-    )
+    ]
     n_intervals, steps, step = time_steps(arm, length, held, largest)
     kind = arm.state.positions.dtype
     check_step(arm.scene, jnp.asarray(step, kind))
-    speed, running, effort = (
-        jnp.asarray(math.sqrt(weight), kind)
-        for weight in (speed_weight, running_weight, effort_weight)
-    )
+    speed, running, effort = (jnp.asarray(root, kind) for root in roots)
     arm = getattr(arm, "prepared", arm)
-    along = running_weight > 0 or effort_weight > 0
+    along = any(root > 0 for root in roots[1:])
     return make_problem(
         with_memory(arm.scene, arm.state),
         moved,
@@ -199,8 +217,8 @@ def reach_problem(
             n_intervals=n_intervals,
             control_shape=tuple(shape),
         ),
-        lower=bounds[0],
-        upper=bounds[1],
+        lower=lower,
+        upper=upper,
     )
 
 
@@ -263,7 +281,7 @@ def time_steps(
     return n_intervals, steps, duration / (n_intervals * steps)
 
 
-def _checked(arm: Any, target: Numbers, depth: int) -> np.ndarray:
+def _checked(arm: Any, target: Numbers) -> np.ndarray:
     """Checks the arm and the target, and warns if the target is out of reach.
 
     Returns the target as an array of floats.
@@ -285,7 +303,7 @@ def _checked(arm: Any, target: Numbers, depth: int) -> np.ndarray:
             f"target is {away:.3g} m from the arm's base and the arm is {length:.3g} m "
             "long: it will only be approached",
             UnreachableTargetWarning,
-            stacklevel=3 + depth,
+            stacklevel=3,
         )
     return np.asarray(place)
 

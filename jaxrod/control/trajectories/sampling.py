@@ -30,8 +30,7 @@ from jaxrod.control.trajectories.problem import (
     over_time,
     trajectory,
 )
-from jaxrod.control.trajectories.programs import timed
-from jaxrod.control.trajectories.solution import Solution
+from jaxrod.control.trajectories.solution import Solution, timed
 from jaxrod.validation import check_array, check_count, check_seed
 
 
@@ -67,10 +66,11 @@ def mppi(
         ValueError: An argument is out of range or does not fit.
         TypeError: `problem` is not a `Problem`.
     """
-    heat = float(check_array("temperature", temperature, [()], "", positive=True))
-    return _sampled(
-        "mppi", problem, n_knots, samples, iterations, spread, initial_knots, seed, heat
-    )
+    check_problem(problem)
+    start = first_knots(problem, n_knots, initial_knots, seed, 0.0)
+    heat = check_array("temperature", temperature, [()], "", positive=True)
+    share = jnp.asarray(heat, start.dtype)
+    return _sampled("mppi", problem, start, samples, iterations, spread, seed, share)
 
 
 def cross_entropy(
@@ -105,43 +105,34 @@ def cross_entropy(
         ValueError: An argument is out of range or does not fit.
         TypeError: `problem` is not a `Problem`.
     """
-    samples = check_count("samples", samples, 2)
-    best = check_count("elites", elites, 2, samples)
+    check_problem(problem)
+    start = first_knots(problem, n_knots, initial_knots, seed, 0.0)
+    best = check_count("elites", elites, 2, check_count("samples", samples, 2))
     return _sampled(
-        "cross_entropy",
-        problem,
-        n_knots,
-        samples,
-        iterations,
-        spread,
-        initial_knots,
-        seed,
-        best,
+        "cross_entropy", problem, start, samples, iterations, spread, seed, elites=best
     )
 
 
 def _sampled(
     solver: str,
     problem: Problem,
-    n_knots: int,
+    start: Array,
     samples: int,
     iterations: int,
     spread: float,
-    given: Any,
     seed: int,
-    how: float | int,
+    temperature: Array | None = None,
+    elites: int | None = None,
 ) -> Solution:
-    check_problem(problem)
-    start = first_knots(problem, n_knots, given, seed, 0.0)
-    first = float(check_array("spread", spread, [()], "", positive=True))
+    first = check_array("spread", spread, [()], "", positive=True)
     found, compile_s, run_s = timed(
         _solved,
         problem,
         start,
         jnp.asarray(first, start.dtype),
         jax.random.key(check_seed(seed)),
-        jnp.asarray(how, start.dtype) if solver == "mppi" else None,
-        elites=how if solver == "cross_entropy" else None,
+        temperature,
+        elites=elites,
         samples=check_count("samples", samples, 2),
         iterations=check_count("iterations", iterations, 1),
     )

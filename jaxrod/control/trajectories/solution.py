@@ -1,8 +1,12 @@
-"""The solution of an optimal control problem, with the record of how it was found."""
+"""The solution of an optimal control problem, and the programs that find it."""
 
 from __future__ import annotations
 
 import dataclasses
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -12,7 +16,14 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxrod.control.trajectories.problem import Problem
+from jaxrod.lanes.choice import lane_mode
 from jaxrod.rods.rod import RodState
+
+MOST_PROGRAMS = 64
+"""Largest number of compiled programs kept, one for each structure of arguments; the
+least recently used one is dropped first."""
+
+_kept: OrderedDict[Any, Any] = OrderedDict()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -142,3 +153,47 @@ class Solution:
             f"compiled in {self.compile_s:.2f} s, run in {self.run_s:.2f} s",
         ]
         return "\n    ".join(lines)
+
+
+def reason_to_stop(converged: bool, tried: int, iterations: int, gained: str) -> str:
+    """Reason why a damped search stopped, in words."""
+    if converged:
+        return gained
+    if tried >= iterations:
+        return f"{iterations} iterations were made"
+    return "no step makes the cost smaller"
+
+
+def timed(
+    function: Callable[..., Any], *arguments: Any, **structure: Any
+) -> tuple[Any, float, float]:
+    """Calls a function of pytrees of arrays as a compiled program, and times it.
+
+    Args:
+        function: Pure function, defined at module level because it identifies the kept
+            program.
+        *arguments: Traced arguments.
+        **structure: Static, hashable arguments.
+
+    Returns:
+        The result; the time of compiling [s], 0 if the program was kept from before;
+        and the time of running [s].
+    """
+    began = time.perf_counter()
+    leaves, tree = jax.tree.flatten(arguments)
+    kinds = tuple(jax.typeof(leaf) for leaf in leaves)
+    # A program also depends on the precision, and on the mode of lanes.
+    setting = (lane_mode(), jax.config.read("jax_enable_x64"))
+    key = (function, tuple(sorted(structure.items())), tree, kinds, setting)
+    program = _kept.pop(key, None)
+    compile_s = 0.0
+    if program is None:
+        compiled = jax.jit(partial(function, **structure)).lower(*arguments)
+        program = compiled.compile()
+        compile_s = time.perf_counter() - began
+    _kept[key] = program
+    while len(_kept) > MOST_PROGRAMS:
+        _kept.popitem(last=False)
+    ready = time.perf_counter()
+    result = jax.block_until_ready(program(*arguments))
+    return result, compile_s, time.perf_counter() - ready

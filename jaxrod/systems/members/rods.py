@@ -27,7 +27,7 @@ from jaxrod.scene import (
     momentum,
     potential_energy,
 )
-from jaxrod.statics.freedoms import free_rates
+from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.members.parts import Parts, flatten_rods, parts_of, unflatten_rods
@@ -250,7 +250,7 @@ def check_fields(
 
 
 def _free_rates(scene: Scene, state: RodState) -> Vec3:
-    return free_rates(scene, motion_of(state))[0]
+    return free_velocity_mask(scene, motion_of(state))[0]
 
 
 def _verlet(

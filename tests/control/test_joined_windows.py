@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from control.calibration import assert_calibrated
-from jaxrod.control import identify, identify_continuous
+from jaxrod import control
+from jaxrod.control import MultipleShooting
 
 SD = 0.02
 EVERY, WINDOWS, FILMS = 5, 8, 3
@@ -63,24 +64,25 @@ def firsts(states):
     return jax.tree.map(lambda leaf: leaf[:, 0], states)
 
 
-def fitted(observed, starts, **more):
-    return identify_continuous(
-        run, begin, observed, START, starts, guessed(observed), sd=SD, **more
+def fitted(observed, unknowns, **more):
+    windows = MultipleShooting(unknowns, states=guessed(observed), initial_state=begin)
+    return control.fit(
+        run, observed, START, multiple_shooting=windows, noise=SD, **more
     )
 
 
 @pytest.mark.slow
-def test_it_is_what_identify_finds_with_one_long_run():
+def test_it_is_what_a_fit_finds_with_one_long_run():
     observed = drawn(0, rolling())
-    together = identify(
+    together = control.fit(
         lambda p: jax.vmap(whole, in_axes=(None, 0))(p, {"x": p["x"], "v": p["v"]}),
         observed,
         TRUTH | rolling(),
-        sd=SD,
-        log=tuple(TRUTH),
+        noise=SD,
+        logarithmic=tuple(TRUTH),
         tolerance=1e-13,
     )
-    fit, starts, states = fitted(observed, firsts(guessed(observed)), tolerance=1e-13)
+    fit = fitted(observed, firsts(guessed(observed)), tolerance=1e-13)
     assert bool(together.converged)
     assert bool(fit.converged)
     assert int(fit.freedoms) == int(together.freedoms)
@@ -91,13 +93,13 @@ def test_it_is_what_identify_finds_with_one_long_run():
         expected = float(together.standard_deviations[name])
         found = float(fit.standard_deviations[name])
         assert found == pytest.approx(expected, rel=1e-3), name
-    for name, leaf in starts.items():
+    for name, leaf in fit.unknowns.items():
         np.testing.assert_allclose(leaf, together.values[name], rtol=1e-3, atol=1e-4)
     # Windows end where the next ones begin.
-    ends = jax.vmap(jax.vmap(lambda state: run(fit.values, state)[1]))(states)
+    ends = jax.vmap(jax.vmap(lambda state: run(fit.values, state)[1]))(fit.states)
     for name in ends:
         np.testing.assert_allclose(
-            ends[name][:, :-1], states[name][:, 1:], atol=1e-4, err_msg=name
+            ends[name][:, :-1], fit.states[name][:, 1:], atol=1e-4, err_msg=name
         )
 
 
@@ -105,7 +107,7 @@ def test_it_is_what_identify_finds_with_one_long_run():
 def test_standard_deviations_are_those_of_many_draws():
     def fit(seed):
         observed = drawn(seed, rolling())
-        return fitted(observed, firsts(guessed(observed)))[0]
+        return fitted(observed, firsts(guessed(observed)))
 
     fits = jax.jit(jax.vmap(fit))(jnp.arange(200))
     assert_calibrated(fits, TRUTH)
@@ -124,19 +126,19 @@ def test_it_follows_data_across_a_fork_where_one_long_run_is_lost():
     clean = all_runs(TRUTH, small)
     observed = clean + SD * jax.random.normal(jax.random.key(1), clean.shape)
     first = firsts(guessed(observed))
-    fit, starts, _ = fitted(observed, first)
+    fit = fitted(observed, first)
     assert bool(fit.converged)
     assert float(fit.misfit) == pytest.approx(1, abs=0.3)
     assert all(abs(float(z)) < 3 for z in fit.z(TRUTH).values())
     # One run from what was found falls to the side to which each mass fell.
     assert float(jnp.min(jnp.abs(clean[:, -1, -1]))) > 0.5
-    np.testing.assert_allclose(all_runs(fit.values, starts), clean, atol=2 * SD)
-    lost = identify(
+    np.testing.assert_allclose(all_runs(fit.values, fit.unknowns), clean, atol=2 * SD)
+    lost = control.fit(
         lambda p: all_runs(p, {"x": p["x"], "v": p["v"]}),
         observed,
         START | first,
-        sd=SD,
-        log=tuple(START),
+        noise=SD,
+        logarithmic=tuple(START),
         mode="forward",
     )
     assert float(lost.misfit) > 100
@@ -152,17 +154,16 @@ def test_kinds_and_what_was_not_seen():
         return {"x": places, "twice": known * places}, end
 
     states = guessed(clean)
-    plain, _, _ = fitted(clean, firsts(states))
-    fit, _, _ = identify_continuous(
+    plain = fitted(clean, firsts(states))
+    fit = control.fit(
         both,
-        begin,
         observed,
         START,
-        firsts(states),
-        states,
-        known=jnp.full((FILMS, WINDOWS), 2.0),
+        multiple_shooting=MultipleShooting(
+            firsts(states), states, known=jnp.full((FILMS, WINDOWS), 2.0)
+        ),
         # Both kinds together weigh as one.
-        sd={"x": np.sqrt(2) * SD, "twice": np.sqrt(8) * SD},
+        noise={"x": np.sqrt(2) * SD, "twice": np.sqrt(8) * SD},
     )
     assert int(fit.freedoms) == 2 * FILMS * WINDOWS * EVERY - 1 - 2 * FILMS - 3
     assert fit.residual_sd["twice"] == pytest.approx(
@@ -177,7 +178,7 @@ def test_kinds_and_what_was_not_seen():
 def test_parameters_stay_in_bounds():
     observed = drawn(3, rolling())
     lower = {"push": 1.1}
-    fit, _, _ = fitted(observed, firsts(guessed(observed)), lower=lower)
+    fit = fitted(observed, firsts(guessed(observed)), lower=lower)
     assert float(fit.values["push"]) == pytest.approx(1.1)
     assert dict(zip(fit.names, fit.at_bound, strict=True))["push"]
 
@@ -186,11 +187,16 @@ def test_parameters_stay_in_bounds():
 def test_windows_that_do_not_meet_are_not_called_converged(sd):
     """In units of the noise, be it given or found."""
     observed = drawn(4, rolling())
-    fit, starts, states = fitted(observed, firsts(guessed(observed)))
+    fit = fitted(observed, firsts(guessed(observed)))
     assert bool(fit.converged)
-    apart = {"x": states["x"] + 0.01, "v": states["v"]}
-    left, _, _ = identify_continuous(
-        run, begin, observed, fit.values, starts, apart, sd=sd, iterations=0
+    apart = fit.states | {"x": fit.states["x"] + 0.01}
+    left = control.fit(
+        run,
+        observed,
+        fit.values,
+        multiple_shooting=MultipleShooting(fit.unknowns, apart),
+        noise=sd,
+        iterations=0,
     )
     # All but the gaps is at the minimum.
     assert float(left.remaining) < 0.1
@@ -203,7 +209,10 @@ def test_bad_arguments_are_refused():
     starts = firsts(states)
 
     def fit(run=run, begin=begin, observed=observed, states=states, **more):
-        identify_continuous(run, begin, observed, START, starts, states, sd=SD, **more)
+        windows = MultipleShooting(
+            more.pop("unknowns", starts), states, more.pop("known", ()), begin
+        )
+        control.fit(run, observed, START, multiple_shooting=windows, noise=SD, **more)
 
     with pytest.raises(ValueError, match="stacked in front by trajectory and window"):
         fit(observed=observed[:, 1:])
@@ -218,11 +227,11 @@ def test_bad_arguments_are_refused():
     with pytest.raises(ValueError, match="states must be finite"):
         fit(states=missing)
     whole_numbers = starts | {"v": jnp.zeros(FILMS, int)}
-    with pytest.raises(ValueError, match="starts must be of floats, got int"):
-        identify_continuous(run, begin, observed, START, whole_numbers, states)
-    with pytest.raises(ValueError, match="begin must make a state"):
+    with pytest.raises(ValueError, match="unknowns must be of floats, got int"):
+        fit(unknowns=whole_numbers)
+    with pytest.raises(ValueError, match="initial_state must make a state"):
         fit(begin=lambda p, own, known: own["x"])
-    with pytest.raises(ValueError, match="run must end in a state"):
+    with pytest.raises(ValueError, match="simulate must end in a state"):
         fit(run=lambda p, state, known: (run(p, state)[0], state["x"]))
     with pytest.raises(ValueError, match="lower names stiffness"):
         fit(lower={"stiffness": 1})

@@ -27,13 +27,17 @@ from jaxrod.geometry.rotations import (
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
-from jaxrod.statics.blocks import blocks, unblocked
-from jaxrod.statics.effect_tangents import coloured, has_closed_form
-from jaxrod.statics.freedoms import free_places, free_rates
+from jaxrod.statics.degrees_of_freedom import (
+    free_position_mask,
+    free_velocity_mask,
+    stack_dofs,
+    unstack_dofs,
+)
+from jaxrod.statics.effect_tangents import has_closed_form, matrix_by_colouring
 from jaxrod.validation import is_traced
 
 
-def check_promises(scene: Scene) -> None:
+def check_declared_properties(scene: Scene) -> None:
     """Checks the promises of effects, unless the scene is traced.
 
     Effects are tested on a generic rod, and on the same rod shrunk to almost a point.
@@ -45,7 +49,9 @@ def check_promises(scene: Scene) -> None:
     """
     if is_traced(scene) or scene.rod.rest_lengths.ndim > 1:
         return
-    doubtful = tuple(e for e in scene.effects if _says(e) or _holds(e))
+    # Those of the library have tests.
+    others = [e for e in scene.effects if not type(e).__module__.startswith("jaxrod.")]
+    doubtful = tuple(e for e in others if _says(e) or _holds(e))
     if not doubtful:
         return
     tolerance = float(np.sqrt(np.finfo(scene.rod.radii.dtype).eps))
@@ -68,21 +74,15 @@ def check_promises(scene: Scene) -> None:
 
 
 def _says(effect: Effect) -> bool:
-    """Whether an effect makes promises about its loads that may not hold.
-
-    Those of the library have tests.
-    """
-    kind = type(effect)
-    if kind.loads is Effect.loads or kind.__module__.startswith("jaxrod."):
+    """Whether an effect makes promises about its loads that may not hold."""
+    if type(effect).loads is Effect.loads:
         return False
     return has_closed_form(effect) or effect.reach == "neighbours"
 
 
 def _holds(effect: Effect) -> bool:
-    """Whether an effect holds anything; those of the library hold whole components."""
+    """Whether an effect holds anything."""
     kind = type(effect)
-    if kind.__module__.startswith("jaxrod."):
-        return False
     return (
         kind.constrain is not Effect.constrain
         or kind.constrain_rates is not Effect.constrain_rates
@@ -105,7 +105,7 @@ def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
 def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
     """Gap between the true and the promised change of loads, relative to the loads."""
     step = _any_step(rod)
-    nodes, turns = unblocked(step)
+    nodes, turns = unstack_dofs(step)
     transverse, polar = rod.inertias
     shape = trial_motion(rod)
 
@@ -120,12 +120,12 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
                 forces = found.forces
             if found.couples is not None:
                 couples = to_world(directors(motion.orientation), found.couples)
-            return blocks(forces, couples)
+            return stack_dofs(forces, couples)
 
         now, change = jax.linearize(loads, motion)
 
         def push(step: Array) -> Array:
-            nodes, turns = unblocked(step)
+            nodes, turns = unstack_dofs(step)
             half = vectors.scale(0.5 * moved, turns)
             turned = (jnp.zeros_like(half[0]), *half)
             spins = vectors.multiply((transverse, transverse, polar), turns)
@@ -145,9 +145,9 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
             tangent = effect.turning_tangent(rod, motion)
             if tangent is not None:
                 x, y, z = (-moved * vectors.dot(row, turns) for row in tangent)
-                said = blocks(jax.tree.map(jnp.zeros_like, nodes), (x, y, z))
+                said = stack_dofs(jax.tree.map(jnp.zeros_like, nodes), (x, y, z))
         else:
-            said = coloured(push, step).multiply(step)
+            said = matrix_by_colouring(push, step).multiply(step)
         sizes = jnp.abs(jnp.stack([true - said, true, said, now]))
         # Forces and couples have different units.
         off, *whole = jnp.max(sizes.reshape(4, -1, 2, 3), axis=(1, 3))
@@ -160,7 +160,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 def _mixing(effect: Effect, rod: Rod) -> Array:
     """Deviation from holding whole components, relative to the expected values."""
     alone, motion = Scene(rod, (effect,), Method()), trial_motion(rod)
-    nodes, turns = unblocked(_any_step(rod))
+    nodes, turns = unstack_dofs(_any_step(rod))
 
     def with_rates(size: float) -> Motion:
         velocity, spin = jax.tree.map(lambda a: size * a, (nodes, turns))
@@ -169,12 +169,12 @@ def _mixing(effect: Effect, rod: Rod) -> Array:
         )
 
     still, moving = with_rates(0.0), with_rates(1.0)
-    free = free_rates(alone, motion)
+    free = free_velocity_mask(alone, motion)
     pairs = [
         *_expected(free[0], still.velocity, nodes, moving.velocity),
         *_expected(free[1], still.spin, turns, moving.spin),
     ]
-    placed = free_places(alone, motion)
+    placed = free_position_mask(alone, motion)
     if placed is not None:
         here = effect.constrain(rod, motion)
         moved = replace(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.control import identify
+from jaxrod import control
 
 TIMES = np.linspace(0, 2, 40)
 TRUTH = {"frequency": 5.0, "rate": 0.7}
@@ -23,7 +23,7 @@ def noise(seed, shape=TIMES.shape):
 
 
 def test_parameters_are_found_exactly_without_noise():
-    fit = identify(ring, ring(TRUTH), START, sd=SD, tolerance=1e-14)
+    fit = control.fit(ring, ring(TRUTH), START, noise=SD, tolerance=1e-14)
     assert bool(fit.converged)
     for name, value in TRUTH.items():
         assert float(fit.values[name]) == pytest.approx(value, rel=1e-6)
@@ -38,7 +38,7 @@ def test_a_straight_line_has_its_closed_form():
     def line(p):
         return p["a"] + p["b"] * TIMES
 
-    fit = identify(line, observed, {"a": 2.0, "b": 0.0}, log=False, sd=SD)
+    fit = control.fit(line, observed, {"a": 2.0, "b": 0.0}, logarithmic=False, noise=SD)
     best, squares, *_ = np.linalg.lstsq(design, observed, rcond=None)
     covariance = SD**2 * np.linalg.inv(design.T @ design)
     sds = np.sqrt(np.diag(covariance))
@@ -49,7 +49,7 @@ def test_a_straight_line_has_its_closed_form():
     assert float(fit.correlation[0, 1]) == pytest.approx(expected, rel=1e-6)
     assert float(fit.misfit) == pytest.approx(squares[0] / SD**2 / 38, rel=1e-6)
     # Without a noise that is known it is that of the residuals.
-    alone = identify(line, observed, {"a": 2.0, "b": 0.0}, log=False)
+    alone = control.fit(line, observed, {"a": 2.0, "b": 0.0}, logarithmic=False)
     share = np.sqrt(squares[0] / 38) / SD
     found = [float(alone.standard_deviations[k]) for k in "ab"]
     assert found == pytest.approx(list(share * sds), rel=1e-6)
@@ -59,7 +59,7 @@ def test_a_straight_line_has_its_closed_form():
 def test_standard_deviations_are_those_of_many_draws():
     clean = ring(TRUTH)
     draws = clean[None] + jnp.asarray(noise(1, (400, len(TIMES))))
-    fits = jax.jit(jax.vmap(lambda o: identify(ring, o, START, sd=SD)))(draws)
+    fits = jax.jit(jax.vmap(lambda o: control.fit(ring, o, START, noise=SD)))(draws)
     assert bool(jnp.all(fits.converged))
     for z in fits.z(TRUTH).values():
         # Of 400 draws the mean is known to 0.05 and the deviation to 0.035.
@@ -78,7 +78,7 @@ def test_what_the_data_do_not_say_is_said_in_words():
     truth = {"stiffness": 6.0, "density": 2.0, "rate": 0.7}
     start = {"stiffness": 4.0, "density": 3.0, "rate": 1.0}
     observed = product(truth) + noise(2)
-    fit = identify(product, observed, start, sd=SD)
+    fit = control.fit(product, observed, start, noise=SD)
     assert not bool(fit.determined)
     (words,) = fit.undetermined
     assert words == (
@@ -97,8 +97,8 @@ def test_what_the_data_do_not_say_is_said_in_words():
     # One more observation and everything is determined.
     both = {"film": observed, "weight": jnp.asarray(2.02)}
     sd = {"film": SD, "weight": 0.02}
-    fit = identify(
-        lambda p: {"film": product(p), "weight": p["density"]}, both, start, sd=sd
+    fit = control.fit(
+        lambda p: {"film": product(p), "weight": p["density"]}, both, start, noise=sd
     )
     assert fit.undetermined == ()
     assert float(fit.standard_deviations["density"]) == pytest.approx(0.02, rel=0.05)
@@ -108,7 +108,7 @@ def test_what_the_data_do_not_say_is_said_in_words():
 @pytest.mark.slow
 def test_a_parameter_that_does_nothing_is_named_alone():
     observed = ring(TRUTH) + noise(3)
-    fit = identify(ring, observed, START | {"colour": 1.0}, sd=SD)
+    fit = control.fit(ring, observed, START | {"colour": 1.0}, noise=SD)
     assert fit.undetermined == ("colour: the data say next to nothing about it",)
     assert np.isinf(fit.standard_deviations["colour"])
     assert float(fit.values["rate"]) == pytest.approx(TRUTH["rate"], rel=0.2)
@@ -119,8 +119,10 @@ def test_observations_that_were_not_made_are_left_out():
     observed = np.asarray(ring(TRUTH) + noise(4))
     hidden = observed.copy()
     hidden[25:] = np.nan
-    fit = identify(ring, jnp.asarray(hidden), START, sd=SD)
-    cut = identify(lambda p: ring(p)[:25], jnp.asarray(observed[:25]), START, sd=SD)
+    fit = control.fit(ring, jnp.asarray(hidden), START, noise=SD)
+    cut = control.fit(
+        lambda p: ring(p)[:25], jnp.asarray(observed[:25]), START, noise=SD
+    )
     for name in TRUTH:
         assert float(fit.values[name]) == pytest.approx(float(cut.values[name]))
     assert int(fit.freedoms) == int(cut.freedoms) == 23
@@ -128,7 +130,7 @@ def test_observations_that_were_not_made_are_left_out():
 
 @pytest.mark.slow
 def test_bounds_hold_and_are_said():
-    fit = identify(ring, ring(TRUTH), START, sd=SD, lower={"rate": 1.0})
+    fit = control.fit(ring, ring(TRUTH), START, noise=SD, lower={"rate": 1.0})
     assert float(fit.values["rate"]) == pytest.approx(1.0)
     assert "rate is at its bound" in str(fit)
     assert "more than noise" in str(fit)
@@ -142,7 +144,7 @@ def test_a_step_to_nothing_can_be_taken_back():
         return p["a"] * (1 + p["b"] * TIMES)
 
     truth = {"a": 1.0, "b": 0.4}
-    fit = identify(curve, curve(truth), {"a": 3.0, "b": 0.2}, sd=SD)
+    fit = control.fit(curve, curve(truth), {"a": 3.0, "b": 0.2}, noise=SD)
     assert bool(fit.converged)
     assert float(fit.values["b"]) == pytest.approx(0.4, rel=1e-3)
 
@@ -150,20 +152,20 @@ def test_a_step_to_nothing_can_be_taken_back():
 @pytest.mark.slow
 def test_what_is_observed_may_be_known_while_a_program_is_traced():
     observed = np.asarray(ring(TRUTH))
-    fit = jax.jit(lambda s: identify(ring, observed, s, sd=SD))(START)
+    fit = jax.jit(lambda s: control.fit(ring, observed, s, noise=SD))(START)
     assert float(fit.values["rate"]) == pytest.approx(TRUTH["rate"], rel=1e-4)
 
 
 @pytest.mark.slow
 def test_a_start_that_blows_up_is_said():
-    fit = identify(lambda p: ring(p) / (p["rate"] < 1), ring(TRUTH), START, sd=SD)
+    fit = control.fit(lambda p: ring(p) / (p["rate"] < 1), ring(TRUTH), START, noise=SD)
     assert not bool(fit.converged)
     assert "NOTHING FOUND" in str(fit)
 
 
 @pytest.mark.slow
 def test_a_search_that_was_cut_short_says_so():
-    fit = identify(ring, ring(TRUTH), START, sd=SD, iterations=2)
+    fit = control.fit(ring, ring(TRUTH), START, noise=SD, iterations=2)
     assert not bool(fit.converged)
     assert "NOT CONVERGED" in str(fit)
 
@@ -176,7 +178,7 @@ def test_forecasts_have_the_spread_of_many_fits():
         return jnp.exp(-p["rate"] * later) * jnp.cos(p["frequency"] * later)
 
     draws = ring(TRUTH)[None] + jnp.asarray(noise(5, (400, len(TIMES))))
-    fits = jax.jit(jax.vmap(lambda o: identify(ring, o, START, sd=SD)))(draws)
+    fits = jax.jit(jax.vmap(lambda o: control.fit(ring, o, START, noise=SD)))(draws)
     ahead = fits.forecast(longer)
     spread = np.std(np.asarray(ahead.value), axis=0)
     np.testing.assert_allclose(np.mean(np.asarray(ahead.sd), axis=0), spread, rtol=0.15)
@@ -185,9 +187,9 @@ def test_forecasts_have_the_spread_of_many_fits():
 @pytest.mark.slow
 def test_arrays_are_parameters_too():
     truth = {"heights": np.array([1.0, 2.0, 3.0])}
-    fit = identify(
+    fit = control.fit(
         lambda p: jnp.cumsum(p["heights"]), np.cumsum([1.0, 2.0, 3.0]),
-        {"heights": np.ones(3)}, sd=0.1, tolerance=1e-14,
+        {"heights": np.ones(3)}, noise=0.1, tolerance=1e-14,
     )  # fmt: skip
     np.testing.assert_allclose(fit.values["heights"], truth["heights"], rtol=1e-6)
     assert fit.names == ("heights[0]", "heights[1]", "heights[2]")
@@ -197,25 +199,25 @@ def test_arrays_are_parameters_too():
     ("change", "words"),
     [
         ({"start": {}}, "at least one parameter"),
-        ({"start": {"frequency": -1.0, "rate": 1.0}}, "leave it out of log"),
+        ({"start": {"frequency": -1.0, "rate": 1.0}}, "leave it out of logarithmic"),
         ({"start": {"frequency": np.nan, "rate": 1.0}}, "must be finite"),
-        ({"log": ["mass"]}, "log names mass"),
+        ({"logarithmic": ["mass"]}, "logarithmic names mass"),
         ({"upper": {"mass": 3.0}}, "upper names mass"),
         ({"lower": {"rate": 3.0}, "upper": {"rate": 2.0}}, "lower must be below"),
-        ({"sd": -1.0}, "sd must be positive"),
-        ({"sd": {"film": 1.0}}, "sd must be a number, or a tree"),
+        ({"noise": -1.0}, "noise must be positive"),
+        ({"noise": {"film": 1.0}}, "noise must be a number, or a tree"),
         ({"observed": np.zeros(3)}, "shapes that simulate makes"),
         ({"observed": {"film": np.zeros(40)}}, "a tree as simulate makes"),
         ({"observed": np.full(40, np.nan)}, "at least one finite number"),
     ],
 )
 def test_bad_arguments_are_refused(change, words):
-    given = {"observed": np.zeros(40), "start": START, "sd": SD} | change
+    given = {"observed": np.zeros(40), "start": START, "noise": SD} | change
     observed, start = given.pop("observed"), given.pop("start")
     with pytest.raises(ValueError, match=words):
-        identify(ring, observed, start, **given)
+        control.fit(ring, observed, start, **given)
 
 
 def test_several_kinds_need_their_noise():
     with pytest.raises(ValueError, match="one for each"):
-        identify(lambda p: (ring(p), p["rate"]), (np.zeros(40), np.zeros(())), START)
+        control.fit(lambda p: (ring(p), p["rate"]), (np.zeros(40), np.zeros(())), START)

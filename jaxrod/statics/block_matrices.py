@@ -1,6 +1,7 @@
-r"""Block-tridiagonal linear systems, for Newton's method on a chain of elements.
+r"""Linear systems of blocks along a rod: block-tridiagonal and dense matrices.
 
-Row $k$ couples the unknowns of block $k$ with those of its two neighbours,
+For Newton's method on a chain of elements: row $k$ couples the unknowns of block $k$
+with those of its two neighbours,
 
 $$L_k x_{k-1} + D_k x_k + U_k x_{k+1} = b_k.$$
 
@@ -9,17 +10,25 @@ work and memory in proportion to the number of blocks. Blocks are eliminated wit
 pivoting. That is safe for the matrices of rods: they are positive definite up to small
 non-symmetric parts, whatever the units of the unknowns. LAPACK is not used: a call per
 block would cost more than the elimination, and would not batch.
+
+Effects that couple distant parts of a rod need the dense form. A rod of `n` elements
+has `6 n + 3` unknowns, and work grows with their cube. With tens of elements it is
+about as much as the elimination along the chain, with hundreds far more.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxrod.structure import pytree
+
+_COLUMNS_AT_ONCE = 128
 
 
 @pytree
@@ -161,3 +170,75 @@ def _swapped(blocks: Array) -> Array:
 def _times(blocks: Array, vector: Array) -> Array:
     """Each block times its vector, as a sum of columns, without matrix units."""
     return jnp.sum(blocks * vector[:, None, :], axis=2)
+
+
+@pytree
+class Dense:
+    """A square matrix of `n` by `n` blocks, all of which may be nonzero."""
+
+    entries: Float[Array, "n m n m"]
+    """Entries by row block, row, column block and column."""
+
+    def multiply(self, vector: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        """The matrix times a vector."""
+        return jnp.sum(self.entries * vector[None, None], axis=(2, 3))
+
+    def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        """Solution for a right-hand side; not finite if the matrix is singular.
+
+        Differentiable any number of times in both modes; reverse mode solves with
+        the transposed matrix.
+        """
+        scale, scaled = self._scaled()
+        solution = jnp.linalg.solve(scaled, jnp.ravel(scale * right))
+        return scale * solution.reshape(right.shape)
+
+    def is_positive(self) -> Bool[Array, ""]:
+        """Whether the symmetric part of the matrix is positive definite.
+
+        False if it is not finite.
+        """
+        _, scaled = self._scaled()
+        factor = jnp.linalg.cholesky(0.5 * (scaled + scaled.T), symmetrize_input=False)
+        return jnp.all(jnp.isfinite(factor))
+
+    def stiffened(self, index: int, block: Float[Array, "m m"]) -> Dense:
+        """Matrix with a block added to its diagonal."""
+        return Dense(self.entries.at[index, :, index, :].add(block))
+
+    def _scaled(self) -> tuple[Float[Array, "n m"], Float[Array, "size size"]]:
+        """Scale of the unknowns, and the matrix scaled so that its diagonal is one.
+
+        Displacements and rotations have different units, but pivots are chosen by size.
+        """
+        n, m = self.entries.shape[:2]
+        flat = self.entries.reshape(n * m, n * m)
+        diagonal = jnp.abs(jnp.diagonal(flat))
+        scale = lax.stop_gradient(lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1)))
+        return scale.reshape(n, m), scale[:, None] * flat * scale[None, :]
+
+
+def as_dense(matrix: BlockTridiagonal) -> Dense:
+    """Dense form of a block-tridiagonal matrix."""
+    n = len(matrix.diagonal)
+    blocks = (matrix.lower, matrix.diagonal, matrix.upper)
+    entries = sum(
+        jnp.eye(n, k=shift, dtype=matrix.dtype)[:, None, :, None] * part[:, :, None, :]
+        for shift, part in zip((-1, 0, 1), blocks, strict=True)
+    )
+    assert isinstance(entries, Array)
+    return Dense(entries)
+
+
+def matrix_of(
+    function: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
+    like: Float[Array, "n m"],
+) -> Dense:
+    """Matrix of any linear function, from `n m` directions."""
+    seeds = jnp.eye(like.size, dtype=like.dtype).reshape(like.size, *like.shape)
+    if like.size <= _COLUMNS_AT_ONCE:
+        answers = jax.vmap(function)(seeds)
+    else:
+        # In one batch, pairs of nodes times directions would take gigabytes.
+        answers = lax.map(function, seeds, batch_size=_COLUMNS_AT_ONCE)
+    return Dense(jnp.moveaxis(answers, 0, -1).reshape(*like.shape, *like.shape))

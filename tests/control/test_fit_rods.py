@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.identification.run import DROPPED, MATERIAL, Drop, Poses, noisy
-from jaxrod.control import identify
+from jaxrod import control
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ def test_stiffness_and_damping_are_found_from_four_times_off(drop):
 
     def fit(key):
         seen = noisy(clean, sd, key)
-        return identify(drop.film, seen, start, sd=sd, upper=upper)
+        return control.fit(drop.film, seen, start, noise=sd, upper=upper)
 
     fits = jax.jit(jax.vmap(fit))(jax.random.split(jax.random.key(0), 100))
     assert bool(jnp.all(fits.converged))
@@ -46,7 +46,7 @@ def test_positions_alone_do_not_weigh_an_arm_and_a_force_sensor_does(drop):
     upper = {"youngs_modulus": 4.5e7}
     sd = {"film": 2e-3}
     film = noisy(jax.jit(drop.film)(DROPPED), sd, jax.random.key(1))
-    alone = identify(drop.film, film, start, sd=sd, upper=upper)
+    alone = control.fit(drop.film, film, start, noise=sd, upper=upper)
     (words,) = alone.undetermined
     assert words.startswith("density and youngs_modulus each")
     ratio = alone.forecast(lambda p: p["youngs_modulus"] / p["density"])
@@ -54,7 +54,7 @@ def test_positions_alone_do_not_weigh_an_arm_and_a_force_sensor_does(drop):
     assert float(ratio.sd) < 500
     sd |= {"force": 0.5}
     both = noisy(jax.jit(drop.film_and_force)(DROPPED), sd, jax.random.key(2))
-    fit = identify(drop.film_and_force, both, start, sd=sd, upper=upper)
+    fit = control.fit(drop.film_and_force, both, start, noise=sd, upper=upper)
     assert fit.undetermined == ()
     assert bool(fit.converged)
     for name, z in fit.z(DROPPED).items():
@@ -67,7 +67,9 @@ def test_three_constants_are_found_from_poses_at_rest():
     sd = {"markers": 1e-3}
     seen = noisy(jax.jit(poses.markers)(MATERIAL), sd, jax.random.key(3))
     start = {"youngs_modulus": 9e5, "poisson_ratio": 0.2, "density": 650.0}
-    fit = identify(poses.markers, seen, start, sd=sd, upper={"poisson_ratio": 0.5})
+    fit = control.fit(
+        poses.markers, seen, start, noise=sd, upper={"poisson_ratio": 0.5}
+    )
     assert bool(fit.converged)
     assert fit.undetermined == ()
     for name, z in fit.z(MATERIAL).items():

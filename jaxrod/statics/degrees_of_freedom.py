@@ -1,7 +1,8 @@
 """Degrees of freedom: free components of positions and rates in a scene.
 
-A component is held if `Effect.constrain_rates` gives it the same rate whatever rate it
-had, or if `Effect.constrain` gives it the same place whatever place it had.
+Fields of a rod are stacked as blocks of a chain: a node and the element that follows
+it. A component is held if `Effect.constrain_rates` gives it the same rate whatever rate
+it had, or if `Effect.constrain` gives it the same place whatever place it had.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
@@ -22,7 +23,7 @@ _TURN = (0.8, 0.36, 0.48, 0.0)
 """Rotation by 74 degrees, applied to an element to find out whether it is held."""
 
 
-def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
+def degrees_of_freedom(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
     """Array that is one for every free component and zero for every held one.
 
     Args:
@@ -32,15 +33,15 @@ def freedoms(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
     Returns:
         Flags of the nodes and of the elements, in the components of velocity and spin.
     """
-    nodes, elements = free_rates(scene, motion)
-    placed = free_places(scene, motion)
+    nodes, elements = free_velocity_mask(scene, motion)
+    placed = free_position_mask(scene, motion)
     if placed is None:
         return nodes, elements
     return vectors.multiply(nodes, placed[0]), vectors.multiply(elements, placed[1])
 
 
-def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
-    """Free components under `Effect.constrain_rates` alone, as in `freedoms`."""
+def free_velocity_mask(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
+    """Components that are free under `Effect.constrain_rates` alone."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
@@ -54,8 +55,8 @@ def free_rates(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
     )
 
 
-def free_places(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """Free components under `Effect.constrain` alone; `None` if it holds nothing."""
+def free_position_mask(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
+    """Components that are free under `Effect.constrain` alone; `None` if all are."""
     here = constrain(scene, motion)
     if here is motion:
         return None
@@ -84,3 +85,17 @@ def _differ(one: Quaternion, other: Quaternion) -> Array:
     for a, b in zip(one[1:], other[1:], strict=True):
         differs |= a != b
     return differs.astype(one[0].dtype)
+
+
+def stack_dofs(nodes: Vec3, elements: Vec3) -> Float[Array, "n+1 6"]:
+    """Node and element fields side by side; the last node has zeros for an element."""
+    padded = [vectors.pad(entry, 0, 1) for entry in elements]
+    return jnp.stack([*nodes, *padded], axis=-1)
+
+
+def unstack_dofs(step: Float[Array, "n+1 6"]) -> tuple[Vec3, Vec3]:
+    """Node and element fields of an array of blocks."""
+    return (
+        (step[:, 0], step[:, 1], step[:, 2]),
+        (step[:-1, 3], step[:-1, 4], step[:-1, 5]),
+    )

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from control.calibration import assert_calibrated
-from jaxrod.control import identify, identify_shots
+from jaxrod import control
+from jaxrod.control import MultipleShooting
 
 SD = 0.02
 EVERY = 5
@@ -41,8 +42,19 @@ def guessed(observed):
     }
 
 
+def ring3(p, start, known):
+    return ring(p, start)
+
+
+def fitted(observed, begin, known=(), **more):
+    windows = MultipleShooting(begin, known=known)
+    return control.fit(
+        ring3, observed, START, multiple_shooting=windows, noise=SD, **more
+    )
+
+
 @pytest.mark.slow
-def test_it_is_what_identify_finds_with_all_starts_among_the_parameters():
+def test_it_is_what_a_fit_finds_with_all_starts_among_the_parameters():
     observed = drawn(0)
     begin = guessed(observed)
 
@@ -50,15 +62,15 @@ def test_it_is_what_identify_finds_with_all_starts_among_the_parameters():
         starts = {"x": p["x"], "v": p["v"]}
         return jax.vmap(ring, in_axes=(None, 0))(p, starts)
 
-    together = identify(
+    together = control.fit(
         everything,
         observed,
         START | begin,
-        sd=SD,
-        log=tuple(START),
+        noise=SD,
+        logarithmic=tuple(START),
         tolerance=1e-13,
     )
-    fit, starts = identify_shots(ring3, observed, START, begin, sd=SD, tolerance=1e-13)
+    fit = fitted(observed, begin, tolerance=1e-13)
     assert bool(fit.converged)
     assert int(fit.freedoms) == int(together.freedoms) == WINDOWS * (EVERY - 2) - 2
     assert float(fit.misfit) == pytest.approx(float(together.misfit), rel=1e-6)
@@ -68,19 +80,15 @@ def test_it_is_what_identify_finds_with_all_starts_among_the_parameters():
         expected = float(together.standard_deviations[name])
         found = float(fit.standard_deviations[name])
         assert found == pytest.approx(expected, rel=1e-4), name
-    for name, leaf in starts.items():
+    for name, leaf in fit.unknowns.items():
         np.testing.assert_allclose(leaf, together.values[name], rtol=1e-4, atol=1e-5)
-
-
-def ring3(p, start, known):
-    return ring(p, start)
 
 
 @pytest.mark.slow
 def test_standard_deviations_hold_what_the_starts_take_from_the_data():
     def fit(seed):
         observed = drawn(seed)
-        return identify_shots(ring3, observed, START, guessed(observed), sd=SD)[0]
+        return fitted(observed, guessed(observed))
 
     fits = jax.jit(jax.vmap(fit))(jnp.arange(200))
     assert_calibrated(fits, TRUTH)
@@ -95,13 +103,14 @@ def test_kinds_and_what_was_not_seen():
         x = ring(p, start)
         return {"x": x, "twice": known * x}
 
-    fit, _ = identify_shots(
+    fit = control.fit(
         both,
         observed,
         START,
-        guessed(clean),
-        known=jnp.full(WINDOWS, 2.0),
-        sd={"x": SD, "twice": 0.1},
+        multiple_shooting=MultipleShooting(
+            guessed(clean), known=jnp.full(WINDOWS, 2.0)
+        ),
+        noise={"x": SD, "twice": 0.1},
         tolerance=1e-13,
     )
     for name, value in TRUTH.items():
@@ -115,10 +124,8 @@ def test_kinds_and_what_was_not_seen():
 def test_a_start_that_nothing_shows_takes_nothing():
     observed = drawn(1)
     begin = guessed(observed)
-    plain, _ = identify_shots(ring3, observed, START, begin, sd=SD)
-    unseen, _ = identify_shots(
-        ring3, observed, START, begin | {"idle": jnp.ones(WINDOWS)}, sd=SD
-    )
+    plain = fitted(observed, begin)
+    unseen = fitted(observed, begin | {"idle": jnp.ones(WINDOWS)})
     for name in START:
         expected = float(plain.standard_deviations[name])
         found = float(unseen.standard_deviations[name])
@@ -129,9 +136,7 @@ def test_parameters_stay_in_bounds():
     observed = drawn(2)
     upper = {"frequency": 4.5, "rate": 2.0}
     lower = {"frequency": 3.5, "rate": 0.1}
-    fit, _ = identify_shots(
-        ring3, observed, START, guessed(observed), sd=SD, lower=lower, upper=upper
-    )
+    fit = fitted(observed, guessed(observed), lower=lower, upper=upper)
     assert float(fit.values["frequency"]) == pytest.approx(3.5)
     assert [bool(held) for held in fit.at_bound] == [True, False]
 
@@ -140,10 +145,12 @@ def test_bad_arguments_are_refused():
     observed = drawn(0)
     begin = guessed(observed)
     with pytest.raises(ValueError, match="observed and known must be stacked"):
-        identify_shots(ring3, observed[1:], START, begin, sd=SD)
+        fitted(observed[1:], begin)
     with pytest.raises(ValueError, match="observed and known must be stacked"):
-        identify_shots(ring3, observed, START, begin, known=jnp.zeros(3), sd=SD)
+        fitted(observed, begin, known=jnp.zeros(3))
     with pytest.raises(ValueError, match="equally many in every leaf"):
-        identify_shots(ring3, observed, START, begin | {"x": jnp.zeros(2)}, sd=SD)
+        fitted(observed, begin | {"x": jnp.zeros(2)})
     with pytest.raises(ValueError, match="lower names stiffness"):
-        identify_shots(ring3, observed, START, begin, sd=SD, lower={"stiffness": 1})
+        fitted(observed, begin, lower={"stiffness": 1})
+    with pytest.raises(ValueError, match='mode must be "forward"'):
+        fitted(observed, begin, mode="reverse")

@@ -1,0 +1,253 @@
+r"""A fit: parameters found from data, their uncertainty, and undetermined directions.
+
+With residuals $r$ in units of their noise and their Jacobian $J$ by the search
+variables (logarithms, or values as fractions of the start),
+
+$$\mathrm{cov} = \sigma^2 (J^T J)^{-1} = \sigma^2 V \mathrm{diag}(s^{-2}) V^T,
+\qquad J = U\, \mathrm{diag}(s)\, V^T,$$
+
+which is the Cramér-Rao bound if the noise is Gaussian. $\sigma$ is one if the noise is
+given; otherwise it is estimated from the residuals. The data do not determine a
+direction $v_k$ if $\sigma / s_k$ exceeds 100 % of a value, or if $s_k$ is round-off
+next to the largest.
+
+Source: G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989, sections 2.1 and 3.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrod.control.identification.parameters import Parameters
+from jaxrod.structure import pytree
+from jaxrod.validation import is_traced
+
+VAGUE = 1.0
+"""Relative uncertainty above which a direction counts as not determined."""
+NEAR = 0.1
+"""Largest remaining step of a converged search, in standard deviations."""
+PLAIN = 0.05
+"""Components of a direction below this fraction are left out of its description."""
+
+
+@pytree
+class Forecast:
+    """A fit's prediction of observations that were not made."""
+
+    value: Any
+    """Expected observations."""
+    sd: Any
+    """Standard deviations due to the uncertainty of the parameters, without noise.
+    Along directions that the data do not determine, parameters are taken to be
+    uncertain by 100 % of their values."""
+
+
+@pytree
+class Fit:
+    """Parameters found from data by `fit`; a batch of fits under `jax.vmap`.
+
+    `print(fit)` shows a table, and describes in words what the data do not determine.
+    """
+
+    parameters: Parameters
+    """Names, start and scales of the parameters, and the search variables."""
+    values: dict[str, Any]
+    """Parameters at the minimum of the sum of squares."""
+    standard_deviations: dict[str, Any]
+    """Standard deviations of the parameters, in their units; infinite where round-off
+    hides them."""
+    covariance: Float[Array, "p p"]
+    """Covariance of the search variables: logarithms, or fractions of the start."""
+    singular_values: Float[Array, " p"]
+    """Singular values of the Jacobian, in units of the noise, the largest first."""
+    directions: Float[Array, "p p"]
+    """Right singular vectors as rows: directions in the space of search variables."""
+    residual_sd: Any
+    """Root mean square of the residuals of each kind of observation, in its units."""
+    misfit: Float[Array, ""]
+    """Sum of squares per degree of freedom, in units of the noise: one if model and
+    noise are right. One by definition if the noise was not given."""
+    remaining: Float[Array, ""]
+    """Gauss-Newton step from here to the minimum, in standard deviations."""
+    converged: Bool[Array, ""]
+    """Whether the remaining step is less than a tenth of a standard deviation."""
+    iterations: Int[Array, ""]
+    """Number of iterations made."""
+    at_bound: Bool[Array, " p"]
+    """Whether each parameter is at a bound; its standard deviation then means
+    little."""
+    freedoms: Int[Array, ""]
+    """Degrees of freedom: number of observations less number of unknowns."""
+    unknowns: Any = None
+    """Unknowns of initial states, with multiple shooting."""
+    states: Any = None
+    """Initial states of all windows, with multiple shooting."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the numbers sought, in the order of the matrices."""
+        return self.parameters.names
+
+    @property
+    def correlation(self) -> Float[Array, "p p"]:
+        """Correlations of the search variables."""
+        sd = jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
+        scale = jnp.where(sd > 0, sd, 1)
+        return self.covariance / (scale[..., :, None] * scale[..., None, :])
+
+    @property
+    def vague(self) -> Bool[Array, " p"]:
+        """Whether each row of `directions` is one that the data do not determine."""
+        return vague_ways(self.singular_values)
+
+    @property
+    def determined(self) -> Bool[Array, ""]:
+        """Whether the data determine every direction."""
+        return ~jnp.any(self.vague, axis=-1)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Directions that the data do not determine, in words.
+
+        Raises:
+            ValueError: This is a batch of fits: take one of it,
+                `jax.tree.map(lambda a: a[0], fit)`.
+        """
+        if self.covariance.ndim > 2:
+            raise ValueError(
+                "undetermined is of one fit, and this is a batch of "
+                f"{self.covariance.shape[:-2]}: take one of it, "
+                "jax.tree.map(lambda leaf: leaf[0], fit)"
+            )
+        rows = zip(self.vague, self.directions, self.singular_values, strict=True)
+        return tuple(
+            _words(np.asarray(way), self.names, self.parameters.by_log)
+            for hidden, way, _ in rows
+            if bool(hidden)
+        )
+
+    def z(self, truth: Mapping[str, Any]) -> dict[str, Array]:
+        """Returns the search variables' errors in standard deviations (z-scores).
+
+        Args:
+            truth: True parameters, with the names and shapes of `values`.
+        """
+        if self.covariance.ndim > 2:
+            return jax.vmap(lambda fit: fit.z(truth))(self)
+        away = self.parameters.searched(self.values) - self.parameters.searched(truth)
+        sd = jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
+        return self.parameters.named(away / sd)
+
+    def forecast(self, simulate: Callable[[dict[str, Any]], Any]) -> Forecast:
+        """Predicts the result of another simulation, with its uncertainty.
+
+        Args:
+            simulate: Takes parameters and returns any pytree, for example of a longer
+                time or under other loads.
+        """
+        if self.covariance.ndim > 2:
+            return jax.vmap(lambda fit: fit.forecast(simulate))(self)
+        point = self.parameters.searched(self.values)
+
+        def made(point: Array) -> Any:
+            return simulate(self.parameters.values(point))
+
+        sd = 1 / jnp.where(self.vague, 1 / VAGUE, self.singular_values)
+        ways = sd[:, None] * self.directions
+
+        def along(way: Array) -> tuple[Any, Any]:
+            return jax.jvp(made, (point,), (way,))
+
+        value, moved = jax.vmap(along, out_axes=(None, 0))(ways)
+        spread = jax.tree.map(lambda m: jnp.sqrt(jnp.sum(m**2, axis=0)), moved)
+        return Forecast(value, spread)
+
+    def __repr__(self) -> str:
+        """Returns a table of the parameters, with remarks on the fit."""
+        if is_traced(self) or self.covariance.ndim > 2:
+            return f"Fit of {', '.join(self.names)}, {self.covariance.shape[:-2]} fits"
+        return "\n".join([*_table(self), *_remarks(self)])
+
+
+def vague_ways(s: Array) -> Array:
+    """Whether each singular value has a direction that the data do not determine."""
+    hidden = s <= smallest_ratio(s.dtype) * s[..., :1]
+    return hidden | (s * VAGUE < 1) | ~jnp.isfinite(s)
+
+
+def smallest_ratio(dtype: Any) -> float:
+    """Ratio to the largest singular value below which one is round-off."""
+    return float(jnp.finfo(dtype).eps) ** 0.5
+
+
+def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
+    """Describes a direction in words."""
+    shares = way / way[np.argmax(np.abs(way))]
+    part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
+    if len(part) == 1:
+        return f"{names[part[0]]}: the data say next to nothing about it"
+    changes = ", ".join(
+        f"{names[k]} by {10 * shares[k]:+.2g} %"
+        + ("" if by_log[k] else " of its start")
+        for k in sorted(part)
+    )
+    several = " and ".join(names[k] for k in sorted(part))
+    return f"{several} each: changing {changes} together leaves the data as they are"
+
+
+def _table(fit: Fit) -> list[str]:
+    values = np.asarray(fit.parameters.flat(fit.values), float)
+    sds = np.asarray(fit.parameters.flat(fit.standard_deviations), float)
+    relative = np.sqrt(np.diag(np.asarray(fit.covariance, float)))
+    width = max(len("parameter"), *map(len, fit.names))
+    correlation = np.asarray(fit.correlation, float)
+    few = len(fit.names) <= 8
+    head = f"{'parameter':<{width}}  {'value':>12} {'sd':>12}"
+    lines = [head + ("   correlations" if few and len(fit.names) > 1 else "")]
+    for k, name in enumerate(fit.names):
+        sure = np.isfinite(sds[k]) and relative[k] <= VAGUE
+        sd = f"{sds[k]:>12.2g}" if sure else f"{'not known':>12}"
+        row = f"{name:<{width}}  {values[k]:>12.5g} {sd}"
+        if few:
+            row += "  " + "".join(f" {correlation[k, j]:+.2f}" for j in range(k))
+        lines.append(row.rstrip())
+    return lines
+
+
+def _remarks(fit: Fit) -> list[str]:
+    if not np.isfinite(float(fit.misfit)):
+        return [
+            "NOTHING FOUND: what is simulated at the start is not finite, or its "
+            "derivatives are not (is the step stable there?)"
+        ]
+    kinds, _ = jax.tree_util.tree_flatten_with_path(fit.residual_sd)
+    lines = []
+    for path, rms in kinds:
+        name = jax.tree_util.keystr(path, simple=True, separator=".") or "observations"
+        lines.append(f"residual sd of {name}: {float(rms):.3g}")
+    lines.append(
+        f"misfit {float(fit.misfit):.3g} over {int(fit.freedoms)} degrees of freedom; "
+        f"{int(fit.iterations)} iterations"
+        + (
+            ""
+            if bool(fit.converged)
+            else f", NOT CONVERGED: {float(fit.remaining):.2g} standard deviations left"
+        )
+    )
+    if float(fit.misfit) > 1 + 5 * np.sqrt(2 / max(int(fit.freedoms), 1)):
+        lines.append(
+            "the misfit is more than noise: the model is wrong somewhere, the search "
+            "has stopped short, or noise is too small; the standard deviations are too "
+            "small then"
+        )
+    for k, name in enumerate(fit.names):
+        if bool(fit.at_bound[k]):
+            lines.append(f"{name} is at its bound")
+    lines += [f"not determined: {words}" for words in fit.undetermined]
+    return lines
