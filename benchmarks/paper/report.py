@@ -9,8 +9,8 @@ from statistics import fmean
 
 from benchmarks.paper.published import result_of_run
 from benchmarks.paper.records import Record
-from jaxrod.cli.sweeps.view import duration
 from jaxrod.files import write_atomically
+from jaxrod.training.progress import duration
 
 _HEADS = (
     "cell",
