@@ -29,7 +29,7 @@ from benchmarks.exchanges import exchanges
 from benchmarks.nest_speed import example
 from benchmarks.page_tables import measured_table
 from jaxrod.envs import make
-from jaxrod.installation.backend import available_cores
+from jaxrod.installation.machine import available_cores
 from jaxrod.training import find_algorithm
 from jaxrod.training.runs.devices import (
     device_mesh,

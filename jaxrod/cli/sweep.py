@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 from jaxrod.cli import settings
 from jaxrod.cli.runs import add_trust
-from jaxrod.cli.train_arguments import STEPS
+from jaxrod.cli.train import STEPS
 
 if TYPE_CHECKING:
     from jaxrod.cli.sweeps.plan import SweepRun

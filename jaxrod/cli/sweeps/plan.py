@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from jaxrod.cli import runs, settings
-from jaxrod.cli.devices import devices_that_fit
 from jaxrod.cli.settings import word_of
 from jaxrod.cli.train import short_name
 from jaxrod.envs import Environment, check_environment, names
 from jaxrod.envs.importing import spelt_out
+from jaxrod.installation.backend import devices_that_fit
 from jaxrod.training import RunFolder
 from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.folder import differences
