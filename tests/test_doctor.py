@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxrod import cli
-from jaxrod.installation import accelerators, doctor, jax_version
+from jaxrod.installation import doctor, jax_version
 
 CPU = jax.devices("cpu")[0]
 
@@ -99,7 +99,7 @@ def test_fast_math_is_reported(monkeypatch):
 
 
 def test_one_program_gives_the_same_bits_here():
-    check = accelerators.check_repeatability(CPU)
+    check = doctor.check_repeatability(CPU)
     assert check.detail.startswith("0 of 8 calls")
     assert not check.advice
 
@@ -107,9 +107,9 @@ def test_one_program_gives_the_same_bits_here():
 def test_other_bits_are_counted_and_advised_on(monkeypatch):
     results = iter([0.0, 0.0, -0.0, 1.0])
     call = lambda: [np.array([next(results)])]
-    assert accelerators.calls_that_differ(call, 3) == 2
-    monkeypatch.setattr(accelerators, "calls_that_differ", lambda call: 3)
-    check = accelerators.check_repeatability(CPU)
+    assert doctor.calls_that_differ(call, 3) == 2
+    monkeypatch.setattr(doctor, "calls_that_differ", lambda call: 3)
+    check = doctor.check_repeatability(CPU)
     assert check.ok
     assert "deterministic_ops" in check.advice
 
@@ -123,14 +123,14 @@ def test_other_bits_are_counted_and_advised_on(monkeypatch):
 )
 def test_memory_is_told_and_a_full_device_advised_on(used, setting, words, full):
     stats = {"bytes_limit": 80 * 10**9, "bytes_in_use": int(used)}
-    check = accelerators.check_memory("gpu", stats, setting)
+    check = doctor.check_memory("gpu", stats, setting)
     assert words in check.detail
     assert bool(check.advice) == full
 
 
 def test_a_device_that_says_nothing_of_its_memory_has_no_check():
-    assert accelerators.check_memory("cpu", None, "") is None
-    assert accelerators.check_memory("gpu", {}, "") is None
+    assert doctor.check_memory("cpu", None, "") is None
+    assert doctor.check_memory("gpu", {}, "") is None
 
 
 def test_exit_code_and_json_agree_on_a_sound_machine(capsys):

@@ -8,7 +8,7 @@ import pytest
 
 BEGIN = """
 import os, signal
-from jaxrod.installation.last_words import LastWords
+from jaxrod.installation.processes import LastWords
 last_words = LastWords()
 last_words("the first sentence")
 last_words("the last sentence")

@@ -1,11 +1,12 @@
-"""A progress bar on stderr: progress, speed, result so far, time left."""
+"""Progress on stderr: how far, how fast, result so far, time left."""
 
 from __future__ import annotations
 
 import shutil
 import sys
 import time
-from typing import TextIO
+from collections.abc import Mapping
+from typing import Any, TextIO
 
 _WIDTH = 24
 
@@ -14,7 +15,8 @@ class ProgressBar:
     """Shows the progress of a run or an optimisation.
 
     On a terminal one line is redrawn. Elsewhere (a notebook, a log file) a line is
-    printed whenever another tenth is done or half a minute has passed.
+    printed whenever another tenth is done or half a minute has passed. A run with a
+    name shares the stream with others: only its tenths are printed.
     """
 
     def __init__(
@@ -23,6 +25,7 @@ class ProgressBar:
         unit: str,
         *,
         done: int = 0,
+        name: str = "",
         enabled: bool = True,
         stream: TextIO | None = None,
     ) -> None:
@@ -32,15 +35,17 @@ class ProgressBar:
             total: Largest possible count.
             unit: Name of the counted things, in the plural.
             done: Count before the clock starts.
+            name: Name of one of several runs, printed before its lines.
             enabled: Whether anything is shown.
             stream: Output stream; stderr by default.
         """
         self._total = total
         self._unit = unit
         self._start = done
+        self._name = name
         self._enabled = enabled
         self._stream = sys.stderr if stream is None else stream
-        self._live = self._stream.isatty()
+        self._live = self._stream.isatty() and not name
         self._tenths = 10 * done // total
         self._open = False
         self.restart()
@@ -65,10 +70,12 @@ class ProgressBar:
             width = shutil.get_terminal_size().columns - 1
             self._write(f"\r{line[:width]:<{width}}")
             self._open = True
-        elif 10 * done // self._total > self._tenths or now - self._printed > 30:
+        elif 10 * done // self._total > self._tenths or (
+            now - self._printed > 30 and not self._name
+        ):
             self._tenths = 10 * done // self._total
             self._printed = now
-            self._write(line + "\n")
+            self._write(f"{self._name}  {line}\n" if self._name else f"{line}\n")
 
     def message(self, text: str) -> None:
         """Prints a message on a line of its own."""
@@ -105,7 +112,7 @@ def progress_line(done: int, total: int, unit: str, rate: float, reached: str) -
     )
     if rate > 0:
         speed = f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
-        line += f"  {speed} {unit}/s  {_clock((total - done) / rate)} left"
+        line += f"  {speed} {unit}/s  {duration(max(0, total - done) / rate)} left"
     return f"{line}  {reached}"
 
 
@@ -116,9 +123,19 @@ def _short(count: int) -> str:
     return str(count)
 
 
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(max(0, round(seconds)), 60)
-    hours, minutes = divmod(minutes, 60)
-    return (
-        f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
-    )
+def duration(seconds: float) -> str:
+    """A time in words, such as "3.4 min"."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def reached(row: Mapping[str, Any]) -> str:
+    """Result so far from a row of progress: rewards until the first episode ends."""
+    if row["episode_return_mean"] not in (None, ""):
+        return f"return {float(row['episode_return_mean']):,.1f}"
+    if row.get("reward_mean") not in (None, ""):
+        return (
+            f"reward {float(row['reward_mean']):.3g} per action, no episode has ended"
+        )
+    return "no episode has ended"

@@ -7,7 +7,7 @@ from collections import defaultdict
 from benchmarks.paper.cell_records import Record, Records
 from benchmarks.paper.published import result_of_run
 from jaxrod.viz import ReferenceScore
-from jaxrod.viz.grid_curves import grid_curves
+from jaxrod.viz.curves import grid_curves
 
 
 def draw_figures(records: Records) -> None:

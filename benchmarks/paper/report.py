@@ -9,8 +9,8 @@ from statistics import fmean
 
 from benchmarks.paper.cell_records import Record
 from benchmarks.paper.published import result_of_run
-from jaxrod.cli.sweeps.view import duration
 from jaxrod.files import write_atomically
+from jaxrod.training.progress import duration
 
 _HEADS = (
     "cell",

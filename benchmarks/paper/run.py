@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
 def _describe(cells: list[Any], records: Any, overwrite: bool, as_json: bool) -> None:
     """Prints what would run, and for how long as far as is known."""
     from benchmarks.paper.running import changed_since
-    from jaxrod.cli.sweeps.view import duration
+    from jaxrod.training.progress import duration
 
     rows = []
     for cell in cells:

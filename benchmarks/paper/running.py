@@ -12,15 +12,15 @@ from benchmarks.paper.cell_records import Record, Records
 from benchmarks.paper.figures import draw_figures
 from benchmarks.paper.plan import Cell
 from benchmarks.paper.report import write_report
-from jaxrod.cli.sweeps.planned import differs
-from jaxrod.cli.sweeps.process import (
+from jaxrod.cli.sweeps.plan import differs
+from jaxrod.cli.sweeps.running import (
     Ended,
     ThisMachine,
     last_row,
     log_of,
+    train_all,
     wait_for,
 )
-from jaxrod.cli.sweeps.running import train_all
 from jaxrod.cli.sweeps.view import RunsView
 from jaxrod.files import refuse_link, write_atomically
 from jaxrod.installation.machine import processor
@@ -90,18 +90,22 @@ def run_grid(
                 waiting.remove(cell)
                 _record(cell, folder, records, folder.summary(), None)
                 _show(view, cell, folder.summary())
+
+        def ended(cell: Cell, how: Ended) -> None:
+            stopped = interruption.asked
+            if not _ended(cell, folders[cell.name], how, records, view, stopped):
+                broken.append(cell)
+
         with Interruption(view.say) as interruption:
-            for cell, ended in train_all(
+            train_all(
                 waiting,
                 lambda cell: folders[cell.name],
                 ThisMachine(jobs),
                 view,
                 interruption,
+                ended,
                 ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"],
-            ):
-                stopped = interruption.asked
-                if not _ended(cell, folders[cell.name], ended, records, view, stopped):
-                    broken.append(cell)
+            )
         if interruption.asked:
             view.say("stopped; the same command goes on")
             return 130
@@ -155,7 +159,7 @@ def _ended(
     elif ended.code == DIVERGED and not stopped:
         _record(cell, folder, records, _so_far(row or {}), ended.said)
     elif stopped:
-        view.stopped(cell, int(row["env_steps"]) if row else 0)
+        view.stopped(cell, row)
         return True
     else:
         # Not recorded: the next call tries again, from the last checkpoint.

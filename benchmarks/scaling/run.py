@@ -28,7 +28,7 @@ from benchmarks.shared.arguments import add_names
 from benchmarks.shared.files import ROOT, example
 from benchmarks.shared.page_tables import measured_table
 from jaxrod.envs import make
-from jaxrod.installation.backend import available_cores
+from jaxrod.installation.machine import available_cores
 from jaxrod.training import find_algorithm
 from jaxrod.training.runs.devices import (
     device_mesh,

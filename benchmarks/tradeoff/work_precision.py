@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.files import write_atomically
-from jaxrod.viz.matplotlib_needed import need_matplotlib
+from jaxrod.viz.curves import need_matplotlib
 
 if TYPE_CHECKING:
     from benchmarks.tradeoff.grid import Row

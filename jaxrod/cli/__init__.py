@@ -1,7 +1,8 @@
 """The command line: `jaxrod COMMAND ...`.
 
-Each command is one module of this package, named after it, or a program of the
-checkout (`jaxrod.cli.checkout`). It has
+Each command is one module of this package, named after it, or a program in the folder
+`benchmarks` of a checkout: those run the published grid and compare with other
+simulators, and are not installed. It has
 
 - a docstring: a description of the command, shown by `jaxrod COMMAND --help`;
 - `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.util
 import os
 import shlex
 import sys
@@ -26,12 +28,12 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import TextIO
 
-from jaxrod import __version__
-from jaxrod.cli import checkout
-from jaxrod.cli.text import printable
+import jaxrod
+from jaxrod.cli.runs import printable
 from jaxrod.installation.jax_version import UnsoundJaxError
 from jaxrod.installation.program_cache import asked_for, silence_false_alarms
 
@@ -57,6 +59,13 @@ EXTRAS = {
     "tensorboardX": "tensorboard",
 }
 
+PROGRAMS = {
+    "reproduce": "benchmarks.paper.run",
+    "tradeoff": "benchmarks.tradeoff.run",
+    "benchmark": "benchmarks.rod_steps.run",
+}
+"""Commands that are programs of a checkout."""
+
 BROKEN = 70
 """Exit code after an unexpected error."""
 
@@ -73,6 +82,10 @@ a first run:
 JAXROD_TRACEBACK=1 shows where an error was raised, JAXROD_CACHE=1 keeps compiled
 programs for the next call (docs/compiling.md).
 """
+
+
+class NoCheckoutError(ImportError):
+    """The package is not installed from a checkout."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -107,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if os.environ.get("JAXROD_TRACEBACK"):
             raise
         print(f"{command}: {printable(_sentence(error))}", file=sys.stderr)
-        unfit = isinstance(error, UnsoundJaxError | checkout.NoCheckoutError)
+        unfit = isinstance(error, UnsoundJaxError | NoCheckoutError)
         return 1 if unfit else 2
     except Exception as error:
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
@@ -161,7 +174,9 @@ def _parser(
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"jaxrod {__version__}")
+    parser.add_argument(
+        "--version", action="version", version=f"jaxrod {jaxrod.__version__}"
+    )
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True, dest="command"
     )
@@ -184,9 +199,30 @@ def module_of(command: str) -> ModuleType:
     Raises:
         NoCheckoutError: The command needs a checkout, and there is none.
     """
-    if command in checkout.PROGRAMS:
-        return checkout.program(command)
+    if command in PROGRAMS:
+        return _program(command)
     return importlib.import_module(f"jaxrod.cli.{command}")
+
+
+def _program(command: str) -> ModuleType:
+    """Imports a program of the checkout around the package."""
+    root = Path(jaxrod.__file__).resolve().parents[1]
+    name = PROGRAMS[command]
+    if not root.joinpath(*name.split(".")).with_suffix(".py").is_file():
+        raise NoCheckoutError(
+            f"`jaxrod {command}` is a program of the folder benchmarks/ of jaxrod's "
+            "repository, which is not installed: clone the repository, and in it "
+            "`pip install -e .`"
+        )
+    package, _, _ = name.partition(".")
+    if package not in sys.modules:
+        # Imported by its path: the current folder may have its own `benchmarks`.
+        place = root / package / "__init__.py"
+        spec = importlib.util.spec_from_file_location(package, place)
+        assert spec is not None and spec.loader is not None
+        sys.modules[package] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[package])
+    return importlib.import_module(name)
 
 
 def _sentence(error: ValueError | OSError | ImportError) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli.text import printable
 from jaxrod.files import UntrustedError, read_json, reading
 
 if TYPE_CHECKING:
@@ -211,3 +210,12 @@ def describe(config: Mapping[str, Any]) -> str:
     what += [f"{name} = {value}" for name, value in chosen.items()]
     task = config["task"] + (f" ({', '.join(what)})" if what else "")
     return printable(f"{task}, {config['algorithm']}, seed {config['seed']}")
+
+
+def printable(text: str) -> str:
+    """One line of text that is safe to print: control characters become escapes."""
+    line = " ".join(text.split("\n"))
+    return "".join(
+        sign if sign.isprintable() else sign.encode("unicode_escape").decode()
+        for sign in line
+    )

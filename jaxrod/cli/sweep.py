@@ -23,14 +23,15 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jaxrod.cli import settings
 from jaxrod.cli.runs import add_trust
-from jaxrod.cli.train_arguments import STEPS
+from jaxrod.cli.train import STEPS
 
 if TYPE_CHECKING:
     from jaxrod.cli.sweeps.plan import SweepRun
+    from jaxrod.cli.sweeps.running import Ended, Place
     from jaxrod.training import RunFolder
 
 EXAMPLES = """\
@@ -172,7 +173,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         results, code, drawn = Results(runs, out), 0, []
     else:
-        with _place(args) as place:
+        with _place(args, len(runs)) as place:
             words = ["--checkpoint-seconds", str(args.checkpoint_seconds)]
             words += [word for one in args.trust for word in ("--trust", one)]
             code = _train(runs, out, place, [*words, "--no-replay"])
@@ -193,23 +194,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _place(args: argparse.Namespace) -> Iterator[Any]:
-    """Machine or cluster on which the runs are trained."""
+def _place(args: argparse.Namespace, number: int) -> Iterator[Place]:
+    """Machine or cluster on which so many runs are trained."""
     if args.ray is None:
-        from jaxrod.cli.sweeps.process import ThisMachine
+        from jaxrod.cli.sweeps.running import ThisMachine
 
         yield ThisMachine(args.jobs)
     else:
         from jaxrod.cli.sweeps.on_ray import cluster
 
-        with cluster(args.ray, args.cpus or 1, args.gpus or 0.0) as connected:
+        with cluster(args.ray, number, args.cpus or 1, args.gpus or 0.0) as connected:
             yield connected
 
 
 def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
     """Raises ValueError if a run can be neither started nor continued."""
-    from jaxrod.cli.sweeps.planned import differs
-    from jaxrod.cli.sweeps.process import log_of
+    from jaxrod.cli.sweeps.plan import differs
+    from jaxrod.cli.sweeps.running import log_of
     from jaxrod.files import refuse_link
 
     if out.exists() and not out.is_dir():
@@ -227,15 +228,14 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
             )
 
 
-def _train(runs: Sequence[SweepRun], out: Path, place: Any, more: list[str]) -> int:
+def _train(runs: Sequence[SweepRun], out: Path, place: Place, more: list[str]) -> int:
     """Trains the unfinished runs; returns the exit code.
 
     Returns:
         0 if all runs finished, 1 if some failed, 130 if interrupted.
     """
-    from jaxrod.cli.sweeps.process import last_row, log_of, wait_for
     from jaxrod.cli.sweeps.results import Results
-    from jaxrod.cli.sweeps.running import train_all
+    from jaxrod.cli.sweeps.running import last_row, log_of, train_all, wait_for
     from jaxrod.cli.sweeps.view import RunsView
     from jaxrod.training.runs.interruption import Interruption
     from jaxrod.training.runs.lock import only_process
@@ -246,33 +246,37 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Any, more: list[str]) -> 
         wait_for(folders.values(), view.say)
         results = Results(runs, out)
         results.write()
-        waiting, failed = [], 0
+        waiting: list[SweepRun] = []
+        failed: list[SweepRun] = []
         for run, row in zip(runs, results.rows, strict=True):
             if row["state"] == "finished":
                 view.done(run, folders[run.name].summary(), quiet=True)
             else:
                 waiting.append(run)
+
+        def ended(run: SweepRun, how: Ended) -> None:
+            folder = folders[run.name]
+            if folder.finished:
+                results.update(run)
+                view.done(run, folder.summary(), quiet=False)
+            elif interruption.asked:
+                results.update(run)
+                view.stopped(run, last_row(folder))
+            else:
+                failed.append(run)
+                results.update(run, how.said or f"exit code {how.code}")
+                view.failed(run, f"{how.said} (see {log_of(folder)})")
+
         with Interruption(view.say) as interruption:
-            for run, ended in train_all(
+            train_all(
                 waiting,
                 lambda run: folders[run.name],
                 place,
                 view,
                 interruption,
+                ended,
                 more,
-            ):
-                folder = folders[run.name]
-                if folder.finished:
-                    results.update(run)
-                    view.done(run, folder.summary(), quiet=False)
-                elif interruption.asked:
-                    results.update(run)
-                    reached = last_row(folder)
-                    view.stopped(run, int(reached["env_steps"]) if reached else 0)
-                else:
-                    failed += 1
-                    results.update(run, ended.said or f"exit code {ended.code}")
-                    view.failed(run, f"{ended.said} (see {log_of(folder)})")
+            )
     if interruption.asked:
         view.say("stopped; the same command goes on")
         return 130

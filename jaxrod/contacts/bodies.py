@@ -25,7 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.geometry import vectors
+from jaxrod.contacts.solids import IDENTITY, Solid, ends_along_z, pose_of_axis
+from jaxrod.geometry import surfaces, vectors
 from jaxrod.geometry.rotations import (
     directors,
     normalise,
@@ -33,6 +34,7 @@ from jaxrod.geometry.rotations import (
     to_material,
     to_world,
 )
+from jaxrod.geometry.surfaces import Triangles
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_array, is_traced
@@ -62,6 +64,20 @@ class Body(ABC):
         """Radius of the largest ball inside [m]; `None` if it is not known."""
         return None
 
+    def solid(self) -> Solid:
+        """Centre of mass, principal axes, volume and inertia.
+
+        By default the centre of mass is at the origin, and the others are not known.
+        """
+        return Solid(self, jnp.zeros(3), jnp.asarray(IDENTITY))
+
+    def mesh(self) -> Triangles | None:
+        """Triangles of the surface, for drawing.
+
+        By default there are none: the surface is searched by the signed distance.
+        """
+        return None
+
 
 @pytree
 class Sphere(Body):
@@ -85,6 +101,23 @@ class Sphere(Body):
     def inradius(self) -> Array:
         """Radius [m]."""
         return self.radius
+
+    def solid(self) -> Solid:
+        """Volume, and inertia of a full ball."""
+        radius = self.radius
+        square = 0.4 * radius * radius
+        return Solid(
+            Sphere(jnp.zeros_like(self.centre), radius),
+            self.centre,
+            jnp.asarray(IDENTITY, radius.dtype),
+            4 / 3 * jnp.pi * radius * radius * radius,
+            jnp.stack([square, square, square]),
+        )
+
+    def mesh(self) -> Triangles:
+        """Triangles of the ball."""
+        corners, faces = surfaces.ball(float(self.radius))
+        return np.asarray(self.centre) + corners, faces
 
 
 @pytree
@@ -115,6 +148,32 @@ class Capsule(Body):
     def inradius(self) -> Array:
         """Radius of the cylinder [m]."""
         return self.radius
+
+    def solid(self) -> Solid:
+        """Volume, and inertia about the axis and across it."""
+        centre, orientation, half = pose_of_axis(self.start, self.end)
+        radius, square = self.radius, self.radius * self.radius
+        middle = 2 * jnp.pi * square * half
+        balls = 4 / 3 * jnp.pi * square * radius
+        # Half balls: 2/5 r^2 about the centre of the ball; the centre of mass of a half
+        # ball is 3/8 r away from there.
+        beyond = 0.4 * square + half * half + 0.75 * half * radius
+        across = middle * (square / 4 + half * half / 3) + balls * beyond
+        along = middle * square / 2 + balls * 0.4 * square
+        volume = middle + balls
+        return Solid(
+            Capsule(*ends_along_z(half), radius),
+            centre,
+            orientation,
+            volume,
+            jnp.stack([across, across, along]) / volume,
+        )
+
+    def mesh(self) -> Triangles:
+        """Triangles of the cylinder and the half balls."""
+        start, end = np.asarray(self.start), np.asarray(self.end)
+        half = float(np.linalg.norm(end - start)) / 2
+        return surfaces.along(surfaces.capsule(half, float(self.radius)), start, end)
 
 
 @pytree
@@ -154,6 +213,25 @@ class Cylinder(Body):
         x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
         return jnp.minimum(self.radius, 0.5 * vectors.safe_norm((x, y, z)))
 
+    def solid(self) -> Solid:
+        """Volume, and inertia about the axis and across it."""
+        centre, orientation, half = pose_of_axis(self.start, self.end)
+        square = self.radius * self.radius
+        across = square / 4 + half * half / 3
+        return Solid(
+            Cylinder(*ends_along_z(half), self.radius),
+            centre,
+            orientation,
+            2 * jnp.pi * square * half,
+            jnp.stack([across, across, square / 2]),
+        )
+
+    def mesh(self) -> Triangles:
+        """Triangles of the mantle and the ends."""
+        start, end = np.asarray(self.start), np.asarray(self.end)
+        half = float(np.linalg.norm(end - start)) / 2
+        return surfaces.along(surfaces.cylinder(half, float(self.radius)), start, end)
+
 
 @pytree
 class Plane(Body):
@@ -180,6 +258,10 @@ class Plane(Body):
     def inradius(self) -> Array:
         """Radius of the largest ball inside: infinite [m]."""
         return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
+
+    def solid(self) -> Solid:
+        """Raises: a plane is no body that can move."""
+        raise ValueError("a plane is no rigid body that can move: give it to `contact`")
 
 
 @pytree
@@ -212,6 +294,26 @@ class Box(Body):
     def inradius(self) -> Array:
         """Half the smallest edge length [m]."""
         return jnp.min(self.half_lengths, axis=-1)
+
+    def solid(self) -> Solid:
+        """Volume, and inertia about the box's axes."""
+        a, b, c = self.half_lengths * self.half_lengths / 3
+        identity = jnp.asarray(IDENTITY, self.half_lengths.dtype)
+        orientation = self.orientation / jnp.sqrt(jnp.sum(self.orientation**2))
+        return Solid(
+            Box(jnp.zeros_like(self.centre), self.half_lengths, identity),
+            self.centre,
+            orientation,
+            8 * jnp.prod(self.half_lengths),
+            jnp.stack([b + c, a + c, a + b]),
+        )
+
+    def mesh(self) -> Triangles:
+        """Triangles of the six faces."""
+        corners, faces = surfaces.box(np.asarray(self.half_lengths))
+        frame = directors(normalise(split_quaternion(self.orientation)))
+        axes = np.array([[float(x) for x in axis] for axis in frame])
+        return np.asarray(self.centre) + corners @ axes, faces
 
 
 @pytree

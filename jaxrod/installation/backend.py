@@ -11,10 +11,12 @@ from __future__ import annotations
 import os
 import shlex
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
 
+from jaxrod.installation.machine import available_cores
 from jaxrod.installation.program_cache import asked_for, keep_programs
 from jaxrod.validation import check_count
 
@@ -86,11 +88,45 @@ def compile_for_rods() -> None:
         os.environ["XLA_FLAGS"] = with_backend_options("")
 
 
-def available_cores() -> int:
-    """Number of cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.Device]:
+    """The first devices of each process, in their order.
+
+    Args:
+        devices: Devices of all processes.
+        asked: Value of --devices for each process; None for all.
+
+    Raises:
+        ValueError: A process has fewer devices.
+    """
+    if asked is None:
+        return list(devices)
+    owned: dict[int, list[jax.Device]] = {}
+    for device in devices:
+        owned.setdefault(device.process_index, []).append(device)
+    fewest = min(len(own) for own in owned.values())
+    if not 1 <= asked <= fewest:
+        raise ValueError(
+            f"devices must be 1 to {fewest}, which each process has, got {asked}"
+        )
+    return [device for own in owned.values() for device in own[:asked]]
+
+
+def devices_that_fit(num_envs: int, asked: int | None, available: int | None) -> int:
+    """Number of devices to use: the requested one, or as many as divide the batch.
+
+    Args:
+        num_envs: Number of environments to spread.
+        asked: Value of --devices.
+        available: Number of existing devices; None before JAX has started, for the
+            number of cores.
+    """
+    if available is None:
+        available = available_cores()
+        # More devices would only split the same cores, without the user being told.
+        asked = asked if asked is None else min(asked, available)
+    if asked is not None:
+        return asked
+    return max(k for k in range(1, available + 1) if k == 1 or num_envs % k == 0)
 
 
 def given_options() -> str:

@@ -19,6 +19,13 @@ def processor() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
+def available_cores() -> int:
+    """Number of cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def machine_facts(load: float | None) -> dict[str, Any]:
     """Processor, cores, devices, XLA's flags and releases, in a form for JSON.
 
@@ -26,8 +33,6 @@ def machine_facts(load: float | None) -> dict[str, Any]:
         load: Load average before anything was measured; None if there is none.
     """
     import jax
-
-    from jaxrod.installation.backend import available_cores
 
     versions = {"python": platform.python_version()}
     for package in ("jax", "jaxlib", "llvmlite", "numpy", "pyelastica", "mujoco"):

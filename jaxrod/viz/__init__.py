@@ -6,15 +6,13 @@ import it themselves. Those that evaluate a scene or a system import JAX.
 
 from typing import Any
 
-from jaxrod.viz.arrows import Arrows
 from jaxrod.viz.curves import ReferenceScore, learning_curve
 from jaxrod.viz.drawing import animation, film, frame, picture
 from jaxrod.viz.meshes import Mesh
 from jaxrod.viz.page import html, save_html
-from jaxrod.viz.replay import Replay
+from jaxrod.viz.replay import Replay, show
 from jaxrod.viz.rods import Rods
-from jaxrod.viz.shapes import Cylinder, Sphere
-from jaxrod.viz.showing import show
+from jaxrod.viz.shapes import Arrows, Cylinder, Sphere
 
 __all__ = [
     "Arrows",
@@ -44,7 +42,7 @@ _MEASURES = ("bending", "speed", "stretch", "twist_rate")
 def __getattr__(name: str) -> Any:
     """Functions of a scene and a state, imported on first use because they need JAX."""
     if name in _MEASURES:
-        from jaxrod.viz import measures
+        from jaxrod.viz import recorded
 
-        return getattr(measures, name)
+        return getattr(recorded, name)
     raise AttributeError(f"module 'jaxrod.viz' has no attribute {name!r}")

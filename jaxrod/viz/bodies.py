@@ -7,13 +7,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.contacts.bodies import Body, Box, Capsule, Cylinder, Plane, Sphere
+from jaxrod.contacts.bodies import Body, Plane
+from jaxrod.geometry import surfaces
+from jaxrod.geometry.surfaces import Triangles
 from jaxrod.systems.members.rigid_bodies import RigidBodies
-from jaxrod.systems.members.solids import solid_of
-from jaxrod.viz import surfaces
 from jaxrod.viz.colours import FIXED
 from jaxrod.viz.meshes import Mesh
-from jaxrod.viz.surfaces import Triangles
 
 _DOUBLINGS = 6
 
@@ -28,7 +27,7 @@ def mesh_of(bodies: RigidBodies) -> Triangles:
         ValueError: No surface is found.
     """
     assert bodies.shape is not None
-    known = _centred(bodies.shape)
+    known = bodies.shape.mesh()
     if known is not None:
         return known
     mass = float(bodies.masses[0])
@@ -58,14 +57,12 @@ def _touches(shape: Body, half: float) -> bool:
 def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
     """Mesh of a fixed body.
 
-    Spheres, capsules, cylinders and boxes are drawn whole, others within a box and a
+    A body with triangles of its own is drawn whole, any other within a box and a
     margin around it.
     """
-    known = _centred(body)
+    known = body.mesh()
     if known is not None:
-        solid = solid_of(body)
-        centre, turn = np.asarray(solid.centre), np.asarray(solid.orientation)
-        return Mesh(*known, centre, turn, "obstacle", FIXED)
+        return Mesh(*known, name="obstacle", colour=FIXED)
     margin = 0.25 * float(np.max(high - low))
     vertices, faces = surfaces.of_distance(
         _surface(body), low - margin, high + margin, cells=64
@@ -106,22 +103,6 @@ def _cut(
         if a * b < 0:
             kept.append(here + a / (a - b) * (after - here))
     return kept
-
-
-def _centred(shape: Body) -> Triangles | None:
-    """Triangles around the centre of mass of a shape with a known geometry."""
-    solid: Any = None
-    if isinstance(shape, Sphere | Capsule | Cylinder | Box):
-        solid = solid_of(shape).shape
-    if isinstance(solid, Sphere):
-        return surfaces.ball(float(solid.radius))
-    if isinstance(solid, Box):
-        return surfaces.box(np.asarray(solid.half_lengths))
-    if isinstance(solid, Capsule):
-        return surfaces.capsule(float(solid.end[2]), float(solid.radius))
-    if isinstance(solid, Cylinder):
-        return surfaces.cylinder(float(solid.end[2]), float(solid.radius))
-    return None
 
 
 def _surface(body: Body) -> Any:

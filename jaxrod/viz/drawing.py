@@ -18,20 +18,19 @@ from jaxtyping import UInt8
 
 from jaxrod.files import write_atomically
 from jaxrod.viz.colours import RAMP, linear, other_legend, rod_legend
+from jaxrod.viz.curves import need_matplotlib
 from jaxrod.viz.geometry import Shapes, Triangles
 from jaxrod.viz.light import Ground, rendered, view_of
-from jaxrod.viz.matplotlib_needed import need_matplotlib
+from jaxrod.viz.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
-
-    from jaxrod.viz.replay import Replay
 
 _PALE = linear("#eef2f7")
 
 
 def frame(
-    replay: Replay,
+    replay: Recording,
     index: int,
     *,
     width: int = 640,
@@ -60,7 +59,7 @@ def frame(
 
 
 def picture(
-    replay: Replay,
+    replay: Recording,
     frame: int | Sequence[int],
     path: str | os.PathLike[str],
     *,
@@ -104,7 +103,7 @@ def picture(
 
 
 def film(
-    replay: Replay,
+    replay: Recording,
     path: str | os.PathLike[str],
     *,
     frames_per_second: float = 20.0,
@@ -155,7 +154,7 @@ def film(
 
 
 def animation(
-    replay: Replay,
+    replay: Recording,
     *,
     frames_per_second: float = 20.0,
     width: int = 640,
@@ -210,7 +209,7 @@ class _Painter:
 
     def __init__(
         self,
-        replay: Replay,
+        replay: Recording,
         size: tuple[int, int],
         azimuth: float,
         elevation: float,
@@ -338,14 +337,11 @@ def _save_mp4(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
         os.replace(half, path)
 
 
-if TYPE_CHECKING:
-    from jaxrod.viz.replay import Replay
-
 _INK, _QUIET = "#1c2430", "#5a6676"
 
 
 def captioned(
-    pixels: np.ndarray, replay: Replay, frame: int, field: str | None, step: float
+    pixels: np.ndarray, replay: Recording, frame: int, field: str | None, step: float
 ) -> np.ndarray:
     """A picture with its title and time above, and its legend below."""
     from PIL import Image, ImageDraw

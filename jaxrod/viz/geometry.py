@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxrod.viz import surfaces
+from jaxrod.geometry import surfaces
 from jaxrod.viz.colours import (
     FIXED,
     SPHERES,
@@ -17,10 +17,8 @@ from jaxrod.viz.colours import (
     rod_colours,
 )
 from jaxrod.viz.meshes import Mesh, rotation, shaded
+from jaxrod.viz.recording import Recording
 from jaxrod.viz.rods import at_nodes
-
-if TYPE_CHECKING:
-    from jaxrod.viz.replay import Replay
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000
@@ -41,7 +39,7 @@ class Triangles(NamedTuple):
 class Shapes:
     """The shapes of a replay, prepared once and posed at any frame."""
 
-    def __init__(self, replay: Replay, field: str | None = None) -> None:
+    def __init__(self, replay: Recording, field: str | None = None) -> None:
         """Prepares the surfaces of bodies; the field `field` colours the rods."""
         self.replay = replay
         self.field = field

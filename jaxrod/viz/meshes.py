@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxrod.viz.arrays import numbers, require_finite
-from jaxrod.viz.rods import checked_colour
+from jaxrod.viz.shapes import checked_colour, numbers, require_finite
 
 _CREASE = np.cos(np.radians(35.0))
 """Cosine of the largest angle at which adjacent faces are shaded as smooth."""

@@ -1,4 +1,4 @@
-"""Conversion of the states of a scene or a system to the shapes of a replay."""
+"""States of a scene or a system as the shapes of a replay, and as its fields."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body, Plane
 from jaxrod.contacts.contact import Contact
+from jaxrod.rods.elasticity import strains
 from jaxrod.rods.motion import motion_of
+from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.systems.contact.body_contact import BodyContact
 from jaxrod.systems.contact.neighbour_lists import RECORD
@@ -19,11 +22,11 @@ from jaxrod.systems.contact.touching_rods import TouchingRods
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.members.rigid_bodies import RigidBodies
 from jaxrod.systems.system import System
-from jaxrod.viz.arrows import Arrows, checked_arrows
 from jaxrod.viz.bodies import leaning_plane, mesh_of, solid_mesh
-from jaxrod.viz.extent import extent
 from jaxrod.viz.meshes import Mesh, checked_mesh
+from jaxrod.viz.recording import extent
 from jaxrod.viz.rods import Rods, checked_rods
+from jaxrod.viz.shapes import Arrows, checked_arrows
 
 _ONLY = "rod"
 """Name of the rod of a scene."""
@@ -251,3 +254,27 @@ def _on_rod(scene: Scene, state: Any) -> list[Any]:
         if isinstance(effect, Contact)
     ]
     return [forces for forces in found if forces is not None]
+
+
+# Functions of a scene and a state for the `fields` of `Replay.from_states`.
+
+
+def speed(scene: Any, state: RodState) -> Float[Array, " n+1"]:
+    """Speed of the nodes [m/s]."""
+    return jnp.sqrt(jnp.sum(state.velocities**2, axis=0))
+
+
+def stretch(scene: Any, state: RodState) -> Float[Array, " n"]:
+    """Axial strain of the elements [1], positive in tension."""
+    return (strains(scene.rod, state)[0] - scene.rod.rest_strains)[2]
+
+
+def twist_rate(scene: Any, state: RodState) -> Float[Array, " n-1"]:
+    """Twist per rest length at the joints, relative to the rest state [rad/m]."""
+    return (strains(scene.rod, state)[1] - scene.rod.rest_curvatures)[2]
+
+
+def bending(scene: Any, state: RodState) -> Float[Array, " n-1"]:
+    """Curvature at the joints, relative to the rest state [1/m]."""
+    first, second, _ = strains(scene.rod, state)[1] - scene.rod.rest_curvatures
+    return jnp.hypot(first, second)

@@ -1,74 +1,181 @@
-"""A recorded motion as colours and pages see it, whatever made it."""
+"""A recorded motion of rods and bodies: the numbers that are drawn."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Literal, Self
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxrod.viz.arrows import Arrows
 from jaxrod.viz.meshes import Mesh
 from jaxrod.viz.rods import Rods
-from jaxrod.viz.shapes import Cylinder, Sphere
+from jaxrod.viz.shapes import Arrows, Cylinder, Sphere
+
+Axis = Literal["x", "y", "z"]
+_EVERY = 8
+"""Stride of the frames at which turning bodies are checked."""
 
 
-class Recording(Protocol):
-    """The parts of `jaxrod.viz.Replay` that are drawn."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    """A motion of rods and bodies over T frames, as NumPy arrays."""
+
+    times: Float[np.ndarray, "num_frames"]
+    """Time of each frame [s], increasing, shape (T,)."""
+    rods: tuple[Rods, ...] = ()
+    """Rods, grouped by their number of elements."""
+    spheres: tuple[Sphere, ...] = ()
+    """Spheres shown with the rods, their positions of shape (T, 3)."""
+    cylinders: tuple[Cylinder, ...] = ()
+    """Cylinders shown with the rods."""
+    meshes: tuple[Mesh, ...] = ()
+    """Rigid bodies shown with the rods."""
+    arrows: tuple[Arrows, ...] = ()
+    """Arrows, such as forces."""
+    readouts: Mapping[str, Float[np.ndarray, "num_frames"]] = dataclasses.field(
+        default_factory=dict
+    )
+    """Map from names to one number per frame, shape (T,), for example the reward."""
+    title: str = ""
+    """Heading of the player."""
+    up: Axis = "z"
+    """World axis that is drawn upwards."""
+    floor: float | None = None
+    """Height of the ground along the upward axis [m]; `None` for below everything."""
 
     @property
-    def times(self) -> np.ndarray:
-        """Time of each frame [s]."""
+    def positions(self) -> Float[np.ndarray, "num_frames num_rods num_nodes 3"]:
+        """Node positions [m], shape (T, R, n+1, 3), if all rods are alike."""
+        return self._alike().positions
+
+    @property
+    def radii(self) -> Float[np.ndarray, "num_rods num_elements"]:
+        """Element radii [m], shape (R, n), if all rods are alike."""
+        return self._alike().radii
+
+    @property
+    def rod_names(self) -> tuple[str, ...]:
+        """Names of the rods, if all rods are alike; empty, or R names."""
+        return self._alike().names
+
+    def _alike(self) -> Rods:
+        if len(self.rods) != 1:
+            raise ValueError(
+                f"this replay has rods of {len(self.rods)} kinds: ask each of its rods"
+            )
+        return self.rods[0]
 
     @property
     def num_frames(self) -> int:
-        """Number of frames."""
+        """Number of recorded frames, T."""
+        return len(self.times)
 
     @property
-    def rods(self) -> Sequence[Rods]:
-        """Rods, grouped by their number of elements."""
+    def num_rods(self) -> int:
+        """Number of rods, R."""
+        return sum(rods.num_rods for rods in self.rods)
 
     @property
-    def spheres(self) -> Sequence[Sphere]:
-        """Spheres."""
-
-    @property
-    def cylinders(self) -> Sequence[Cylinder]:
-        """Cylinders."""
-
-    @property
-    def meshes(self) -> Sequence[Mesh]:
-        """Bodies made of triangles."""
-
-    @property
-    def arrows(self) -> Sequence[Arrows]:
-        """Arrows."""
-
-    @property
-    def readouts(self) -> Mapping[str, np.ndarray]:
-        """Numbers over time, by their labels."""
-
-    @property
-    def fields(self) -> Sequence[str]:
+    def fields(self) -> tuple[str, ...]:
         """Labels of the fields that can colour the rods."""
-
-    @property
-    def title(self) -> str:
-        """Heading."""
-
-    @property
-    def up(self) -> str:
-        """World axis drawn upwards."""
-
-    @property
-    def floor(self) -> float | None:
-        """Height of a level plane [m]."""
-
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Corners of the box that contains everything [m]."""
+        return tuple(
+            dict.fromkeys(label for rods in self.rods for label in rods.fields)
+        )
 
     def field_range(self, label: str) -> tuple[float, float]:
-        """Range of a field that the colours resolve."""
+        """Range of a field that the colours resolve.
 
-    def thinned(self, frames_per_second: float) -> Recording:
-        """With at most so many frames per second [Hz]."""
+        It excludes the lowest and the highest 0.5 %. It starts at zero if zero is near,
+        and is symmetric about zero if both signs occur.
+        """
+        every = [rods.fields[label] for rods in self.rods if label in rods.fields]
+        values = np.concatenate([np.ravel(numbers) for numbers in every])
+        values = values[np.isfinite(values)]
+        if not values.size:
+            return 0.0, 1.0
+        low, high = (float(np.percentile(values, share)) for share in (0.5, 99.5))
+        if low < 0 < high and -low > 0.02 * high:
+            low, high = -max(-low, high), max(-low, high)
+        elif 0 <= low < 0.3 * high or -0.02 * high <= low < 0:
+            low = 0.0
+        return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+    def thinned(self, frames_per_second: float) -> Self:
+        """Drops frames so that at most `frames_per_second` [Hz] remain.
+
+        The first and the last frame are kept. Kept frames are unchanged.
+
+        Raises:
+            ValueError: `frames_per_second` is not positive.
+        """
+        if not frames_per_second > 0:
+            raise ValueError(
+                f"frames_per_second must be positive, got {frames_per_second} Hz"
+            )
+        first, last = self.times[0], self.times[-1]
+        if self.num_frames <= (last - first) * frames_per_second * 1.001 + 1:
+            return self
+        wanted = np.arange(first, last, 1 / frames_per_second)
+        nearest = np.searchsorted((self.times[1:] + self.times[:-1]) / 2, wanted)
+        keep = np.unique(np.append(nearest, self.num_frames - 1))
+        return dataclasses.replace(
+            self,
+            times=self.times[keep],
+            rods=tuple(rods.at_frames(keep) for rods in self.rods),
+            meshes=tuple(mesh.at_frames(keep) for mesh in self.meshes),
+            arrows=tuple(arrows.at_frames(keep) for arrows in self.arrows),
+            spheres=tuple(
+                dataclasses.replace(s, positions=s.positions[keep])
+                for s in self.spheres
+            ),
+            readouts={name: values[keep] for name, values in self.readouts.items()},
+        )
+
+    def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Corners of the box that contains everything in every frame [m]."""
+        low, high = extent(self.rods, self.meshes, self.spheres, self.cylinders)
+        if self.floor is not None:
+            axis = "xyz".index(self.up)
+            low[axis] = min(low[axis], self.floor)
+        return low, high
+
+    def __repr__(self) -> str:
+        """One line that describes the recording, without the numbers."""
+        duration = float(self.times[-1] - self.times[0])
+        return (
+            f"{type(self).__name__}({self.title!r}: {self.num_rods} rods, "
+            f"{self.num_frames} frames, {duration:.3g} s)"
+        )
+
+
+def extent(
+    rods: Sequence[Rods],
+    meshes: Sequence[Mesh] = (),
+    spheres: Sequence[Sphere] = (),
+    cylinders: Sequence[Cylinder] = (),
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Corners of the box that contains everything in every frame [m]."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for some in rods:
+        margin = float(some.radii.max())
+        low = np.minimum(low, some.positions.min(axis=(0, 1, 2)) - margin)
+        high = np.maximum(high, some.positions.max(axis=(0, 1, 2)) + margin)
+    for mesh in meshes:
+        last = len(mesh.positions) - 1
+        for frame in {0, *range(0, last, _EVERY), last}:
+            for body in range(mesh.count):
+                corners = mesh.placed(frame, body)
+                low = np.minimum(low, corners.min(axis=0))
+                high = np.maximum(high, corners.max(axis=0))
+    for sphere in spheres:
+        low = np.minimum(low, sphere.positions.min(axis=0) - sphere.radius)
+        high = np.maximum(high, sphere.positions.max(axis=0) + sphere.radius)
+    for cylinder in cylinders:
+        for end in (cylinder.start, cylinder.end):
+            low = np.minimum(low, end - cylinder.radius)
+            high = np.maximum(high, end + cylinder.radius)
+    if not np.isfinite(low).all():
+        return -np.ones(3), np.ones(3)
+    return low, high

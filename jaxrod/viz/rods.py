@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxrod.viz.arrays import numbers, require_finite
+from jaxrod.viz.shapes import checked_colour, numbers, require_finite
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,10 +149,3 @@ def at_nodes(of_elements: np.ndarray) -> np.ndarray:
         [of_elements[..., :1], of_elements, of_elements[..., -1:]], -1
     )
     return (padded[..., 1:] + padded[..., :-1]) / 2
-
-
-def checked_colour(colour: str) -> str:
-    """A colour as "#rrggbb" or an empty string, or a clear error."""
-    if colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", str(colour)):
-        raise ValueError(f'colour must be "#rrggbb", got {colour!r}')
-    return str(colour)

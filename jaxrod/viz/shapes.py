@@ -1,13 +1,19 @@
-"""Spheres and cylinders that are shown with the rods."""
+"""Spheres, cylinders and arrows that are shown with the rods."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from jaxrod.viz.arrays import numbers, require_finite
+MOST = 400
+"""Largest number of arrows of one kind; of more, the longest are drawn."""
+_SHORTEST = 0.02
+"""Smallest length of a drawn arrow, relative to the longest [1]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,6 +40,44 @@ class Cylinder:
     """Radius [m]."""
     name: str = "obstacle"
     """Name in the legend."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Arrows:
+    """A arrows over T frames."""
+
+    origins: Float[np.ndarray, "num_frames a 3"]
+    """Starting points [m], shape (T, A, 3)."""
+    vectors: Float[np.ndarray, "num_frames a 3"]
+    """Vectors to show, for example forces [N], shape (T, A, 3)."""
+    name: str = "force [N]"
+    """Name and unit in the legend."""
+    length: float | None = None
+    """Length of the longest arrow [m]; `None` for a seventh of the scene."""
+    colour: str = "#d62f5b"
+    """Colour as "#rrggbb"."""
+
+    def at_frames(self, keep: Any) -> Arrows:
+        """A copy with some of the frames."""
+        return dataclasses.replace(
+            self, origins=self.origins[keep], vectors=self.vectors[keep]
+        )
+
+    @property
+    def largest(self) -> float:
+        """Largest size of a vector in any frame, in its own unit."""
+        return float(np.linalg.norm(self.vectors, axis=-1).max(initial=0.0))
+
+    def drawn(self, size: float) -> tuple[np.ndarray, float]:
+        """The vectors as lengths [m], invisibly short ones as zero, and the scale.
+
+        Args:
+            size: Size of the scene [m].
+        """
+        longest = size / 7 if self.length is None else self.length
+        scale = longest / (self.largest or 1.0)
+        lengths = np.linalg.norm(self.vectors, axis=-1, keepdims=True) * scale
+        return np.where(lengths >= _SHORTEST * longest, self.vectors * scale, 0), scale
 
 
 def checked_sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:
@@ -68,8 +112,88 @@ def checked_cylinder(index: int, cylinder: Cylinder) -> Cylinder:
     return Cylinder(ends[0], ends[1], radius, str(cylinder.name))
 
 
+def checked_arrows(index: int, arrows: Arrows, times: np.ndarray) -> Arrows:
+    """A checked copy of arrows, without those that are always too short."""
+    name = f"arrows[{index}]"
+    vectors = numbers(f"{name}.vectors", arrows.vectors, "-")
+    origins = numbers(f"{name}.origins", arrows.origins, "m")
+    if vectors.ndim != 3 or vectors.shape[0] != len(times) or vectors.shape[2] != 3:
+        raise ValueError(
+            f"{name}.vectors must have shape ({len(times)}, a, 3), got {vectors.shape}"
+        )
+    try:
+        origins = np.broadcast_to(origins, vectors.shape).copy()
+    except ValueError:
+        raise ValueError(
+            f"{name}.origins must have shape {vectors.shape} [m], got {origins.shape}"
+        ) from None
+    require_finite(f"{name}.vectors", vectors, "-", times)
+    require_finite(f"{name}.origins", origins, "m", times)
+    if arrows.length is not None and not 0 < arrows.length < np.inf:
+        raise ValueError(f"{name}.length must be positive, got {arrows.length} m")
+    peaks = np.linalg.norm(vectors, axis=-1).max(axis=0, initial=0.0)
+    seen = np.flatnonzero(peaks > _SHORTEST * peaks.max(initial=0.0))
+    seen = np.sort(seen[np.argsort(-peaks[seen], kind="stable")][:MOST])
+    return Arrows(
+        origins[:, seen],
+        vectors[:, seen],
+        str(arrows.name),
+        arrows.length,
+        checked_colour(arrows.colour),
+    )
+
+
 def _positive(name: str, value: Any, unit: str) -> float:
     number = numbers(name, value, unit)
     if number.ndim != 0 or not (np.isfinite(number) and number > 0):
         raise ValueError(f"{name} must be one positive number, got {value} {unit}")
     return float(number)
+
+
+def checked_colour(colour: str) -> str:
+    """A colour as "#rrggbb" or an empty string, or a clear error."""
+    if colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", str(colour)):
+        raise ValueError(f'colour must be "#rrggbb", got {colour!r}')
+    return str(colour)
+
+
+def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
+    """A private copy as a float64 array, or a clear error."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} must be an array of numbers [{unit}], got {type(values).__name__}"
+        ) from error
+
+
+def require_finite(
+    name: str, values: np.ndarray, unit: str, times: np.ndarray | None = None
+) -> None:
+    """Raises for NaN or infinity, with the place and time of the first one."""
+    finite = np.isfinite(values)
+    if finite.all():
+        return
+    where = tuple(int(i) for i in np.argwhere(~finite)[0])
+    when = "" if times is None else f" (t = {times[where[0]]:g} s)"
+    raise ValueError(
+        f"{name} must be finite, got {values[where]} {unit} at index {where}{when}"
+    )
+
+
+def checked_times(times: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Times of frames [s], one per frame, or a clear error."""
+    clock = numbers("times", times, "s")
+    if clock.shape != shape:
+        raise ValueError(
+            f"times must have shape {shape} [s], one per frame, got {clock.shape}"
+        )
+    require_finite("times", clock, "s")
+    backward = np.flatnonzero(np.diff(clock) <= 0)
+    if backward.size:
+        k = int(backward[0])
+        raise ValueError(
+            f"times must increase, got {clock[k]:g} s then {clock[k + 1]:g} s "
+            f"at index {k + 1}"
+        )
+    return clock

@@ -17,7 +17,7 @@ import pytest
 from benchmarks.paper.cell_records import COLUMNS
 from benchmarks.paper.plan import plan
 from jaxrod import __version__
-from jaxrod.cli.sweeps import process
+from jaxrod.cli.sweeps import running
 from jaxrod.training.runs.lock import only_process
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
@@ -67,8 +67,8 @@ summary = {"final_score": None if seed == 11 else 100.0 * seed + 1,
 @pytest.fixture
 def grid(run, monkeypatch, tmp_path):
     """Runs a grid of stand-ins; `called()` says which were started since."""
-    monkeypatch.setattr(process, "LAUNCHER", (sys.executable, "-c", TRAIN))
-    monkeypatch.setattr(process, "POLL_SECONDS", 0.02)
+    monkeypatch.setattr(running, "LAUNCHER", (sys.executable, "-c", TRAIN))
+    monkeypatch.setattr(running, "POLL_SECONDS", 0.02)
     out = tmp_path / "grid"
 
     def call(*seeds, words=(), algorithms=("ppo", "sac"), case="trivial"):
@@ -234,7 +234,7 @@ def test_a_run_that_a_killed_grid_left_behind_is_waited_for(grid, monkeypatch):
 
 
 def test_a_run_that_does_not_stop_is_not_waited_for_forever(grid, monkeypatch):
-    monkeypatch.setattr(process, "WAIT_SECONDS", 0.0)
+    monkeypatch.setattr(running, "WAIT_SECONDS", 0.0)
     with only_process(grid.out / "runs" / "trivial-PPO-0"):
         code, _, err = grid(0, algorithms=("ppo",))
     assert code == 2
@@ -246,7 +246,7 @@ def test_runs_are_of_this_checkout_wherever_the_grid_is_started(tmp_path):
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     # Its standard input stays open: it would stop with it.
     with subprocess.Popen(
-        [*process.LAUNCHER, "--version"],
+        [*running.LAUNCHER, "--version"],
         cwd=tmp_path,
         env=environment,
         stdin=subprocess.PIPE,

@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from jaxrod.cli.devices import first_of_each
+from jaxrod.installation.backend import first_of_each
 from jaxrod.installation.processes import join_processes
 
 CLUSTER = Path(__file__).parents[2] / "docs" / "cluster"
@@ -197,7 +197,9 @@ from jaxrod import cli
 assert cli.main(["train", *sys.argv[1:]]) == 0
 import jax
 assert not jax.distributed.is_initialized()
-for name in ("ray", "mpi4py", "kubernetes", "jaxrod.installation.last_words"):
+import faulthandler
+assert not faulthandler.is_enabled()
+for name in ("ray", "mpi4py", "kubernetes"):
     assert name not in sys.modules, name
 """
 

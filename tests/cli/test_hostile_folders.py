@@ -17,7 +17,7 @@ from benchmarks.paper.plan import plan
 from extremes.damage import Malicious
 from jaxrod.cli import settings, train
 from jaxrod.cli.runs import open_run
-from jaxrod.cli.sweeps.process import open_log
+from jaxrod.cli.sweeps.running import open_log
 from jaxrod.envs.trivial import Trivial
 from jaxrod.files import LinkedFileError, UntrustedError, open_to_write
 from jaxrod.training import PPOConfig, RunFolder, load_policy, restore_policy

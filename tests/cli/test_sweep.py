@@ -11,7 +11,7 @@ import time
 import pytest
 
 from commands import run as run
-from jaxrod.cli.sweeps import process
+from jaxrod.cli.sweeps import running
 from jaxrod.cli.sweeps.plan import plan
 from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.lock import only_process
@@ -45,8 +45,8 @@ WORDS = ("--steps", "2k", "--set", "num_envs=8", "learning_rate=1e-3,3e-4")
 @pytest.fixture
 def sweep(run, monkeypatch, tmp_path):
     """Runs a sweep of stand-ins; `called()` says which were started since."""
-    monkeypatch.setattr(process, "LAUNCHER", (sys.executable, "-c", TRAIN))
-    monkeypatch.setattr(process, "POLL_SECONDS", 0.02)
+    monkeypatch.setattr(running, "LAUNCHER", (sys.executable, "-c", TRAIN))
+    monkeypatch.setattr(running, "POLL_SECONDS", 0.02)
     out = tmp_path / "sweep"
 
     def call(*seeds, words=()):

@@ -6,7 +6,6 @@ import pytest
 from scipy.integrate import quad
 
 import jaxrod
-from jaxrod.systems.members.solids import solid_of
 
 RADIUS, HALF = 0.3, 0.5
 
@@ -28,7 +27,7 @@ SHAPES = {
 def test_solids_of_revolution_are_sums_of_discs(shape):
     make, top = SHAPES[shape]
     middle, way = np.array([0.2, -0.1, 0.4]), np.array([0.6, 0.0, 0.8])
-    solid = solid_of(make(middle - HALF * way, middle + HALF * way))
+    solid = make(middle - HALF * way, middle + HALF * way).solid()
 
     def integral(of_disc):
         def at(z):
@@ -49,9 +48,29 @@ def test_solids_of_revolution_are_sums_of_discs(shape):
 
 def test_a_box_is_its_sides():
     centre, sides = np.array([-0.1, 0.2, 0.3]), np.array([0.4, 0.3, 0.8])
-    solid = solid_of(jaxrod.box(tuple(centre), tuple(sides / 2)))
+    solid = jaxrod.box(tuple(centre), tuple(sides / 2)).solid()
     a, b, c = sides**2 / 12
     assert float(solid.volume) == pytest.approx(np.prod(sides))
     np.testing.assert_allclose(solid.gyration, [b + c, a + c, a + b], rtol=1e-6)
     np.testing.assert_allclose(solid.centre, centre, rtol=1e-6)
     assert jnp.all(solid.shape.centre == 0)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        lambda: jaxrod.sphere((0.1, 0.2, 0.3), 0.4),
+        lambda: jaxrod.capsule((0.1, 0.2, 0.3), (0.4, -0.5, 0.2), 0.1),
+        lambda: jaxrod.cylinder((0.1, 0.2, 0.3), (0.1, 0.2, -0.9), 0.1),
+        lambda: jaxrod.box((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.8, 0.2, -0.4, 0.4)),
+    ],
+    ids=["sphere", "capsule", "cylinder", "box"],
+)
+def test_the_triangles_of_a_shape_have_their_corners_on_it_and_its_volume(shape):
+    body = shape()
+    corners, faces = body.mesh()
+    distance, _ = body.surface(tuple(jnp.asarray(corners).T))
+    np.testing.assert_allclose(distance, 0, atol=1e-6)
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    volume = np.sum(a * np.cross(b, c)) / 6
+    assert volume == pytest.approx(float(body.solid().volume), rel=0.02)

@@ -363,10 +363,10 @@ def test_progress_shows_rewards_until_an_episode_ends(config, capsys):
 
 def test_progress_line_tells_steps_speed_time_left_and_what_is_reached():
     line = progress_line(2_500_000, 10_000_000, "steps", 50_000, "return 9,876.5")
-    for part in ("25%", "2.5M/10M", "50,000 steps/s", "9,876.5", "2:30 left"):
+    for part in ("25%", "2.5M/10M", "50,000 steps/s", "9,876.5", "2.5 min left"):
         assert part in line
     slow = progress_line(25, 100, "steps", 0.5, "")
-    assert "0.5 steps/s  2:30 left" in slow
+    assert "0.5 steps/s  2.5 min left" in slow
     unknown = progress_line(1, 100, "steps", 0, "")
     assert "left" not in unknown and "steps/s" not in unknown
 

@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 import jaxrod
-from jaxrod.viz import Arrows, Mesh, Replay, Sphere, film, picture, surfaces
+from jaxrod.geometry import surfaces
+from jaxrod.viz import Arrows, Mesh, Replay, Sphere, film, picture
 from jaxrod.viz.bodies import leaning_plane
 from jaxrod.viz.geometry import Shapes, refined
 from jaxrod.viz.light import view_of

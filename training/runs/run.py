@@ -10,7 +10,7 @@ import dataclasses
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, Literal
 
@@ -24,7 +24,7 @@ from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.leaves import from_array, named_leaves, to_array, with_leaves
 from jaxrod.training.policy import Policy
 from jaxrod.training.policy_files import save_policy
-from jaxrod.training.progress import ProgressBar
+from jaxrod.training.progress import ProgressBar, reached
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import check_state, updates_of
 from jaxrod.training.runs.devices import (
@@ -237,7 +237,7 @@ class Run:
             self.events.append(row)
         if self.log:
             self.log(row)
-        bar.update(self.env_steps, _reached(row))
+        bar.update(self.env_steps, reached(row))
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
@@ -358,12 +358,3 @@ def _from_bytes(content: bytes, template: Stored) -> _Found | None:
     leaves = named_leaves(template, _STORED)
     found = {name: from_array(arrays[name], leaf) for name, leaf in leaves.items()}
     return with_leaves(template, _STORED, found), facts, episodes
-
-
-def _reached(row: Mapping[str, Any]) -> str:
-    """Result so far from a row of progress: rewards until the first episode ends."""
-    if row["episode_return_mean"] is not None:
-        return f"return {row['episode_return_mean']:,.1f}"
-    if "reward_mean" in row:
-        return f"reward {row['reward_mean']:.3g} per action, no episode has ended"
-    return "no episode has ended"

@@ -8,15 +8,17 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from jaxrod.cli import runs, settings
-from jaxrod.cli.devices import devices_that_fit
 from jaxrod.cli.settings import word_of
 from jaxrod.cli.train import short_name
 from jaxrod.envs import Environment, check_environment, names
 from jaxrod.envs.importing import spelt_out
+from jaxrod.installation.backend import devices_that_fit
+from jaxrod.training import RunFolder
 from jaxrod.training.runs.contract import resolve, updates_of
+from jaxrod.training.runs.folder import differences
 from jaxrod.training.runs.loop import request
 from jaxrod.training.runs.recorded_settings import recorded
 from jaxrod.training.settings import check_steps
@@ -24,6 +26,46 @@ from jaxrod.validation import check_count, check_seed
 
 _LONGEST = 200
 """Largest length of a name: file systems allow 255 characters, including additions."""
+_UNASKED = ("score_window",)
+"""Entries that follow from the task and are not part of the request."""
+
+
+class Planned(Protocol):
+    """The properties of a run that are known before it is trained."""
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+
+    @property
+    def steps(self) -> int:
+        """Number of control steps."""
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Configuration that determines the result, as in `config.json`."""
+
+    @property
+    def beside(self) -> str:
+        """Text to show after its score, with a separator; empty for none."""
+
+    def command(self, out: Path) -> list[str]:
+        """Words of the command that trains it, after `jaxrod`."""
+
+
+def differs(
+    planned: Planned, folder: RunFolder, stored: Mapping[str, Any] | None = None
+) -> list[str]:
+    """Differences between a started run and its plan, one phrase per entry.
+
+    Args:
+        planned: The planned run.
+        folder: Folder in which it was started, if it was.
+        stored: Its configuration, if it is not to be read from the folder.
+    """
+    if stored is None:
+        stored = folder.config() if folder.exists else planned.config
+    return differences(stored, planned.config, _UNASKED)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxrod.cli.sweeps.plan import SweepRun
-from jaxrod.cli.sweeps.process import last_row
+from jaxrod.cli.sweeps.running import last_row
 from jaxrod.files import write_atomically
 from jaxrod.training import RunFolder
-from jaxrod.viz.grid_curves import grid_curves
+from jaxrod.viz.curves import grid_curves
 
 _MEASURED = (
     "state",

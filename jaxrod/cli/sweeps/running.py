@@ -1,80 +1,76 @@
-"""Parallel training of runs, wherever there is room, until they end or are stopped."""
+"""Parallel training of runs, each in its own process, until they end or are stopped.
+
+There is one process per run. The programs and memory that JAX holds for one run are of
+no use to the next, and only the end of a process frees them. A run that exhausts its
+memory, or is killed, does not take others with it.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+import os
+import queue
+import shlex
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple, Protocol, TextIO, TypeVar
 
-from jaxrod.cli.sweeps.planned import Planned
-from jaxrod.cli.sweeps.process import Ended, last_row
-from jaxrod.cli.sweeps.view import RunsView, reached
+from jaxrod.cli.sweeps.plan import Planned
+from jaxrod.cli.sweeps.view import RunsView
+from jaxrod.files import open_to_write
 from jaxrod.training import RunFolder
 from jaxrod.training.runs.interruption import Interruption
+from jaxrod.training.runs.lock import FolderInUseError
+
+POLL_SECONDS = 0.5
+WAIT_SECONDS = 300.0
+"""Longest wait for runs of a killed sweep to save and stop [s]."""
+
+LAUNCHER = (sys.executable, "-P", str(Path(__file__).with_name("child.py")))
 
 
-class Work(Protocol):
-    """A run that was submitted for training."""
+class Ended(NamedTuple):
+    """Outcome of a process."""
 
-    @property
-    def begun(self) -> bool:
-        """Whether a process trains it already."""
-
-    def ended(self) -> Ended | None:
-        """Its outcome; None while it has not ended."""
-
-    def stop(self) -> None:
-        """Asks the run to save and stop."""
-
-    def end(self) -> None:
-        """Ends it at once, if it has not ended."""
+    code: int
+    """Its exit code, negative for a signal."""
+    said: str
+    """Last line of its output, or the signal that killed it."""
 
 
-WorkT = TypeVar("WorkT", bound=Work)
-PlannedT = TypeVar("PlannedT", bound=Planned)
-
-
-class Place(Protocol[WorkT]):
+class Place(Protocol):
     """A machine or cluster that trains runs."""
 
     @property
-    def poll_seconds(self) -> float:
-        """Time between two looks at the running work [s]."""
+    def jobs(self) -> int:
+        """Number of runs that it accepts at once."""
 
-    @property
-    def room(self) -> bool:
-        """Whether it accepts another run."""
-
-    def start(self, words: Sequence[str], folder: RunFolder) -> WorkT:
-        """Starts a run, given the words of its command and its folder."""
-
-    def leave(self, work: WorkT) -> None:
-        """Frees the resources of a run that has ended."""
+    def train(
+        self, words: Sequence[str], folder: RunFolder, stop: Event, kill: Event
+    ) -> Ended:
+        """Trains a run and waits for its end, as `train_here` does."""
 
 
-@dataclasses.dataclass
-class _Running(Generic[PlannedT, WorkT]):
-    """A run in progress."""
-
-    run: PlannedT
-    folder: RunFolder
-    work: WorkT
-    shown: bool = False
+PlannedT = TypeVar("PlannedT", bound=Planned)
 
 
 def train_all(
     runs: Sequence[PlannedT],
     folder_of: Callable[[PlannedT], RunFolder],
-    place: Place[WorkT],
+    place: Place,
     view: RunsView,
     interruption: Interruption,
+    ended: Callable[[PlannedT, Ended], None],
     more: Sequence[str] = (),
-) -> Iterator[tuple[PlannedT, Ended]]:
-    """Trains runs to their ends; yields each with its outcome.
+) -> None:
+    """Trains runs to their ends, as many at once as the place accepts.
 
     If an interruption is requested, the running ones save and stop, and no other run
-    starts.
+    starts. After any error they are killed.
 
     Args:
         runs: The runs, in the order in which they start.
@@ -83,41 +79,178 @@ def train_all(
         place: Machine or cluster that trains the runs.
         view: View that shows their progress.
         interruption: Request to stop.
+        ended: Function that is called with each run that has ended and its outcome.
         more: Words that are added to all commands.
     """
-    waiting, told = list(runs), False
-    running: list[_Running[PlannedT, WorkT]] = []
+    stop, kill = Event(), Event()
+    # The log of a run grows when its process starts.
+    sizes = {run.name: _size(log_of(folder_of(run))) for run in runs}
+    begun: set[str] = set()
+    # A thread per process, which waits for its end.
+    with ThreadPoolExecutor(place.jobs) as pool:
+        training = {}
+        for run in runs:
+            folder = folder_of(run)
+            words = [*run.command(folder.path), *more]
+            training[pool.submit(place.train, words, folder, stop, kill)] = run
+        try:
+            while training:
+                done, _ = wait(training, POLL_SECONDS, FIRST_COMPLETED)
+                if interruption.asked and not stop.is_set():
+                    stop.set()
+                    training = {f: run for f, run in training.items() if not f.cancel()}
+                for future in done & training.keys():
+                    ended(training.pop(future), future.result())
+                for future, run in training.items():
+                    folder = folder_of(run)
+                    if run.name in begun:
+                        view.running(run, last_row(folder))
+                    elif future.running() and _size(log_of(folder)) > sizes[run.name]:
+                        begun.add(run.name)
+                        view.start(run, last_row(folder))
+        except BaseException:
+            kill.set()
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def train_here(
+    words: Sequence[str],
+    folder: RunFolder,
+    stop: Event,
+    kill: Event,
+    *,
+    cwd: str | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> Ended:
+    """Runs `jaxrod train` in its own process and waits for its end.
+
+    Args:
+        words: The command, after `jaxrod`.
+        folder: Folder of the run; the process continues from its content.
+        stop: Event after which the run is asked to save and stop.
+        kill: Event after which the process is killed.
+        cwd: Folder in which it runs, None for the current one.
+        environment: Its environment variables, None for those of this process.
+    """
+    log = log_of(folder)
+    words = [*words, "--resume"] if folder.exists else words
+    with open_log(log) as said:
+        said.write(f"$ jaxrod {shlex.join(words)}\n")
+        said.flush()
+        # Its own session: the terminal's Ctrl-C must reach it only once, from here.
+        process = subprocess.Popen(
+            [*LAUNCHER, *words],
+            stdin=subprocess.PIPE,
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+            cwd=cwd,
+            env=environment,
+        )
+    assert process.stdin is not None
     try:
-        while running or (waiting and not interruption.asked):
-            while waiting and place.room and not interruption.asked:
-                run = waiting.pop(0)
-                folder = folder_of(run)
-                work = place.start([*run.command(folder.path), *more], folder)
-                running.append(_Running(run, folder, work))
-            if interruption.asked and not told:
-                told = True
-                for one in running:
-                    one.work.stop()
-            for one in list(running):
-                ended = one.work.ended()
-                if ended is None:
-                    _show(one, view)
-                    continue
-                one.work.end()
-                running.remove(one)
-                place.leave(one.work)
-                yield one.run, ended
-            time.sleep(place.poll_seconds)
+        while process.poll() is None:
+            if stop.is_set():
+                process.stdin.close()
+            if kill.is_set():
+                process.kill()
+            time.sleep(POLL_SECONDS)
     finally:
-        for one in running:
-            one.work.end()
+        # Ray interrupts the loop to stop a run.
+        process.stdin.close()
+        process.wait()
+    code = process.returncode
+    return Ended(code, last_words(log) if code >= 0 else f"killed by signal {-code}")
 
 
-def _show(one: _Running[PlannedT, WorkT], view: RunsView) -> None:
-    """Shows the progress of a run."""
-    row = last_row(one.folder) if one.work.begun else None
-    if not one.shown and one.work.begun:
-        one.shown = True
-        view.start(one.run, int(row["env_steps"]) if row else 0)
-    elif row:
-        view.running(one.run, int(row["env_steps"]), reached(row))
+class ThisMachine:
+    """Trains several runs in parallel, each on its share of the cores."""
+
+    def __init__(self, jobs: int) -> None:
+        """Divides the cores.
+
+        Args:
+            jobs: Number of runs that are trained in parallel.
+
+        Raises:
+            ValueError: `jobs` is below 1.
+        """
+        if jobs < 1:
+            raise ValueError(f"jobs must be at least 1, got {jobs}")
+        self.jobs = jobs
+        self._shares: queue.SimpleQueue[list[int]] = queue.SimpleQueue()
+        cores: list[int] = []
+        # A single run gets all cores without binding. So does every run if the system
+        # cannot bind threads, or if there are fewer cores than jobs.
+        if jobs > 1 and hasattr(os, "sched_setaffinity"):
+            cores = sorted(os.sched_getaffinity(0))
+        each = len(cores) // jobs
+        for k in range(jobs):
+            self._shares.put(cores[k * each : (k + 1) * each])
+
+    def train(
+        self, words: Sequence[str], folder: RunFolder, stop: Event, kill: Event
+    ) -> Ended:
+        """Trains a run, or continues it."""
+        share = self._shares.get()
+        try:
+            if share:
+                # Binds this thread, and with it the processes that it starts.
+                os.sched_setaffinity(0, share)
+            return train_here(words, folder, stop, kill)
+        finally:
+            self._shares.put(share)
+
+
+def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
+    """Waits until no process trains in any of the folders.
+
+    Raises:
+        FolderInUseError: A process still does after `WAIT_SECONDS`.
+    """
+    until = time.monotonic() + WAIT_SECONDS
+    for folder in folders:
+        told = False
+        while folder.path.exists():
+            try:
+                with folder.only_process():
+                    break
+            except FolderInUseError:
+                if time.monotonic() > until:
+                    raise
+                if not told:
+                    say(f"waiting for the process that trains in {folder.path}")
+                    told = True
+                time.sleep(POLL_SECONDS)
+
+
+def log_of(folder: RunFolder) -> Path:
+    """Log of a run's process, next to its folder."""
+    # Not `with_suffix`: names hold numbers such as 0.001.
+    return folder.path.parent / f"{folder.path.name}.log"
+
+
+def open_log(log: Path) -> TextIO:
+    """Opens a log for appending."""
+    handle = open_to_write(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    return os.fdopen(handle, "a", encoding="utf-8")
+
+
+def last_words(log: Path) -> str:
+    """Last line of a process's output."""
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def last_row(folder: RunFolder) -> dict[str, str] | None:
+    """Last row of a run's progress.csv, None if there is none."""
+    try:
+        rows = folder.progress.read()
+    except FileNotFoundError:  # Removed by a run that starts over.
+        return None
+    return rows[-1] if rows else None
+
+
+def _size(file: Path) -> int:
+    return file.stat().st_size if file.exists() else 0

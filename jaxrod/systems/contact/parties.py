@@ -24,7 +24,6 @@ from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.posed import Posed
 from jaxrod.systems.contact.samples import Samples, given_samples, samples_of
 from jaxrod.systems.members.parts import Parts, mapped
-from jaxrod.systems.members.solids import solid_of
 from jaxrod.systems.sites.coupling import AllSeen
 
 
@@ -133,7 +132,7 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not isinstance(body, Plane):
-        solid = solid_of(body)
+        solid = body.solid()
         shape, centre = solid.shape, solid.centre
         frame = directors(split_quaternion(solid.orientation))
     dtype = jax.tree.leaves(body)[0].dtype

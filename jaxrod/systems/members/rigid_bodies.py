@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body
+from jaxrod.contacts.solids import Solid
 from jaxrod.effects.base import Effect
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
@@ -21,7 +22,6 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.structure import pytree
-from jaxrod.systems.members.solids import Solid, solid_of
 from jaxrod.validation import (
     Numbers,
     as_array,
@@ -134,7 +134,7 @@ def rigid_body(
         check_kind("shape", shape, Body)
         if shape.count is not None:
             raise ValueError("shape must be one body; for many use several members")
-    solid = None if shape is None else solid_of(shape)
+    solid = None if shape is None else shape.solid()
     total, moments = _inertia(solid, density, mass, inertia, dtype)
     place = _place(solid, position, orientation, dtype)
     for effect in effects:

@@ -34,6 +34,19 @@ def cylinder(half: float, radius: float) -> Triangles:
     )
 
 
+def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles:
+    """Moves a surface around the origin: its z axis to the line between two points."""
+    corners, faces = triangles
+    axis = (end - start) / np.linalg.norm(end - start)
+    # The shortest rotation from z; a half turn about x where the axis points to -z.
+    turn = np.diag([1.0, -1.0, -1.0])
+    if axis[2] > -1 + 1e-6:
+        x, y, z = axis
+        spin = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
+        turn = np.eye(3) + spin + spin @ spin / (1 + z)
+    return (start + end) / 2 + corners @ turn.T, faces
+
+
 def box(half_lengths: np.ndarray) -> Triangles:
     """A block around the origin."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])

@@ -1,0 +1,53 @@
+"""Solids: volume, inertia and pose of shapes that have them in closed form."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.structure import pytree
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+"""Quaternion of no rotation."""
+
+
+@pytree
+class Solid:
+    """A shape in the frame of its principal axes, and the pose of this frame."""
+
+    shape: Any
+    """The shape with its centre of mass at the origin and along its principal axes."""
+    centre: Float[Array, "3"]
+    """Centre of mass [m]."""
+    orientation: Float[Array, "4"]
+    """Quaternion from the principal axes to the world."""
+    volume: Float[Array, ""] | None = None
+    """Volume [m^3]; `None` if it is not known."""
+    gyration: Float[Array, "3"] | None = None
+    """Moments of inertia over the mass, at uniform density [m^2]."""
+
+
+def ends_along_z(half: Array) -> tuple[Array, Array]:
+    """Ends of an axis along z about the origin."""
+    zero = jnp.zeros_like(half)
+    end = jnp.stack([zero, zero, half])
+    return -end, end
+
+
+def pose_of_axis(start: Array, end: Array) -> tuple[Array, Array, Array]:
+    """Middle, quaternion that turns z into the axis, and half the length."""
+    way = end - start
+    length = jnp.sqrt(jnp.sum(way * way))
+    x, y, z = vectors.split(way / length)
+    # The shortest rotation from z; a half turn about x where the axis points to -z.
+    w = 1 + z
+    back = w < 1e-6
+    square = jnp.where(back, 1, 2 * w)
+    root = jnp.sqrt(square)
+    zero = jnp.zeros_like(w)
+    q = jnp.stack([root / 2, -y / root, x / root, zero])
+    half_turn = jnp.stack([zero, jnp.ones_like(w), zero, zero])
+    return 0.5 * (start + end), jnp.where(back, half_turn, q), 0.5 * length
