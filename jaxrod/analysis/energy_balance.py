@@ -23,9 +23,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.elasticity import stored_energy
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, kinetic_energy
 from jaxrod.structure import pytree
 
 
@@ -42,7 +42,7 @@ class EnergyBalance:
 
 
 def energy_balance(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     relative: RodState,
     before: Array,
@@ -60,9 +60,9 @@ def energy_balance(
         n_steps: Number of steps since then.
     """
     rod = scene.rod
-    elastic, kinetic = stored_energy(rod, state), kinetic_energy(rod, state)
+    elastic, kinetic = stored_energy(rod, state), rod.kinetic_energy(state)
     total = kinetic + elastic
-    own = kinetic_energy(rod, relative) + elastic
+    own = rod.kinetic_energy(relative) + elastic
     for effect in scene.effects:
         energy = effect.energy(rod, state)
         total = total + energy

@@ -21,9 +21,9 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
+from jaxrod.loaded_rod import LoadedRod, scene_of
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, scene_of
 from jaxrod.statics.freedoms import freedoms
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
@@ -50,7 +50,7 @@ class Vibration:
 
 
 def highest_frequency(
-    scene: Scene, state: RodState, *, size: int = KRYLOV_SIZE
+    scene: LoadedRod, state: RodState, *, size: int = KRYLOV_SIZE
 ) -> Float[Array, ""]:
     """Highest angular frequency of small undamped motions about a state.
 
@@ -76,7 +76,7 @@ def highest_frequency(
 
 
 @jax.jit(static_argnames="size")
-def _measure(scene: Scene, state: RodState, size: int) -> Vibration:
+def _measure(scene: LoadedRod, state: RodState, size: int) -> Vibration:
     return fastest_vibration(scene, state, no_damping(scene.rod), size)
 
 
@@ -86,7 +86,7 @@ def no_damping(rod: Rod) -> InertiaFactors:
 
 
 def fastest_vibration(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     inertia_factors: InertiaFactors,
     size: int = KRYLOV_SIZE,
@@ -116,7 +116,7 @@ def fastest_vibration(
 
 
 def linearised(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     inertia_factors: InertiaFactors,
 ) -> Callable[[Array], Array]:

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.analysis.frequency import linearised, no_damping
+from jaxrod.loaded_rod import LoadedRod, scene_of
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, scene_of
 from jaxrod.statics.freedoms import freedoms
 from jaxrod.validation import check_count, is_traced, knows_constants
 
 
 @knows_constants
 def natural_frequencies(
-    scene: Scene, state: RodState, n_modes: int | None = None
+    scene: LoadedRod, state: RodState, n_modes: int | None = None
 ) -> np.ndarray:
     """Angular frequencies of small undamped motions about a state at rest.
 
@@ -70,7 +70,7 @@ def natural_frequencies(
 
 
 @jax.jit
-def _stiffness(scene: Scene, state: RodState) -> jax.Array:
+def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
     """Stiffness over inertia, in coordinates in which it is symmetric [rad^2/s^2]."""
     apply = linearised(scene, state, no_damping(scene.rod))
     size = state.positions.size + state.angular_momenta.size
@@ -78,7 +78,7 @@ def _stiffness(scene: Scene, state: RodState) -> jax.Array:
 
 
 @jax.jit
-def _free(scene: Scene, state: RodState) -> jax.Array:
+def _free(scene: LoadedRod, state: RodState) -> jax.Array:
     """Flags of degrees of freedom that are free; node displacements, then rotations."""
     nodes, elements = freedoms(scene, motion_of(state))
     return jnp.concatenate([*nodes, *elements]) != 0

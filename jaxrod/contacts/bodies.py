@@ -62,6 +62,29 @@ class Body(ABC):
         """Radius of the largest ball inside [m]; `None` if it is not known."""
         return None
 
+    @property
+    def is_convex(self) -> bool:
+        """Whether it is known to be convex."""
+        return True
+
+    @property
+    def is_half_space(self) -> bool:
+        """Whether it is all that is below a plane, and so no body that can move."""
+        return False
+
+    @property
+    def centre_of_normals(self) -> Array | None:
+        """Point through which all normals of the surface go [m]; `None` without one."""
+        return None
+
+    @property
+    def row_of_balls(self) -> tuple[Array, Array, Array] | None:
+        """First and last centre and radius of the balls that fill it, in a row [m].
+
+        It is `None` for bodies that no such row fills.
+        """
+        return None
+
 
 @pytree
 class Sphere(Body):
@@ -85,6 +108,11 @@ class Sphere(Body):
     def inradius(self) -> Array:
         """Radius [m]."""
         return self.radius
+
+    @property
+    def centre_of_normals(self) -> Array:
+        """Centre [m]."""
+        return self.centre
 
 
 @pytree
@@ -115,6 +143,11 @@ class Capsule(Body):
     def inradius(self) -> Array:
         """Radius of the cylinder [m]."""
         return self.radius
+
+    @property
+    def row_of_balls(self) -> tuple[Array, Array, Array]:
+        """Centres of the half spheres, and the radius [m]."""
+        return self.start, self.end, self.radius
 
 
 @pytree
@@ -154,6 +187,15 @@ class Cylinder(Body):
         x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
         return jnp.minimum(self.radius, 0.5 * vectors.safe_norm((x, y, z)))
 
+    @property
+    def row_of_balls(self) -> tuple[Array, Array, Array]:
+        """Places a radius from the ends, and the radius [m]."""
+        middle = 0.5 * (self.start + self.end)
+        axis = self.end - self.start
+        length = jnp.sqrt(jnp.sum(axis * axis))
+        way = jnp.maximum(0.5 - self.radius / length, 0) * axis
+        return middle - way, middle + way, self.radius
+
 
 @pytree
 class Plane(Body):
@@ -175,6 +217,11 @@ class Plane(Body):
     def count(self) -> int | None:
         """Number of bodies, from the shape of the numbers."""
         return _count(self.normal.shape[:-1])
+
+    @property
+    def is_half_space(self) -> bool:
+        """True."""
+        return True
 
     @property
     def inradius(self) -> Array:
@@ -245,6 +292,11 @@ class SignedDistance(Body):
                 f"got {sorted(leading)}"
             )
         return _count(leading.pop()) if leading else None
+
+    @property
+    def is_convex(self) -> bool:
+        """False: the function may be any."""
+        return False
 
 
 def _count(leading: tuple[int, ...]) -> int | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import singledispatch
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.contacts.bodies import Body, Box, Capsule, Cylinder, Plane, Sphere
-from jaxrod.systems.members.rigid_bodies import RigidBodies
+from jaxrod.contacts.bodies import Body, Box, Capsule, Cylinder, Sphere
+from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.members.solids import solid_of
 from jaxrod.viz import surfaces
 from jaxrod.viz.colours import FIXED
@@ -18,7 +19,7 @@ from jaxrod.viz.surfaces import Triangles
 _DOUBLINGS = 6
 
 
-def mesh_of(bodies: RigidBodies) -> Triangles:
+def mesh_of(bodies: Parts) -> Triangles:
     """The surface of rigid bodies in their own frame.
 
     If only the signed distance of a body is known, its surface is searched in a cube
@@ -31,8 +32,8 @@ def mesh_of(bodies: RigidBodies) -> Triangles:
     known = _centred(bodies.shape)
     if known is not None:
         return known
-    mass = float(bodies.masses[0])
-    a, b, c = (float(x) for x in bodies.principal_inertias[:, 0])
+    mass = float(bodies.node_masses[0])
+    a, b, c = (float(x) for x in bodies.inertias[:, 0])
     axes = [2.5 * (p + q - r) / mass for p, q, r in ((b, c, a), (a, c, b), (a, b, c))]
     half = 1.2 * max(axes) ** 0.5
     for _ in range(_DOUBLINGS):
@@ -73,7 +74,7 @@ def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
     return Mesh(vertices, faces, name="obstacle", colour=FIXED)
 
 
-def leaning_plane(body: Plane, low: np.ndarray, high: np.ndarray) -> Mesh | None:
+def leaning_plane(body: Any, low: np.ndarray, high: np.ndarray) -> Mesh | None:
     """The part in a box of a plane that is not level; `None` if there is none."""
     normal = np.asarray(body.normal, float)
     normal = normal / np.linalg.norm(normal)
@@ -108,20 +109,36 @@ def _cut(
     return kept
 
 
+@singledispatch
 def _centred(shape: Body) -> Triangles | None:
     """Triangles around the centre of mass of a shape with a known geometry."""
-    solid: Any = None
-    if isinstance(shape, Sphere | Capsule | Cylinder | Box):
-        solid = solid_of(shape).shape
-    if isinstance(solid, Sphere):
-        return surfaces.ball(float(solid.radius))
-    if isinstance(solid, Box):
-        return surfaces.box(np.asarray(solid.half_lengths))
-    if isinstance(solid, Capsule):
-        return surfaces.capsule(float(solid.end[2]), float(solid.radius))
-    if isinstance(solid, Cylinder):
-        return surfaces.cylinder(float(solid.end[2]), float(solid.radius))
     return None
+
+
+@_centred.register
+def _(shape: Sphere) -> Triangles:
+    return surfaces.ball(float(shape.radius))
+
+
+@_centred.register
+def _(shape: Box) -> Triangles:
+    return surfaces.box(np.asarray(shape.half_lengths))
+
+
+@_centred.register
+def _(shape: Capsule) -> Triangles:
+    return surfaces.capsule(_half_length(shape), float(shape.radius))
+
+
+@_centred.register
+def _(shape: Cylinder) -> Triangles:
+    return surfaces.cylinder(_half_length(shape), float(shape.radius))
+
+
+def _half_length(shape: Capsule | Cylinder) -> float:
+    """Half the length of the axis, as in the frame of the principal axes [m]."""
+    own: Any = solid_of(shape).shape
+    return float(own.end[2])
 
 
 def _surface(body: Body) -> Any:
