@@ -12,13 +12,13 @@ TITLES = {
     "actuation": "Actuation",
     "analysis": "Questions to ask: stability, frequencies, health",
     "assemblies": "Assemblies of rods",
-    "composition": "Scenes",
     "contacts": "Contact with bodies",
     "damping": "Damping",
     "effects": "Effects",
     "geometry": "Geometry",
     "installation": "Installation",
     "lanes": "Lanes",
+    "loaded_rod": "Methods",
     "methods": "Methods",
     "rods": "Rods",
     "scene": "Scenes",
@@ -32,7 +32,7 @@ TITLES = {
 PACKAGES = {
     "jaxrod.control": "Control",
     "jaxrod.envs": "Environments",
-    "jaxrod.extend": "Effects, couplings and methods of your own",
+    "jaxrod.extend": "Effects, couplings, methods and members of your own",
     "jaxrod.training": "Learners",
     "jaxrod.viz": "Drawing",
 }

@@ -41,7 +41,7 @@ def simulate(frequency, seconds=1.5):
 
     def measured(state, time):
         now = scene.at(time)
-        return jaxrod.total_energy(now, state), jaxrod.reactions(now, state)[0].power
+        return now.total_energy(state), jaxrod.reactions(now, state)[0].power
 
     energy, power = jax.vmap(measured)(records, jaxrod.rollout_times(dt, n))
     work = dt * jnp.sum((power[1:] + power[:-1]) / 2)

@@ -72,7 +72,7 @@ def run(share=1.0):
     mass = jnp.sum(system.members["head"].masses)
     mass += jnp.sum(system.members["arms"].rod.linear_density) * LENGTH / N_ELEMENTS
     last = jax.tree.map(lambda leaf: leaf[-1], states)
-    speed = jnp.linalg.norm(jaxrod.momentum(system, last)) / mass
+    speed = jnp.linalg.norm(system.momentum(last)) / mass
     return replay, float(speed * n * dt / LENGTH), 0.0
 
 

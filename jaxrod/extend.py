@@ -1,17 +1,22 @@
-"""Names for effects, couplings and methods of your own.
+"""Names for effects, couplings, methods and members of your own.
 
-An effect acts on one rod, a coupling on members of a system, a method steps a scene.
-Each is a subclass, decorated with `pytree`, that overrides the hooks it needs;
-docs/extending.md describes all three.
+An effect acts on one rod, a coupling on members of a system, a method steps a scene,
+and a member is a part of a system that is neither a rod nor a rigid body. Each is a
+subclass, decorated with `pytree`, that overrides the hooks it needs; docs/extending.md
+describes all four.
 """
 
-from jaxrod.composite import Stepper
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.geometry import rotations, vectors
+from jaxrod.loaded_rod import LoadedRod, Method
+from jaxrod.model import Stepper
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.scene import Method
+from jaxrod.rods.rod import Layout
 from jaxrod.structure import Leaf, memory, pytree, static
 from jaxrod.systems.joints.anchors import Anchors, anchors, spring_bounds
+from jaxrod.systems.members.member import Member
+from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.members.steppers import MemberStepper
 from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.systems.sites.rows import sum_of_loads
 from jaxrod.validation import as_array
@@ -20,11 +25,17 @@ __all__ = [
     "Anchors",
     "Coupling",
     "Effect",
+    "Layout",
     "Leaf",
+    "LoadedRod",
     "Loads",
+    "Member",
+    "MemberStepper",
     "Method",
     "Motion",
+    "Parts",
     "Reaction",
+    "Seen",
     "StabilityBound",
     "Stepper",
     "anchors",

@@ -1,348 +1,271 @@
-"""A scene: one rod, the effects that act on it, and the method that steps it."""
+"""A scene: one rod, the effects on it and its method, as a model; and its factory."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.composite import Composite, Stepper
+from jaxrod.analysis.health import Health, HealthLimits, scene_health
+from jaxrod.analysis.stability import (
+    StableStep,
+    scene_stable_step,
+    scene_step_warning,
+)
 from jaxrod.effects.base import Effect
-from jaxrod.effects.memory import memory_of, recalled, remembers, stirred
-from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
-from jaxrod.geometry import vectors
+from jaxrod.effects.held import check_held_once
+from jaxrod.effects.memory import memory_fields, memory_of
+from jaxrod.effects.own_classes import check_own_class, check_own_loads
+from jaxrod.effects.time import Clock, at_clock, clock_at, depends_on_time
+from jaxrod.effects.unlikely import warn_of_thickness
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.elasticity import elastic_law, internal_loads, stored_energy
-from jaxrod.rods.motion import Loads, Motion, accumulate
-from jaxrod.rods.rod import Rod, RodState, angular_velocities, check_state
-from jaxrod.rods.words import or_fields, scene_words
+from jaxrod.loaded_rod import (
+    Evolvable,
+    LoadedRod,
+    Method,
+    check_scene,
+    check_scene_and_state,
+    scene_of,
+)
+from jaxrod.methods.consistent import Consistent
+from jaxrod.methods.drag_kick import check_drag
+from jaxrod.model import Model, Stepper
+from jaxrod.rods.elasticity import stored_energy
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
-from jaxrod.validation import check_kind
-
-
-@runtime_checkable
-class Evolvable(Protocol):
-    """A stepper that can follow a scene that depends on time or has memory."""
-
-    def evolving(self, scene: Scene, first: Array) -> Stepper:
-        """Stepper that follows the scene in time.
-
-        Args:
-            scene: The scene with its schedules; this stepper has it without them.
-            first: Number of steps since time zero at the beginning.
-        """
+from jaxrod.systems.members.member import Member
+from jaxrod.systems.members.rods import member_of_rod
+from jaxrod.validation import (
+    as_array,
+    check_held,
+    check_kind,
+    is_traced,
+    knows_constants,
+)
 
 
 @pytree
-class Method:
-    """Method of stepping a scene: an elastic law, its reduction and an integrator.
-
-    It is one of those in `jaxrod.methods`, or a user's subclass that is a pytree.
-    """
-
-    twist: ClassVar[bool] = True
-    """Whether elements rotate about their axes."""
-    explicit: ClassVar[bool] = True
-    """Whether `stable_dt` bounds the step."""
-
-    @property
-    def has_energy(self) -> bool:
-        """Whether internal loads are the gradient of the stored energy."""
-        return True
-
-    @property
-    def solves_damping(self) -> bool:
-        """Whether damping by rates is solved with the kick, not multiplied after it."""
-        return True
-
-    @property
-    def solves_drag(self) -> bool:
-        """Whether `Effect.drag` is solved with the loads instead of being one."""
-        return False
-
-    def stepper(self, scene: Scene, state: RodState, dt: Array) -> Stepper:
-        """Integrator with its constants computed for one call."""
-        # Not abstract: checks of single effects make scenes that are never stepped.
-        raise NotImplementedError
-
-    def loads(self, scene: Scene, motion: Motion) -> Loads:
-        """All loads on the rod: forces [N], and couples [N m] that turn its inertia.
-
-        Stability and frequencies ask for them.
-        """
-        internal = internal_loads(elastic_law(scene.rod), motion)
-        assert internal.forces is not None and internal.couples is not None
-        return external_loads(scene, motion, internal.forces, internal.couples)
-
-    def check(self, scene: Scene) -> None:
-        """Raises ValueError if the scene does not fit this method in any state.
-
-        Traced values are not checked.
-        """
-
-    def check_evolving(self, scene: Scene) -> None:
-        """Raises ValueError if an effect that evolves does not fit this method.
-
-        It is called with the scene that has schedules or memory.
-        """
-
-    def check_state(self, scene: Scene, state: RodState) -> None:
-        """Raises ValueError if this concrete state does not fit this method."""
-
-
-@pytree
-class Scene:
+class Scene(LoadedRod, Model):
     """One rod, its effects and a method. Structure is static, numbers are traced.
 
     Only the listed `effects` are in the compiled program. Make a scene with
     `make_scene`; change numbers with `dataclasses.replace`.
     """
 
-    rod: Rod
-    """The rod's parameters."""
-    effects: tuple[Effect, ...]
-    """Effects on the rod, in the order in which they are applied."""
-    method: Method
-    """Method that steps it."""
-
     def __repr__(self) -> str:
         """One line: the rod, the effects by their classes, the method."""
-        return or_fields(scene_words, self)
+        return LoadedRod.__repr__(self)
 
-    @property
-    def depends_on_time(self) -> bool:
-        """Whether an effect has a number that is a schedule."""
-        return depends_on_time(self.effects)
+    def with_memory(self, state: Any) -> RodState:
+        """State with the initial memory of its effects, if it has none yet."""
+        check_scene(self)
+        check_kind("state", state, RodState)
+        rod_state: RodState = state
+        if rod_state.memory is not None or not self.remembers:
+            return rod_state
+        return replace(rod_state, memory=memory_of(self.effects))
 
-    @property
-    def remembers(self) -> bool:
-        """Whether an effect has memory from step to step."""
-        return remembers(self.effects)
+    def as_member(self) -> Member:
+        """The rod as a member of a system; equal rods if it is a batch of scenes."""
+        return member_of_rod(self)
 
-    def at(self, time: ArrayLike | Clock) -> Scene:
-        """Scene at a time [s]: schedules are replaced by their values.
+    def interfaces(self) -> dict[str, Member]:
+        """The rod as the only member, without a name."""
+        return {"": self.as_member()}
 
-        For functions of one moment: energies, health, equilibrium, frequencies.
-        """
-        if not self.depends_on_time:
-            return self
-        clock = time
-        if not isinstance(clock, Clock):
-            clock = clock_at(clock, self.rod.rest_lengths.dtype)
-        return replace(self, effects=at_clock(self.effects, clock))
+    def states_by_name(self, state: Any) -> Mapping[str, Any]:
+        """The state under the name of the only member."""
+        return {"": state}
 
-    @property
-    def at_largest(self) -> Scene:
-        """Scene with every schedule replaced by the bound on its size."""
-        if not self.depends_on_time:
-            return self
-        return replace(self, effects=at_largest(self.effects))
+    def with_states(self, state: Any, changed: Mapping[str, Any]) -> Any:
+        """The changed state, or the given one if there is none."""
+        return changed.get("", state)
 
-    @property
-    def stirred(self) -> Scene:
-        """Scene with other memories and schedules at their bounds, not initial ones.
+    def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
+        """Forces of fixed bodies on the nodes [N], for each effect."""
+        return [("", forces) for forces in self.as_member().contact_forces(state)]
 
-        For checks of effects: a value that is zero now may leave a plane later.
-        """
-        effects = recalled(self.effects, stirred(memory_of(self.effects)))
-        return replace(self, effects=effects).at_largest
+    def with_effect(self, effect: Effect) -> Scene:
+        """The scene with one more effect."""
+        return replace(self, effects=(*self.effects, effect))
 
-    @property
-    def evolves(self) -> bool:
-        """Whether it depends on time or has memory."""
-        return self.depends_on_time or self.remembers
-
-    @property
-    def evolving_effects(self) -> tuple[Effect, ...]:
-        """Effects that depend on time or have memory."""
-        return tuple(
-            effect
-            for effect in self.effects
-            if depends_on_time(effect) or remembers((effect,))
-        )
-
-    def check_moment(self) -> None:
-        """Raises a `ValueError` if it depends on time."""
-        if self.depends_on_time:
+    def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
+        """Checks the arguments of a run; returns the step in the rod's dtype."""
+        check_scene_and_state(self, state)
+        dtype = self.rod.rest_lengths.dtype
+        step = as_array("dt", dt, "s", positive=True, dtype=dtype)
+        if state.positions.dtype != dtype:
             raise ValueError(
-                "this asks about one moment, but a number of the scene's effects is a "
-                "schedule: give scene.at(time)"
+                f"state must be {dtype}, as the scene's rod is, got "
+                f"{state.positions.dtype}"
             )
+        # Within jit the step is traced, and so is whatever is computed there.
+        if not is_traced(self, state, step, first):
+            now = self.recalling(state)
+            if first is not None:
+                now = now.at(Clock(first, jnp.zeros_like(step), step))
+            self.method.check_state(now, state)
+            if self.evolves:
+                # Values that are zero now may leave the plane or act about the axis
+                # later.
+                self.method.check_state(self.stirred, state)
+        return step
 
-    def recalling(self, state: Any) -> Scene:
-        """Scene with the memory of its effects as in a state."""
-        if state.memory is None or not self.remembers:
-            return self
-        return replace(self, effects=recalled(self.effects, state.memory))
+    def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
+        """Integrator of a run; `first` is used if the scene evolves."""
+        if first is None:
+            return self.method.stepper(self, state, dt)
+        start = self.at(Clock(first, jnp.zeros_like(dt), dt))
+        constants = self.method.stepper(start, state, dt)
+        if not isinstance(constants, Evolvable):
+            raise ValueError(
+                f"{type(self.method).__name__} has no steps for a scene that depends "
+                "on time or remembers: its stepper needs a method `evolving`"
+            )
+        return constants.evolving(self, first)
+
+    def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
+        """Warning about a concrete step that is not stable; `None` if it is stable."""
+        return scene_step_warning(self, dt, state)
+
+    def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableStep:
+        """Largest stable step times a safety factor: `stable_dt`."""
+        return scene_stable_step(self, safety, state=state)
+
+    def health(
+        self,
+        state: Any,
+        dt: ArrayLike,
+        *,
+        limits: HealthLimits | None = None,
+        energy_before: ArrayLike | None = None,
+        work_input: ArrayLike = 0.0,
+        n_steps: ArrayLike = 1000,
+    ) -> Health:
+        """Flags of a state and the values behind them: `jaxrod.health`."""
+        return scene_health(
+            self,
+            state,
+            dt,
+            limits=limits,
+            energy_before=energy_before,
+            work_input=work_input,
+            n_steps=n_steps,
+        )
+
+    def kinetic_energy(self, state: Any) -> Float[Array, ""]:
+        """Kinetic energy of translation and rotation [J]."""
+        return self.rod.kinetic_energy(state)
+
+    def potential_energy(self, state: Any) -> Float[Array, ""]:
+        """Stored elastic energy plus the potential of all effects [J]."""
+        scene = scene_of(self, state)
+        total = stored_energy(scene.rod, state)
+        for effect in scene.effects:
+            total = total + effect.energy(scene.rod, state)
+        return total
+
+    def momentum(self, state: Any) -> Float[Array, "3"]:
+        """Linear momentum, world frame [kg m/s]."""
+        return self.rod.momentum(state)
+
+    def angular_momentum(self, state: Any) -> Float[Array, "3"]:
+        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        return self.rod.angular_momentum(state)
 
 
-Model = Scene | Composite
-"""A model that can be stepped: one rod with its effects, or several members."""
+@knows_constants
+def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scene:
+    """Makes a scene: a rod, the effects on it, and a method.
 
+    Floating-point numbers of effects and of the method are converted to the rod's
+    dtype.
 
-def check_scene(scene: Any) -> None:
-    """Checks that something is a scene, and a single one.
+    Args:
+        rod: The rod.
+        *effects: Effects on it, in the order in which they are applied.
+        method: Method that steps it; by default `consistent()`. Others are
+            `planar("xy")`, `torsion_free()`, `implicit()`, `pyelastica()` and
+            `planar("xy", pyelastica())`.
 
     Raises:
-        TypeError: If it is of another type.
-        ValueError: If it is a batch of scenes.
+        ValueError: If the scene does not fit the method, two effects hold the same
+            node along the same axis, or the same element, or the loads of an effect
+            do not fit the rod.
+        TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
+            method is not a `Method`. Also if the class of an effect is not a pytree,
+            defines no hook, or has a method whose name is nearly that of a hook.
     """
-    if isinstance(scene, Composite):
+    check_kind("rod", rod, Rod)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(
+                f"effects must be jaxrod effects, got {type(effect).__name__}"
+            )
+        check_own_class(effect, Effect, "an effect")
+    dtype = rod.rest_lengths.dtype
+    listed = _in_type(dtype, "effects", effects)
+    # Only now: a number that the dtype cannot hold must raise before any warning.
+    warn_of_thickness(rod)
+    held = []
+    for effect in effects:
+        now = at_clock(effect, clock_at(0.0, dtype))
+        now.check(rod)
+        held += [(type(effect).__name__, part) for part in now.held(rod)]
+    check_held_once(held, rod.n_elements)
+    if method is None:
+        method = Consistent()
+    if not isinstance(method, Method):
         raise TypeError(
-            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
-            "of one rod alone, not of several members together. Those can be stepped "
-            "(advance, rollout) and asked for stable_dt, potential_energy, "
-            "total_energy and health; jaxrod.settled finds where they come to rest"
+            "method must be one such as jaxrod.consistent() or jaxrod.planar('xy'), "
+            f"got {method!r}"
         )
-    check_kind("scene", scene, Scene)
-    shape = jnp.shape(scene.rod.rest_lengths)
-    if len(shape) != 1:
-        raise ValueError(
-            f"scene must be one scene, got a batch of shape {shape[:-1]}: use jax.vmap,"
-            " as in jax.vmap(jaxrod.stable_dt)(scenes)"
-        )
+    method = _in_type(dtype, "method", method)
+    scene = Scene(rod, listed, method)
+    for effect in scene.at(0.0).effects:
+        check_own_loads(effect, rod)
+    _check_evolution(scene)
+    check_drag(scene)
+    method.check(scene.at(0.0))
+    if scene.evolves:
+        # Values that are zero now may leave the plane or act about the axis later.
+        method.check(scene.stirred)
+    return scene
 
 
-def scene_of(scene: Scene, state: RodState) -> Scene:
-    """Scene with the effects as in a state, for functions of one moment.
-
-    Raises:
-        TypeError: If the arguments are not a scene and a state.
-        ValueError: If the state is not of the scene's rod, or the scene depends on
-            time.
-    """
-    check_scene_and_state(scene, state)
-    scene.check_moment()
-    return scene.recalling(state)
-
-
-def check_memory(scene: Scene, state: RodState) -> None:
-    """Raises a `ValueError` if a state's memory is not that of the scene's effects."""
-    if state.memory is None:
-        return
-    given, own = map(_described, (state.memory, memory_of(scene.effects)))
-    if not scene.remembers or given != own:
-        raise ValueError(
-            "state.memory must be of the effects of this scene: "
-            "dataclasses.replace(state, memory=None) begins anew"
-        )
+def _check_evolution(scene: Scene) -> None:
+    """Raises ValueError if an effect must not depend on time or have memory."""
+    for effect in scene.evolving_effects:
+        name = type(effect).__name__
+        memories = [getattr(effect, field) for field in memory_fields(effect)]
+        if depends_on_time(memories):
+            raise ValueError(
+                f"what {name} remembers begins with a number, not with a schedule"
+            )
+        if type(effect).damping_rates is not Effect.damping_rates:
+            raise ValueError(
+                f"damping rates are worked out once, but {name}, which has some, "
+                "depends on time or remembers"
+            )
+    if scene.evolves:
+        scene.method.check_evolving(scene)
 
 
-def _described(memory: Any) -> Any:
-    """Names and shapes of a memory."""
-    leaves, structure = jax.tree.flatten(memory)
-    return structure, [jnp.shape(leaf) for leaf in leaves]
+def _in_type(dtype: Any, name: str, tree: Any) -> Any:
+    """Effects or a method with their real numbers in the rod's dtype."""
 
+    def cast(path: Any, leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        if not jnp.issubdtype(array.dtype, jnp.floating):
+            return array
+        if not is_traced(array) and array.dtype != dtype:
+            where = f"{name}{jax.tree_util.keystr(path)}"
+            check_held(where, np.asarray(array, np.float64), "", dtype)
+        return array.astype(dtype)
 
-def check_scene_and_state(scene: Scene, state: RodState) -> None:
-    """Checks that the arguments are a scene and a state of its rod.
-
-    Raises:
-        TypeError: If they are of other types.
-        ValueError: If the state has other numbers of elements and nodes.
-    """
-    check_scene(scene)
-    check_state(scene.rod, state)
-    check_memory(scene, state)
-
-
-def external_loads(scene: Scene, motion: Motion, forces: Vec3, couples: Vec3) -> Loads:
-    """Adds the loads of all effects to given forces and couples."""
-    for effect in scene.effects:
-        loads = effect.loads_after(scene.rod, motion, Loads(forces, couples))
-        forces = accumulate(forces, loads.forces)
-        couples = accumulate(couples, loads.couples)
-    return Loads(forces, couples)
-
-
-def constrain(scene: Scene, motion: Motion) -> Motion:
-    """Applies all constraints on configuration."""
-    for effect in scene.effects:
-        motion = effect.constrain(scene.rod, motion)
-    return motion
-
-
-def constrain_rates(scene: Scene, motion: Motion) -> Motion:
-    """Applies all constraints on rates."""
-    for effect in scene.effects:
-        motion = effect.constrain_rates(scene.rod, motion)
-    return motion
-
-
-def dissipates(scene: Scene) -> bool:
-    """Whether an effect of the scene has damping that is solved separately."""
-    return any(type(e).dissipate is not Effect.dissipate for e in scene.effects)
-
-
-def dissipate(scene: Scene, motion: Motion, dt: Array) -> Motion:
-    """Applies all damping that is solved separately, for a step."""
-    for effect in scene.effects:
-        if type(effect).dissipate is not Effect.dissipate:
-            # The kick has given held components a rate, which is removed first.
-            motion = effect.dissipate(scene, constrain_rates(scene, motion), dt)
-    return motion
-
-
-def damping_rates(scene: Scene) -> tuple[Array, Array] | None:
-    """Total decay rates [1/s] of velocities and of spins; `None` without damping."""
-    total: tuple[Array, Array] | None = None
-    for effect in scene.effects:
-        rates = effect.damping_rates(scene.rod)
-        if rates is not None:
-            if total is not None:
-                rates = (total[0] + rates[0], total[1] + rates[1])
-            total = rates
-    return total
-
-
-def kinetic_energy(rod: Rod | Composite, state: Any) -> Float[Array, ""]:
-    """Kinetic energy of translation and rotation [J]."""
-    if isinstance(rod, Composite):
-        return rod.kinetic_energy(state)
-    check_state(rod, state)
-    translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
-    spin = angular_velocities(rod, state)
-    return translation + 0.5 * jnp.sum(rod.principal_inertias * spin**2)
-
-
-def potential_energy(scene: Scene | Composite, state: Any) -> Float[Array, ""]:
-    """Stored elastic energy plus the potential of all effects [J]."""
-    if isinstance(scene, Composite):
-        return scene.potential_energy(state)
-    scene = scene_of(scene, state)
-    total = stored_energy(scene.rod, state)
-    for effect in scene.effects:
-        total = total + effect.energy(scene.rod, state)
-    return total
-
-
-def total_energy(scene: Scene | Composite, state: Any) -> Float[Array, ""]:
-    """Kinetic plus potential energy [J]."""
-    if isinstance(scene, Composite):
-        return scene.kinetic_energy(state) + scene.potential_energy(state)
-    scene = scene_of(scene, state)
-    return kinetic_energy(scene.rod, state) + potential_energy(scene, state)
-
-
-def momentum(rod: Rod | Composite, state: Any) -> Float[Array, "3"]:
-    """Linear momentum, world frame [kg m/s]."""
-    if isinstance(rod, Composite):
-        return rod.momentum(state)
-    check_state(rod, state)
-    return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
-
-
-def angular_momentum(rod: Rod | Composite, state: Any) -> Float[Array, "3"]:
-    """Angular momentum about the origin, world frame [kg m^2/s]."""
-    if isinstance(rod, Composite):
-        return rod.angular_momentum(state)
-    check_state(rod, state)
-    position = vectors.split(state.positions)
-    velocity = vectors.split(state.velocities)
-    orbital = vectors.join(vectors.cross(position, velocity))
-    return jnp.sum(rod.node_masses[None, :] * orbital, axis=1) + jnp.sum(
-        state.angular_momenta, axis=1
-    )
+    return jax.tree_util.tree_map_with_path(cast, tree)

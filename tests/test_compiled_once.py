@@ -72,7 +72,7 @@ programs = {
     "highest_frequency": lambda dt: jaxrod.highest_frequency(scene, start) * dt,
     "equilibrium": lambda dt: jaxrod.equilibrium(scene, start).state.tip * dt,
     "reactions": lambda dt: dt * jaxrod.reactions(scene, start)[0].force[0],
-    "total_energy": lambda dt: jaxrod.total_energy(scene, start) * dt,
+    "total_energy": lambda dt: scene.total_energy(start) * dt,
     "health": lambda dt: jaxrod.health(scene, start, dt),
 }
 chosen = sys.argv[1:] or list(programs)

@@ -211,7 +211,7 @@ SOUND = {
     "a system": lambda: jaxrod.advance(*pair(), DT, 2),
     "the gradient of a system": lambda: jax.grad(height_of_pair)(0.1),
     "the health of a system": lambda: jaxrod.health(*pair(), DT),
-    "the energy of a system": lambda: jaxrod.potential_energy(*pair()),
+    "the energy of a system": lambda: jaxrod.System.potential_energy(*pair()),
     "the stable step of a system": lambda: jaxrod.stable_dt(pair()[0]).dt,
     **{
         f"the gradient, {name}": lambda m=method: jax.grad(tip_of(m))(0.1)

@@ -77,7 +77,7 @@ def test_dependencies_point_one_way():
 
 
 def test_scenes_are_composed_without_knowing_methods_but_the_default():
-    known = {b for a, b in arrows() if a == "jaxrod.composition"}
+    known = {b for a, b in arrows() if a == "jaxrod.scene"}
     methods = {module for module in known if module.startswith("jaxrod.methods")}
     assert methods == {"jaxrod.methods.consistent", "jaxrod.methods.drag_kick"}
 

@@ -106,7 +106,7 @@ def episode(index, key, mode, dtype, control_steps):
         work = work + jnp.sum(couples * turned(state, after))
         found = [getattr(report, flag) for flag in FLAGS[1:]]
         flags = jnp.stack([~report.finite, *found])
-        energy = jaxrod.total_energy(scene, after)
+        energy = scene.total_energy(after)
         sound = ~outcome.flagged
         excess = (energy - work) / (jnp.abs(work) + 1)
 

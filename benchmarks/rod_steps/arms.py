@@ -16,14 +16,13 @@ from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from benchmarks.rod_steps.pyelastica import DAMPING_RATE, ELEMENT_COUPLE, TIME_STEP
-from jaxrod.composition import make_scene
 from jaxrod.effects.actuation import ElementCouples
 from jaxrod.effects.clamps import clamp, fixed_end
 from jaxrod.effects.loads import exponential_damping
 from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene
+from jaxrod.scene import Scene, make_scene
 from jaxrod.stepping.runs import advance
 
 N_ELEMENTS = 20

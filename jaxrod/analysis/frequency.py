@@ -24,9 +24,9 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
+from jaxrod.loaded_rod import LoadedRod, scene_of
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, scene_of
 from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count, is_traced, knows_constants
@@ -53,7 +53,7 @@ class Vibration:
 
 
 def highest_frequency(
-    scene: Scene, state: RodState, *, size: int = KRYLOV_SIZE
+    scene: LoadedRod, state: RodState, *, size: int = KRYLOV_SIZE
 ) -> Float[Array, ""]:
     """Highest angular frequency of small undamped motions about a state.
 
@@ -80,7 +80,7 @@ def highest_frequency(
 
 @knows_constants
 def natural_frequencies(
-    scene: Scene, state: RodState, n_modes: int | None = None
+    scene: LoadedRod, state: RodState, n_modes: int | None = None
 ) -> np.ndarray:
     """Angular frequencies of small undamped motions about a state at rest.
 
@@ -134,7 +134,7 @@ def natural_frequencies(
 
 
 @jax.jit(static_argnames="size")
-def _measure(scene: Scene, state: RodState, size: int) -> Vibration:
+def _measure(scene: LoadedRod, state: RodState, size: int) -> Vibration:
     return fastest_vibration(scene, state, no_damping(scene.rod), size)
 
 
@@ -144,7 +144,7 @@ def no_damping(rod: Rod) -> InertiaFactors:
 
 
 def fastest_vibration(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     inertia_factors: InertiaFactors,
     size: int = KRYLOV_SIZE,
@@ -174,7 +174,7 @@ def fastest_vibration(
 
 
 def linearised(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     inertia_factors: InertiaFactors,
 ) -> Callable[[Array], Array]:
@@ -290,7 +290,7 @@ def _norm(a: Array) -> Array:
 
 
 @jax.jit
-def _stiffness(scene: Scene, state: RodState) -> jax.Array:
+def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
     """Stiffness over inertia, in coordinates in which it is symmetric [rad^2/s^2]."""
     apply = linearised(scene, state, no_damping(scene.rod))
     size = state.positions.size + state.angular_momenta.size
@@ -298,7 +298,7 @@ def _stiffness(scene: Scene, state: RodState) -> jax.Array:
 
 
 @jax.jit
-def _free(scene: Scene, state: RodState) -> jax.Array:
+def _free(scene: LoadedRod, state: RodState) -> jax.Array:
     """Flags of degrees of freedom that are free; node displacements, then rotations."""
     nodes, elements = degrees_of_freedom(scene, motion_of(state))
     return jnp.concatenate([*nodes, *elements]) != 0

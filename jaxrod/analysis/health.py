@@ -27,20 +27,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from jaxrod.composite import Composite
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
+from jaxrod.loaded_rod import LoadedRod, check_memory, check_scene
+from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import joint_rotations, stored_energy
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState, check_size
-from jaxrod.scene import (
-    Model,
-    Scene,
-    check_memory,
-    check_scene,
-    kinetic_energy,
-    momentum,
-)
 from jaxrod.structure import pytree
 from jaxrod.validation import check_array, is_traced
 
@@ -131,7 +124,7 @@ class Health:
 
 @overload
 def health(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     dt: ArrayLike,
     *,
@@ -144,12 +137,12 @@ def health(
 
 @overload
 def health(
-    scene: Composite, state: Any, dt: ArrayLike, *, limits: HealthLimits | None = ...
+    scene: Model, state: Any, dt: ArrayLike, *, limits: HealthLimits | None = ...
 ) -> Any: ...
 
 
 def health(
-    scene: Model,
+    scene: Any,
     state: Any,
     dt: ArrayLike,
     *,
@@ -183,8 +176,28 @@ def health(
         ValueError: If the state is not of the scene's rod, or `dt` or `n_steps` is
             known and not positive.
     """
-    if isinstance(scene, Composite):
-        return scene.health(state, dt, limits)
+    check_model(scene)
+    return scene.health(
+        state,
+        dt,
+        limits=limits,
+        energy_before=energy_before,
+        work_input=work_input,
+        n_steps=n_steps,
+    )
+
+
+def scene_health(
+    scene: LoadedRod,
+    state: RodState,
+    dt: ArrayLike,
+    *,
+    limits: HealthLimits | None = None,
+    energy_before: ArrayLike | None = None,
+    work_input: ArrayLike = 0.0,
+    n_steps: ArrayLike = 1000,
+) -> Health:
+    """Examines a state of one rod; see `health`."""
     check_scene(scene)
     scene.check_moment()
     check_size(scene.rod, state)
@@ -269,7 +282,7 @@ def _largest_spin(rod: Rod, state: RodState) -> Array:
     return _largest_norm(motion_of(state).angular_velocities(rod))
 
 
-def _violation(scene: Scene, state: RodState) -> Array | None:
+def _violation(scene: LoadedRod, state: RodState) -> Array | None:
     """Largest violation of all effects; `None` if none ties the rod to a place."""
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
@@ -278,7 +291,7 @@ def _violation(scene: Scene, state: RodState) -> Array | None:
 
 def _without_mean_motion(rod: Rod, state: RodState) -> RodState:
     """State with velocities relative to the nodes' centre of mass."""
-    mean = momentum(rod, state) / jnp.sum(rod.node_masses)
+    mean = rod.momentum(state) / jnp.sum(rod.node_masses)
     return replace(state, velocities=state.velocities - mean[:, None])
 
 
@@ -325,7 +338,7 @@ class EnergyBalance:
 
 
 def energy_balance(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     relative: RodState,
     before: Array,
@@ -361,9 +374,9 @@ def energy_balance(
         n_steps: Number of steps since then.
     """
     rod = scene.rod
-    elastic, kinetic = stored_energy(rod, state), kinetic_energy(rod, state)
+    elastic, kinetic = stored_energy(rod, state), rod.kinetic_energy(state)
     total = kinetic + elastic
-    own = kinetic_energy(rod, relative) + elastic
+    own = rod.kinetic_energy(relative) + elastic
     for effect in scene.effects:
         energy = effect.energy(rod, state)
         total = total + energy

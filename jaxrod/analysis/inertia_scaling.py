@@ -12,6 +12,7 @@ long as the element.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +21,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrod.analysis.frequency import natural_frequencies, no_damping
-from jaxrod.analysis.stability import frequency_bounds, stable_dt
+from jaxrod.analysis.stability import frequency_bounds, scene_stable_step
+from jaxrod.loaded_rod import LoadedRod, check_scene
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_scene
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
 
@@ -35,7 +36,7 @@ _ROUNDS = 200
 class InertiaScaling:
     """A scene with enlarged transverse inertia, and the resulting changes."""
 
-    scene: Scene
+    scene: Any
     """The scene with enlarged transverse rotary inertia of its rod."""
     factors: Float[Array, " n"]
     """Enlarged over true transverse rotary inertia, per element [1]."""
@@ -50,7 +51,7 @@ class InertiaScaling:
         return self.dt / self.dt_before
 
 
-def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
+def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling:
     """Enlarges the transverse rotary inertia of a scene's rod for larger steps.
 
     Without `dt` it is enlarged as far as it helps, that is until stretch or twist limit
@@ -74,7 +75,7 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
     check_scene(scene)
     given, scene = scene, scene.at_largest
     dtype = scene.rod.rest_lengths.dtype
-    before = stable_dt(scene, 1.0).dt
+    before = scene_stable_step(scene, 1.0).dt
     others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
     if dt is None:
         factors = _factors(scene, others, _reasonable(scene.rod))
@@ -90,7 +91,7 @@ def scale_inertia(scene: Scene, dt: Numbers | None = None) -> InertiaScaling:
         unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)
         factors = _factors(scene, step, unlimited)
     scaled = _scaled(scene, factors)
-    now = stable_dt(scaled, 1.0).dt
+    now = scene_stable_step(scaled, 1.0).dt
     return InertiaScaling(replace(given, rod=scaled.rod), factors, before, now)
 
 
@@ -118,7 +119,7 @@ def frequency_changes(
     return (after[moving] / before[moving] - 1)[:n_modes]
 
 
-def _scaled(scene: Scene, factors: Array) -> Scene:
+def _scaled(scene: LoadedRod, factors: Array) -> LoadedRod:
     *transverse, polar = scene.rod.rotary_inertia
     inertia = jnp.stack([*(factors * row for row in transverse), polar])
     return replace(scene, rod=replace(scene.rod, rotary_inertia=inertia))
@@ -131,14 +132,14 @@ def _reasonable(rod: Rod) -> Array:
 
 
 @jax.jit
-def _other_limit(scene: Scene) -> Array:
+def _other_limit(scene: LoadedRod) -> Array:
     """Step that stretch and twist allow [s]."""
     bounds = frequency_bounds(scene, no_damping(scene.rod))
     return 2 / jnp.max(bounds[1:])
 
 
 @jax.jit
-def _factors(scene: Scene, dt: Array, largest: Array) -> Array:
+def _factors(scene: LoadedRod, dt: Array, largest: Array) -> Array:
     """Smallest factors, up to the largest ones, with which `dt` is stable."""
     eps = jnp.finfo(dt.dtype).eps
     budget = 2 / dt * (1 - 100 * eps)

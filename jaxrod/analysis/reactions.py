@@ -8,13 +8,13 @@ import jax.numpy as jnp
 from jaxrod.effects.base import Reaction
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.loaded_rod import LoadedRod, damping_rates, external_loads, scene_of
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, motion_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, damping_rates, external_loads, scene_of
 
 
-def reactions(scene: Scene, state: RodState) -> tuple[Reaction | None, ...]:
+def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
     """Forces, couples and power of every support of a scene, in order of its effects.
 
     The force on a held node is its mass times its acceleration minus all other loads on
@@ -41,7 +41,7 @@ def reactions(scene: Scene, state: RodState) -> tuple[Reaction | None, ...]:
 
 
 @jax.jit
-def _reactions(scene: Scene, state: RodState) -> tuple[Reaction | None, ...]:
+def _reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
     rod, motion = scene.rod, motion_of(state)
     internal = internal_loads(elastic_law(rod), motion)
     assert internal.forces is not None and internal.couples is not None

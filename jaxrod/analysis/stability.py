@@ -61,18 +61,22 @@ from jaxrod.analysis.frequency import (
     fastest_vibration,
     no_damping,
 )
-from jaxrod.composite import Composite
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
+from jaxrod.loaded_rod import LoadedRod, check_scene, damping_rates, scene_of
 from jaxrod.methods.drag_kick import without_drag
+from jaxrod.model import Model, check_model
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Model, Scene, check_scene, damping_rates, scene_of
 from jaxrod.structure import pytree
-from jaxrod.validation import as_array
+from jaxrod.validation import as_array, check_array
 
 Details = TypeVar("Details")
 
 MODE_NAMES = ("shear and bending", "stretch", "twist")
+COMPRESSED = 0.9
+"""Smallest fraction of the bound that remains in consistent mode under compression."""
+ROUNDING = 1e-4
+"""Fraction of the bound lost to round-off of positions without compression."""
 _MOST_ROUNDS = 100
 """Largest number of rounds, far more than needed: bisection alone takes sixty."""
 _DECAY_SLOPE = 0.5
@@ -109,16 +113,16 @@ class StableStep:
 
 @overload
 def stable_dt(
-    scene: Scene, safety: ArrayLike = ..., *, state: RodState | None = ...
+    scene: LoadedRod, safety: ArrayLike = ..., *, state: RodState | None = ...
 ) -> StableStep: ...
 
 
 @overload
-def stable_dt(scene: Composite, safety: ArrayLike = ...) -> Any: ...
+def stable_dt(scene: Model, safety: ArrayLike = ...) -> Any: ...
 
 
 def stable_dt(
-    scene: Model, safety: ArrayLike = 0.8, *, state: RodState | None = None
+    scene: Any, safety: ArrayLike = 0.8, *, state: RodState | None = None
 ) -> Any:
     """Largest step at which a scene is stable, times a safety factor.
 
@@ -142,11 +146,14 @@ def stable_dt(
             rod.
         TypeError: If `scene` or `state` is of another type.
     """
-    if isinstance(scene, Composite):
-        if state is not None:
-            raise ValueError("state: of a system the bound is for any state")
-        factor = as_array("safety", safety, "", positive=True, at_most=1)
-        return scene.stable_step(factor)
+    check_model(scene)
+    return scene.stable_step(safety, state=state)
+
+
+def scene_stable_step(
+    scene: LoadedRod, safety: ArrayLike, *, state: RodState | None = None
+) -> StableStep:
+    """Largest step at which one rod is stable, times a safety factor: `stable_dt`."""
     check_scene(scene)
     dtype = scene.rod.rest_lengths.dtype
     factor = as_array("safety", safety, "", positive=True, at_most=1, dtype=dtype)
@@ -159,9 +166,34 @@ def stable_dt(
     return _measured(scene, factor, state)
 
 
+def scene_step_warning(
+    scene: LoadedRod, dt: Array, state: RodState | None
+) -> tuple[str | None, bool]:
+    """Warning about a concrete step of one rod; see `Model.step_warning`."""
+    check_scene(scene)
+    check_array("dt", dt, [()], "s", positive=True)
+    if not scene.method.explicit:
+        return None, False
+    bound = scene_stable_step(scene, 1.0)
+    largest, where = float(bound.dt), ""
+    near = float(dt) > COMPRESSED * largest
+    if state is not None and (near or not scene.method.has_energy):
+        factor, shortest = map(float, compression(scene, state))
+        if factor < 1 - ROUNDING:
+            largest *= factor
+            where = f" in a rod compressed to {shortest:.3g} of its length"
+    if not float(dt) > largest:
+        return None, near
+    return (
+        f"dt = {float(dt):.3g} s is above the stability bound {largest:.3g} s set by "
+        f"{bound.limiting_mode}{where}",
+        False,
+    )
+
+
 @jax.jit
 def compression(
-    scene: Scene, state: RodState
+    scene: LoadedRod, state: RodState
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Factor by which a state's compression lowers the bound, and its smallest extent.
 
@@ -188,7 +220,7 @@ def compression(
 
 
 @jax.jit
-def _bounded(scene: Scene, safety: Array) -> StableStep:
+def _bounded(scene: LoadedRod, safety: Array) -> StableStep:
     shape = len(MODE_NAMES), scene.rod.n_elements
     dtype = scene.rod.rest_lengths.dtype
     rounding = 64 * float(jnp.finfo(dtype).eps)
@@ -200,7 +232,7 @@ def _bounded(scene: Scene, safety: Array) -> StableStep:
 
 
 @jax.jit
-def _measured(scene: Scene, safety: Array, state: RodState) -> StableStep:
+def _measured(scene: LoadedRod, safety: Array, state: RodState) -> StableStep:
     nothing = Vibration(
         jnp.zeros((), state.positions.dtype),
         jnp.zeros_like(state.positions),
@@ -306,7 +338,7 @@ class _Found(NamedTuple):
     """Details of the last measurement."""
 
 
-_Model = tuple[Scene, RodState | None]
+_Model = tuple[LoadedRod, RodState | None]
 _Measure = Callable[[_Model, InertiaFactors], tuple[Array, Any]]
 
 
@@ -415,7 +447,7 @@ def _largest_step_jvp(
     return found, still._replace(step=step_rate, undamped=undamped_rate)
 
 
-def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
+def _brackets(scene: LoadedRod, undamped: Array) -> tuple[Array, Array]:
     """Logarithms of steps, relative to that without damping, that bracket the step.
 
     With the largest rate of drag everywhere, and no damping, the balance is a quadratic
@@ -445,7 +477,7 @@ def _brackets(scene: Scene, undamped: Array) -> tuple[Array, Array]:
     return lower.astype(undamped.dtype), upper.astype(undamped.dtype)
 
 
-def _total(scene: Scene, name: str) -> Array | None:
+def _total(scene: LoadedRod, name: str) -> Array | None:
     """Sum of a field of `StabilityBound` over all effects; `None` if none has it."""
     total = None
     for effect in scene.effects:
@@ -455,13 +487,13 @@ def _total(scene: Scene, name: str) -> Array | None:
     return total
 
 
-def _is_damped(scene: Scene) -> bool:
+def _is_damped(scene: LoadedRod) -> bool:
     """Whether an effect of the scene has damping or drag; depends on structure only."""
     return damping_rates(scene) is not None or _drag_rates(scene, None) != (None, None)
 
 
 def _drag_rates(
-    scene: Scene, dt: Array | None, *, whole: bool = True
+    scene: LoadedRod, dt: Array | None, *, whole: bool = True
 ) -> tuple[Array | None, Array | None]:
     """Rates of explicit drag [1/s] of nodes and of elements.
 
@@ -503,12 +535,12 @@ def _drag_rates(
     )
 
 
-def _added(scene: Scene) -> Callable[[Array], Array]:
+def _added(scene: LoadedRod) -> Callable[[Array], Array]:
     """Function that gives what damping adds to inertia, over the inertia."""
     return _added_by_decay if scene.method.solves_damping else _added_by_factor
 
 
-def _inertia_factors(scene: Scene, dt: Array) -> InertiaFactors:
+def _inertia_factors(scene: LoadedRod, dt: Array) -> InertiaFactors:
     """Ratios of effective and true masses and rotary inertias of a rod with damping.
 
     They are not above zero if nothing is stable, however soft the rod is.
@@ -544,7 +576,7 @@ def _added_by_factor(exponent: Array) -> Array:
 
 
 def frequency_bounds(
-    scene: Scene, factors: InertiaFactors, extents: Array | None = None
+    scene: LoadedRod, factors: InertiaFactors, extents: Array | None = None
 ) -> Float[Array, "3 n"]:
     """Bounds on the highest angular frequency about the unstressed shape [rad/s].
 

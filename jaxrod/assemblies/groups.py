@@ -9,12 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.composition import make_scene
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp
 from jaxrod.rods.factories import rod_along, straight_rod
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene
+from jaxrod.scene import Scene, make_scene
 
 MOST_RODS = 100_000
 """Largest number of rods; more are taken for a mistake."""

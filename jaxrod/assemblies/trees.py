@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from jaxrod.assemblies.groups import MOST_RODS, equal_rods, scenes
-from jaxrod.composition import make_scene
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp
 from jaxrod.rods.factories import straight_rod
+from jaxrod.scene import make_scene
 from jaxrod.systems.joints.welds import weld
 from jaxrod.systems.system import System, make_system
 from jaxrod.validation import as_array, check_count

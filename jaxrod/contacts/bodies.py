@@ -78,6 +78,29 @@ class Body(ABC):
         """
         return None
 
+    @property
+    def is_convex(self) -> bool:
+        """Whether it is known to be convex."""
+        return True
+
+    @property
+    def is_half_space(self) -> bool:
+        """Whether it is all that is below a plane, and so no body that can move."""
+        return False
+
+    @property
+    def centre_of_normals(self) -> Array | None:
+        """Point through which all normals of the surface go [m]; `None` without one."""
+        return None
+
+    @property
+    def row_of_balls(self) -> tuple[Array, Array, Array] | None:
+        """First and last centre and radius of the balls that fill it, in a row [m].
+
+        It is `None` for bodies that no such row fills.
+        """
+        return None
+
 
 @pytree
 class Sphere(Body):
@@ -118,6 +141,11 @@ class Sphere(Body):
         """Triangles of the ball."""
         corners, faces = surfaces.ball(float(self.radius))
         return np.asarray(self.centre) + corners, faces
+
+    @property
+    def centre_of_normals(self) -> Array:
+        """Centre [m]."""
+        return self.centre
 
 
 @pytree
@@ -174,6 +202,11 @@ class Capsule(Body):
         start, end = np.asarray(self.start), np.asarray(self.end)
         half = float(np.linalg.norm(end - start)) / 2
         return surfaces.along(surfaces.capsule(half, float(self.radius)), start, end)
+
+    @property
+    def row_of_balls(self) -> tuple[Array, Array, Array]:
+        """Centres of the half spheres, and the radius [m]."""
+        return self.start, self.end, self.radius
 
 
 @pytree
@@ -232,6 +265,15 @@ class Cylinder(Body):
         half = float(np.linalg.norm(end - start)) / 2
         return surfaces.along(surfaces.cylinder(half, float(self.radius)), start, end)
 
+    @property
+    def row_of_balls(self) -> tuple[Array, Array, Array]:
+        """Places a radius from the ends, and the radius [m]."""
+        middle = 0.5 * (self.start + self.end)
+        axis = self.end - self.start
+        length = jnp.sqrt(jnp.sum(axis * axis))
+        way = jnp.maximum(0.5 - self.radius / length, 0) * axis
+        return middle - way, middle + way, self.radius
+
 
 @pytree
 class Plane(Body):
@@ -253,6 +295,11 @@ class Plane(Body):
     def count(self) -> int | None:
         """Number of bodies, from the shape of the numbers."""
         return _count(self.normal.shape[:-1])
+
+    @property
+    def is_half_space(self) -> bool:
+        """True."""
+        return True
 
     @property
     def inradius(self) -> Array:
@@ -347,6 +394,11 @@ class SignedDistance(Body):
                 f"got {sorted(leading)}"
             )
         return _count(leading.pop()) if leading else None
+
+    @property
+    def is_convex(self) -> bool:
+        """False: the function may be any."""
+        return False
 
 
 def _count(leading: tuple[int, ...]) -> int | None:

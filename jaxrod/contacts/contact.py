@@ -94,6 +94,11 @@ class Contact(Effect):
     reach: ClassVar[Reach] = "neighbours"
 
     @property
+    def obstacle(self) -> tuple[Body, int | None]:
+        """The body, and the number of bodies if there are several."""
+        return self.body, self.n_bodies
+
+    @property
     def is_directional(self) -> bool:
         """Whether friction has coefficients for each direction."""
         return self.friction is not None and jnp.ndim(self.friction) == 1

@@ -24,9 +24,9 @@ from jaxrod.effects.base import Effect
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.scene import Scene
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_count
 
@@ -40,7 +40,7 @@ class ShortWaveDamping(Effect):
     order: int = static(default=2)
     """Half the power of the wave number with which the rate falls."""
 
-    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+    def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
         """Motion after short waves have decayed for a step."""
         body = _Body(scene.rod, motion)
         turning = motion.angular_velocities(scene.rod)
@@ -141,7 +141,7 @@ class LaplacianFilter(Effect):
     order: int = static()
     """Number of times that the Laplacian is applied."""
 
-    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+    def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
         """Motion with filtered rates."""
         if not motion.spin_is_velocity:
             raise ValueError(

@@ -34,8 +34,8 @@ from jaxrod.geometry.rotations import (
     normalise,
     to_material,
 )
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import Scene
 from jaxrod.statics.block_matrices import BlockTridiagonal
 from jaxrod.statics.degrees_of_freedom import (
     free_velocity_mask,
@@ -53,7 +53,7 @@ class InternalDamping(Effect):
     relaxation_time: Float[Array, ""]
     """Viscous over elastic stiffness [s]."""
 
-    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+    def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
         """Motion after strain rates have decayed for a step."""
         rod = scene.rod
         frame = directors(motion.orientation)
@@ -119,7 +119,7 @@ class _Pairs:
         return total[extra:]
 
 
-def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
+def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
     """Pairs for a configuration; `duration` is relaxation time times step [s^2].
 
     A fixed wall is joined to an end element by the joint after the last interval's
@@ -162,7 +162,7 @@ def _pairs(scene: Scene, motion: Motion, duration: Array) -> _Pairs:
     return _Pairs(own, following, duration * drag)
 
 
-def _mobility(scene: Scene, motion: Motion) -> Float[Array, "n+1 6 6"]:
+def _mobility(scene: LoadedRod, motion: Motion) -> Float[Array, "n+1 6 6"]:
     """Inverse masses and rotary inertias, world frame; zero for held components."""
     rod = scene.rod
     frame = directors(motion.orientation)
@@ -190,7 +190,7 @@ def _times(rows: Array, vector: Array) -> Array:
     return jnp.sum(rows * vector[:, None, :], axis=2)
 
 
-def _between(scene: Scene, q: Quaternion) -> Quaternion:
+def _between(scene: LoadedRod, q: Quaternion) -> Quaternion:
     """Orientations of the joints."""
     if scene.method.twist:
         return _middle(q)

@@ -22,9 +22,9 @@ from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect
 from jaxrod.geometry import vectors
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.scene import Scene
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array
 
@@ -38,7 +38,7 @@ class LinearDamper(Effect):
     rotational: Float[Array, ""] | None = None
     """Constant `gamma_r` of every element [N m s]; `None` with a single constant."""
 
-    def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
+    def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
         """Motion after rates have decayed for a step."""
         if not motion.spin_is_velocity:
             raise ValueError(

@@ -127,6 +127,14 @@ class Effect:
             # assignment for a mistake; it restores the hook of the base class.
             cls.held = Effect.held  # type: ignore[method-assign]
 
+    @property
+    def obstacle(self) -> tuple[Any, int | None] | None:
+        """A fixed `Body` that the rod may touch, for replays; `None` without one.
+
+        With it comes the number of bodies, if its numbers have a leading axis.
+        """
+        return None
+
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Forces and couples at this moment."""
         return Loads()

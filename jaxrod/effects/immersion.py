@@ -79,7 +79,7 @@ def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> R
     $C = 1$ for a circular section. It is wrong along the rod, where there is none:
     axial waves are slower by $\sqrt{1 + C\rho_f/\rho}$, which slender rods hardly ever
     show. It is not a model of a rod that swims by the thrust of fluid that it pushes
-    back (Lighthill's). `jaxrod.momentum` and `kinetic_energy` count the added mass.
+    back (Lighthill's). The scene's momentum and kinetic energy count the added mass.
 
     Args:
         rod: The rod, of round section.

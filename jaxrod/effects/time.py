@@ -73,8 +73,10 @@ class Clock:
         return replace(self, fraction=self.fraction + fraction)
 
 
-def clock_at(time: ArrayLike, dtype: Any) -> Clock:
-    """A clock that shows a time [s]."""
+def clock_at(time: ArrayLike | Clock, dtype: Any) -> Clock:
+    """A clock that shows a time [s]; one that is given stays as it is."""
+    if isinstance(time, Clock):
+        return time
     seconds = as_array("time", time, "s", dtype=dtype)
     return Clock(jnp.zeros((), jnp.int32), seconds, jnp.ones_like(seconds))
 

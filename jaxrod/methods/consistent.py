@@ -28,6 +28,15 @@ from jaxrod.geometry.rotations import (
     sine_ratio_and_cosine,
     to_world,
 )
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    Method,
+    constrain,
+    constrain_rates,
+    damping_rates,
+    dissipate,
+    external_loads,
+)
 from jaxrod.methods.asymmetric_drift import asymmetric_drift
 from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
@@ -35,15 +44,6 @@ from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import (
-    Method,
-    Scene,
-    constrain,
-    constrain_rates,
-    damping_rates,
-    dissipate,
-    external_loads,
-)
 from jaxrod.structure import pytree
 
 
@@ -51,7 +51,7 @@ from jaxrod.structure import pytree
 class ConsistentStepper(Verlet):
     """Constants of the consistent step for one scene and one step size."""
 
-    scene: Scene
+    scene: LoadedRod
     """The scene."""
     dt: Array
     """Step size [s]."""
@@ -68,7 +68,7 @@ class ConsistentStepper(Verlet):
     that are not round, inverses about d1 and d2 minus inverse of polar inertia."""
 
     @staticmethod
-    def create(scene: Scene, dt: Array) -> ConsistentStepper:
+    def create(scene: LoadedRod, dt: Array) -> ConsistentStepper:
         """Computes the constants once, outside the loop."""
         contrast: Array | tuple[Array, Array]
         if scene.rod.is_round:
@@ -152,12 +152,16 @@ class ConsistentStepper(Verlet):
 class Consistent(Method):
     """The consistent law in space, stepped by position Verlet; see the module."""
 
+    steps_in_systems = True
+
     @property
     def solves_drag(self) -> bool:
         """True: drag is solved together with the loads of every kick."""
         return True
 
-    def stepper(self, scene: Scene, state: RodState, dt: Array) -> ConsistentStepper:
+    def stepper(
+        self, scene: LoadedRod, state: RodState, dt: Array
+    ) -> ConsistentStepper:
         """Constants of the step."""
         return ConsistentStepper.create(scene, dt)
 

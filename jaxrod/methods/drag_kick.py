@@ -28,10 +28,10 @@ from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, damping_rates
 from jaxrod.methods.kick import Kick
 from jaxrod.rods.drag import Drag, node_tangents, relative_velocity
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import Scene, damping_rates
 
 
 def has_drag(effect: Effect) -> bool:
@@ -39,7 +39,7 @@ def has_drag(effect: Effect) -> bool:
     return type(effect).drag is not Effect.drag
 
 
-def without_drag(scene: Scene) -> Scene:
+def without_drag(scene: LoadedRod) -> LoadedRod:
     """Scene without the effect whose drag is solved together with the loads."""
     if not any(map(has_drag, scene.effects)):
         return scene
@@ -47,7 +47,7 @@ def without_drag(scene: Scene) -> Scene:
     return replace(scene, effects=left)
 
 
-def drag_on(scene: Scene, motion: Motion) -> Drag | None:
+def drag_on(scene: LoadedRod, motion: Motion) -> Drag | None:
     """Drag on a rod of a scene; `None` if there is none.
 
     Raises:
@@ -64,7 +64,7 @@ def drag_on(scene: Scene, motion: Motion) -> Drag | None:
 
 
 def drag_kick(
-    scene: Scene, motion: Motion, forces: Vec3, couples: Vec3, dt: Array
+    scene: LoadedRod, motion: Motion, forces: Vec3, couples: Vec3, dt: Array
 ) -> tuple[Vec3, Vec3] | None:
     """Velocities and angular momenta after a kick with drag; `None` without drag.
 
@@ -173,7 +173,7 @@ def _tanh_ratio(square: Array) -> Array:
     return jnp.where(small, series, jnp.tanh(root) / root)
 
 
-def check_drag(scene: Scene) -> None:
+def check_drag(scene: LoadedRod) -> None:
     """Raises ValueError for several effects with drag or drag without a stable step."""
     now = scene.at(0.0)
     found = jax.eval_shape(lambda: drag_on(now, trial_motion(scene.rod)))

@@ -36,18 +36,18 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.methods.now import Now, memory_in, remembering, scene_at
-from jaxrod.rods.elasticity import ElasticLaw, elastic_law
-from jaxrod.rods.motion import Motion, motion_of, state_of
-from jaxrod.rods.rod import RodState
-from jaxrod.scene import (
+from jaxrod.loaded_rod import (
+    LoadedRod,
     Method,
-    Scene,
     constrain,
     constrain_rates,
     damping_rates,
     dissipate,
 )
+from jaxrod.methods.now import Now, memory_in, remembering, scene_at
+from jaxrod.rods.elasticity import ElasticLaw, elastic_law
+from jaxrod.rods.motion import Motion, motion_of, state_of
+from jaxrod.rods.rod import RodState
 from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.degrees_of_freedom import free_position_mask, stack_dofs
 from jaxrod.statics.newton import default_tolerance, newton
@@ -70,11 +70,11 @@ class Implicit(Method):
     max_iterations: int = static(default=20)
     """Largest number of corrections per stage. A step that needs more is not finite."""
 
-    def check(self, scene: Scene) -> None:
+    def check(self, scene: LoadedRod) -> None:
         """Raises ValueError if an effect breaks a promise that a step relies on."""
         check_declared_properties(scene)
 
-    def stepper(self, scene: Scene, state: RodState, dt: Array) -> ImplicitStepper:
+    def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> ImplicitStepper:
         """Constants of the step."""
         return ImplicitStepper.create(scene, self, dt)
 
@@ -143,7 +143,7 @@ class ImplicitStepper:
     """Constants of the implicit step for one scene and one step size."""
 
     steps_of_end: ClassVar[int] = 0
-    scene: Scene
+    scene: LoadedRod
     settings: Implicit
     law: ElasticLaw
     coefficient: Float[Array, ""]
@@ -155,7 +155,7 @@ class ImplicitStepper:
     damping: tuple[Array, Array] | None
 
     @staticmethod
-    def create(scene: Scene, settings: Implicit, dt: Array) -> ImplicitStepper:
+    def create(scene: LoadedRod, settings: Implicit, dt: Array) -> ImplicitStepper:
         """Computes the constants once, outside the loop."""
         coefficient = 0.5 / (1 + jnp.sqrt(0.5 * (1 + settings.spectral_radius)))
         return ImplicitStepper(
@@ -189,7 +189,7 @@ class ImplicitStepper:
         _, added = lax.scan(stage, first, length=2)
         return self.after(motion, added)
 
-    def evolving(self, scene: Scene, first: Array) -> EvolvingImplicit:
+    def evolving(self, scene: LoadedRod, first: Array) -> EvolvingImplicit:
         """Stepper for a scene that depends on time or has memory."""
         return EvolvingImplicit(self, scene, first)
 
@@ -259,7 +259,7 @@ class EvolvingImplicit:
     steps_of_end: ClassVar[int] = 0
     implicit: ImplicitStepper
     """Stepper of the scene in its initial form."""
-    scene: Scene
+    scene: LoadedRod
     """The scene with its schedules."""
     first: Int[Array, ""]
     """Number of steps since time zero at the beginning."""

@@ -10,9 +10,9 @@ from jaxtyping import Array, ArrayLike, Int
 
 from jaxrod.effects.memory import Memory, memory_of, recalled
 from jaxrod.effects.time import Clock, at_clock
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene
 from jaxrod.structure import pytree
 
 
@@ -26,19 +26,19 @@ class Now:
     """Memory of the effects."""
 
 
-def scene_at(scene: Scene, now: Now, fraction: ArrayLike, dt: Array) -> Scene:
+def scene_at(scene: LoadedRod, now: Now, fraction: ArrayLike, dt: Array) -> LoadedRod:
     """Scene at a fraction of a step after a whole step."""
     clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
     effects = at_clock(recalled(scene.effects, now.memory), clock)
     return replace(scene, effects=effects)
 
 
-def memory_in(scene: Scene, state: RodState) -> Memory:
+def memory_in(scene: LoadedRod, state: RodState) -> Memory:
     """Memory of the effects of a scene in a state."""
     return memory_of(scene.effects) if state.memory is None else state.memory
 
 
-def remembering(scene: Scene, motion: Motion, dt: Array, now: Now) -> Now:
+def remembering(scene: LoadedRod, motion: Motion, dt: Array, now: Now) -> Now:
     """Progress one step later, with the new memory of the effects."""
     effects = tuple(e.after_step(scene.rod, motion, dt) for e in scene.effects)
     for before, after in zip(scene.effects, effects, strict=True):

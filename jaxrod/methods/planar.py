@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 from jaxrod.effects.base import Effect
 from jaxrod.effects.time import at_clock, clock_at
 from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.loaded_rod import LoadedRod, Method, constrain, constrain_rates
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.planar_consistent import PlanarConsistentStepper
 from jaxrod.methods.planar_pyelastica import PlanarPyElasticaStepper
@@ -20,7 +21,6 @@ from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Method, Scene, constrain, constrain_rates
 from jaxrod.structure import pytree, static
 
 _PARTS = (
@@ -64,17 +64,17 @@ class Planar(Method):
         """Whether the method in space solves drag together with the loads."""
         return self.of.solves_drag
 
-    def stepper(self, scene: Scene, state: RodState, dt: Array) -> PlanarVerlet:
+    def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> PlanarVerlet:
         """Constants of the step."""
         if isinstance(self.of, PyElastica):
             return PlanarPyElasticaStepper.create(scene, self.plane, state, dt)
         return PlanarConsistentStepper.create(scene, self.plane, state, dt)
 
-    def loads(self, scene: Scene, motion: Motion) -> Loads:
+    def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
         """All loads, as in space."""
         return self.of.loads(scene, motion)
 
-    def check_evolving(self, scene: Scene) -> None:
+    def check_evolving(self, scene: LoadedRod) -> None:
         """Raises ValueError if a driven support holds nodes across the plane."""
         for effect in scene.evolving_effects:
             if _places_across(effect, scene.rod, self.plane):
@@ -85,7 +85,7 @@ class Planar(Method):
                     f'give it axes="{axes}"'
                 )
 
-    def check_state(self, scene: Scene, state: RodState) -> None:
+    def check_state(self, scene: LoadedRod, state: RodState) -> None:
         """Raises ValueError if the rod or a load leaves the plane."""
         check_planar(scene, self, state)
 
@@ -133,7 +133,7 @@ def _places_across(effect: Effect, rod: Rod, plane: PlaneName) -> bool:
     return touched[0]
 
 
-def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
+def check_planar(scene: LoadedRod, method: Planar, state: RodState) -> None:
     """Checks that a rod is in the scene's plane and that nothing moves it out of it.
 
     Args:
@@ -160,7 +160,7 @@ def check_planar(scene: Scene, method: Planar, state: RodState) -> None:
 # Compiled, because operation by operation it takes longer than thousands of steps.
 @jax.jit
 def _shares_outside(
-    scene: Scene, method: Planar, state: RodState
+    scene: LoadedRod, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
     """Largest component of each of `_PARTS` out of the plane, relative to its scale."""
     out = PLANES[method.plane][2]
@@ -229,7 +229,7 @@ def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Arr
 
 
 def _shares_of_effects(
-    scene: Scene, method: Planar, state: RodState, n1: Array, n2: Array
+    scene: LoadedRod, method: Planar, state: RodState, n1: Array, n2: Array
 ) -> tuple[Array, Array, Array]:
     """Fractions out of the plane: forces, couples and directions of possible forces."""
     rod = scene.rod
@@ -265,7 +265,7 @@ def _shares_of_effects(
     return force, couple, tilt
 
 
-def _tilt(effect: Effect, scene: Scene, motion: Motion, out: int) -> Array:
+def _tilt(effect: Effect, scene: LoadedRod, motion: Motion, out: int) -> Array:
     """Largest tilt of an effect's forces out of the plane, now or elsewhere in it.
 
     An oblique cylinder looks upright if it is seen end-on. It is therefore checked from

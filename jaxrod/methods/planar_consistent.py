@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, damping_rates
 from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.planar_verlet import (
@@ -24,7 +25,6 @@ from jaxrod.methods.planar_verlet import (
     spread,
 )
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, damping_rates
 from jaxrod.structure import pytree
 
 
@@ -37,7 +37,7 @@ class PlanarConsistentStepper(PlanarVerlet):
 
     @staticmethod
     def create(
-        scene: Scene, plane: PlaneName, state: RodState, dt: Array
+        scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array
     ) -> PlanarConsistentStepper:
         """Computes the constants once, outside the loop."""
         rod = scene.rod

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, damping_rates, dissipates
 from jaxrod.methods.planar_verlet import (
     PlanarMotion,
     PlanarRod,
@@ -28,7 +29,6 @@ from jaxrod.methods.planar_verlet import (
     spread,
 )
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, damping_rates, dissipates
 from jaxrod.structure import pytree
 
 
@@ -47,7 +47,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
 
     @staticmethod
     def create(
-        scene: Scene, plane: PlaneName, state: RodState, dt: Array
+        scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array
     ) -> PlanarPyElasticaStepper:
         """Computes the constants once, outside the loop."""
         rod = scene.rod

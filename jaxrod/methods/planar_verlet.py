@@ -33,11 +33,11 @@ from jaxrod.geometry.rotations import (
     split_quaternion,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import constrain, constrain_rates, dissipate, dissipates
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import constrain, constrain_rates, dissipate, dissipates
 from jaxrod.structure import pytree, static
 
 Vec2 = tuple[Array, Array]

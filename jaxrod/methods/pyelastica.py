@@ -32,13 +32,9 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.methods.verlet import Verlet
-from jaxrod.rods.elasticity import joint_rotations
-from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
-from jaxrod.rods.rod import Rod, RodState, angular_velocities, with_angular_velocities
-from jaxrod.scene import (
+from jaxrod.loaded_rod import (
+    LoadedRod,
     Method,
-    Scene,
     constrain,
     constrain_rates,
     damping_rates,
@@ -46,6 +42,10 @@ from jaxrod.scene import (
     dissipates,
     external_loads,
 )
+from jaxrod.methods.verlet import Verlet
+from jaxrod.rods.elasticity import joint_rotations
+from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
+from jaxrod.rods.rod import Rod, RodState, angular_velocities, with_angular_velocities
 from jaxrod.structure import pytree
 
 
@@ -75,7 +75,7 @@ class PyElasticaStepper(Verlet):
     """Inverse rotary inertia about d1, d2, d3 [1/(kg m^2)]."""
 
     @staticmethod
-    def create(scene: Scene, dt: Array) -> PyElasticaStepper:
+    def create(scene: LoadedRod, dt: Array) -> PyElasticaStepper:
         """Computes the constants once, outside the loop."""
         rod: Rod = scene.rod
         inertia = vectors.split(rod.principal_inertias)
@@ -198,6 +198,8 @@ class PyElasticaStepper(Verlet):
 class PyElastica(Method):
     """PyElastica's law and stepping order in space; see the module."""
 
+    steps_in_systems = True
+
     @property
     def has_energy(self) -> bool:
         """False: a stretched element changes its section, and loads with it."""
@@ -208,7 +210,7 @@ class PyElastica(Method):
         """False: rates are multiplied after the kick."""
         return False
 
-    def loads(self, scene: Scene, motion: Motion) -> Loads:
+    def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
         """All loads; couples grow with the stretch, as inertia shrinks with it."""
         step = jnp.ones((), scene.rod.rest_lengths.dtype)
         own = PyElasticaStepper.create(scene, step).internal_loads(motion)
@@ -218,7 +220,9 @@ class PyElastica(Method):
         stretch = motion.lengths / scene.rod.rest_lengths
         return replace(loads, couples=vectors.scale(stretch, loads.couples))
 
-    def stepper(self, scene: Scene, state: RodState, dt: Array) -> PyElasticaStepper:
+    def stepper(
+        self, scene: LoadedRod, state: RodState, dt: Array
+    ) -> PyElasticaStepper:
         """Constants of the step."""
         return PyElasticaStepper.create(scene, dt)
 

@@ -40,6 +40,15 @@ from jaxrod.geometry.rotations import (
     to_material,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    Method,
+    constrain,
+    constrain_rates,
+    damping_rates,
+    dissipate,
+    dissipates,
+)
 from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.kick import Kick
 from jaxrod.methods.torsion_free_checks import (
@@ -52,15 +61,6 @@ from jaxrod.methods.torsion_free_checks import (
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import (
-    Method,
-    Scene,
-    constrain,
-    constrain_rates,
-    damping_rates,
-    dissipate,
-    dissipates,
-)
 from jaxrod.structure import pytree, static
 
 
@@ -116,7 +116,7 @@ class TorsionFreeStepper(Verlet):
     """The end from which frames are transported along the rod."""
 
     @staticmethod
-    def create(scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
+    def create(scene: LoadedRod, state: RodState, dt: Array) -> TorsionFreeStepper:
         """Computes the constants once, outside the loop."""
         check_structure(scene)
         rod = scene.rod
@@ -311,19 +311,21 @@ class TorsionFree(Method):
         """True: drag is solved together with the loads of every kick."""
         return True
 
-    def stepper(self, scene: Scene, state: RodState, dt: Array) -> TorsionFreeStepper:
+    def stepper(
+        self, scene: LoadedRod, state: RodState, dt: Array
+    ) -> TorsionFreeStepper:
         """Constants of the step."""
         return TorsionFreeStepper.create(scene, state, dt)
 
-    def check(self, scene: Scene) -> None:
+    def check(self, scene: LoadedRod) -> None:
         """Raises ValueError if twist matters for the rod or an effect."""
         check_torsion_free(scene)
 
-    def check_evolving(self, scene: Scene) -> None:
+    def check_evolving(self, scene: LoadedRod) -> None:
         """Raises ValueError if a wall moves."""
         check_walls_stand(scene)
 
-    def check_state(self, scene: Scene, state: RodState) -> None:
+    def check_state(self, scene: LoadedRod, state: RodState) -> None:
         """Raises as `check` does: a scene may have changed since it was made."""
         check_torsion_free(scene)
 

@@ -16,13 +16,13 @@ from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, directors, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.scene import Scene
 from jaxrod.validation import is_traced
 
 
-def wall_of(scene: Scene) -> Wall | None:
+def wall_of(scene: LoadedRod) -> Wall | None:
     """The wall that holds the orientation at an end of the rod, if there is one."""
     for effect in scene.effects:
         wall = effect.wall(scene.rod)
@@ -37,7 +37,7 @@ def has_elastic_wall(effect: Effect, rod: Rod) -> bool:
     return wall is not None and wall.stiffness is not None
 
 
-def check_structure(scene: Scene) -> None:
+def check_structure(scene: LoadedRod) -> None:
     """Checks, also for traced scenes, that no effect is of a kind that twists.
 
     Raises:
@@ -61,7 +61,7 @@ def check_structure(scene: Scene) -> None:
         _refuse("at most one held end, because two store twist", f"{held} of them")
 
 
-def check_walls_stand(scene: Scene) -> None:
+def check_walls_stand(scene: LoadedRod) -> None:
     """Checks that no wall depends on time or has memory.
 
     Raises:
@@ -99,7 +99,7 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
     return touched[0]
 
 
-def check_torsion_free(scene: Scene) -> None:
+def check_torsion_free(scene: LoadedRod) -> None:
     """Checks that only its own inertia could twist the rod of a scene.
 
     If values are traced or belong to batches of rods, only the structure is checked.

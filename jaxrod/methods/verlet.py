@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 from jaxtyping import Array, Int
 
+from jaxrod.loaded_rod import LoadedRod, constrain_rates
 from jaxrod.methods.now import Now, memory_in, remembering, scene_at
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, constrain_rates
 from jaxrod.structure import pytree
 
 
@@ -24,7 +24,7 @@ class Verlet(ABC):
     """
 
     steps_of_end: ClassVar[int] = 1
-    scene: Scene
+    scene: LoadedRod
     """The scene."""
     dt: Array
     """Step size [s]."""
@@ -65,7 +65,7 @@ class Verlet(ABC):
         """Final state, from the carry in the middle of the last step."""
         return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))
 
-    def evolving(self, scene: Scene, first: Array) -> EvolvingVerlet:
+    def evolving(self, scene: LoadedRod, first: Array) -> EvolvingVerlet:
         """Stepper for a scene that depends on time or has memory."""
         return EvolvingVerlet(self, scene, first)
 
@@ -81,7 +81,7 @@ class EvolvingVerlet:
     steps_of_end: ClassVar[int] = 1
     verlet: Verlet
     """Stepper of the scene in its initial form."""
-    scene: Scene
+    scene: LoadedRod
     """The scene with its schedules."""
     first: Int[Array, ""]
     """Number of steps since time zero at the beginning."""

@@ -8,7 +8,7 @@ comes first: `(3, n + 1)`, `(4, n)`.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -63,6 +63,11 @@ class Rod:
     def n_elements(self) -> int:
         """Number of elements."""
         return self.rest_lengths.shape[-1]
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Leading axes of stacked rods; empty for a single rod."""
+        return jnp.shape(self.rest_lengths)[:-1]
 
     @property
     def length(self) -> Float[Array, "*batch"]:
@@ -132,6 +137,48 @@ class Rod:
         """Rest arc length from the start to the middle of each element [m]."""
         return jnp.cumsum(self.rest_lengths, axis=-1) - 0.5 * self.rest_lengths
 
+    def kinetic_energy(self, state: RodState) -> Float[Array, ""]:
+        """Kinetic energy of translation and rotation [J]."""
+        check_state(self, state)
+        translation = 0.5 * jnp.sum(self.node_masses[None, :] * state.velocities**2)
+        spin = angular_velocities(self, state)
+        return translation + 0.5 * jnp.sum(self.principal_inertias * spin**2)
+
+    def momentum(self, state: RodState) -> Float[Array, "3"]:
+        """Linear momentum, world frame [kg m/s]."""
+        check_state(self, state)
+        return jnp.sum(self.node_masses[None, :] * state.velocities, axis=1)
+
+    def angular_momentum(self, state: RodState) -> Float[Array, "3"]:
+        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        check_state(self, state)
+        position = vectors.split(state.positions)
+        velocity = vectors.split(state.velocities)
+        orbital = vectors.join(vectors.cross(position, velocity))
+        return jnp.sum(self.node_masses[None, :] * orbital, axis=1) + jnp.sum(
+            state.angular_momenta, axis=1
+        )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Numbers of nodes and elements of a member of a system, from its state."""
+
+    count: int
+    """Number of rods, bodies or points."""
+    n_elements: int = 1
+    """Elements of each rod; 1 for others, whose nodes are elements, too."""
+    is_rod: bool = False
+    """Whether it is made of rods, with one more node than elements."""
+    is_stacked: bool = False
+    """Whether fields have a leading axis, of equal rods."""
+
+    def row(self, field: Any) -> Any:
+        """A field `(3, nodes)` or `(k, 3, nodes)` with all nodes in one row."""
+        if not self.is_stacked:
+            return field
+        return field.transpose(1, 0, 2).reshape(field.shape[1], -1)
+
 
 @pytree
 class RodState:
@@ -155,6 +202,13 @@ class RodState:
     def __repr__(self) -> str:
         """One line: elements, tip, largest speed."""
         return or_fields(state_words, self)
+
+    @property
+    def layout(self) -> Layout:
+        """Numbers of rods and elements."""
+        *leading, _, n = self.orientations.shape
+        count = leading[0] if leading else 1
+        return Layout(count, n, is_rod=True, is_stacked=bool(leading))
 
     @property
     def rates(self) -> tuple[Array, Array]:
@@ -258,10 +312,9 @@ def check_size(rod: Rod, state: RodState) -> None:
         ValueError: If its numbers of elements and nodes differ.
     """
     check_one(state)
-    shape = jnp.shape(rod.rest_lengths)
-    if len(shape) != 1:
+    if rod.batch_shape:
         raise ValueError(
-            f"rod must be one rod, got a batch of shape {shape[:-1]}: use jax.vmap"
+            f"rod must be one rod, got a batch of shape {rod.batch_shape}: use jax.vmap"
         )
     n = rod.n_elements
     elements, nodes = state.orientations.shape[-1], state.positions.shape[-1]

@@ -24,9 +24,9 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     to_world,
 )
+from jaxrod.loaded_rod import LoadedRod, Method
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.scene import Method, Scene
 from jaxrod.statics.degrees_of_freedom import (
     free_position_mask,
     free_velocity_mask,
@@ -37,7 +37,7 @@ from jaxrod.statics.effect_tangents import has_closed_form, matrix_by_colouring
 from jaxrod.validation import is_traced
 
 
-def check_declared_properties(scene: Scene) -> None:
+def check_declared_properties(scene: LoadedRod) -> None:
     """Checks the promises of effects, unless the scene is traced.
 
     Effects are tested on a generic rod, and on the same rod shrunk to almost a point.
@@ -159,7 +159,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
 def _mixing(effect: Effect, rod: Rod) -> Array:
     """Deviation from holding whole components, relative to the expected values."""
-    alone, motion = Scene(rod, (effect,), Method()), trial_motion(rod)
+    alone, motion = LoadedRod(rod, (effect,), Method()), trial_motion(rod)
     nodes, turns = unstack_dofs(_any_step(rod))
 
     def with_rates(size: float) -> Motion:

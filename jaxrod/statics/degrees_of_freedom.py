@@ -16,14 +16,14 @@ from jaxtyping import Array, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import Scene, constrain, constrain_rates
 
 _TURN = (0.8, 0.36, 0.48, 0.0)
 """Rotation by 74 degrees, applied to an element to find out whether it is held."""
 
 
-def degrees_of_freedom(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
+def degrees_of_freedom(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
     """Array that is one for every free component and zero for every held one.
 
     Args:
@@ -40,7 +40,7 @@ def degrees_of_freedom(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
     return vectors.multiply(nodes, placed[0]), vectors.multiply(elements, placed[1])
 
 
-def free_velocity_mask(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
+def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
     """Components that are free under `Effect.constrain_rates` alone."""
     rates = (motion.velocity, motion.spin)
 
@@ -55,7 +55,7 @@ def free_velocity_mask(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3]:
     )
 
 
-def free_position_mask(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None:
+def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | None:
     """Components that are free under `Effect.constrain` alone; `None` if all are."""
     here = constrain(scene, motion)
     if here is motion:
@@ -69,7 +69,7 @@ def free_position_mask(scene: Scene, motion: Motion) -> tuple[Vec3, Vec3] | None
     return (x, y, z), (turns, turns, turns)
 
 
-def _elsewhere(scene: Scene, motion: Motion) -> Motion:
+def _elsewhere(scene: LoadedRod, motion: Motion) -> Motion:
     """Motion with every node displaced in every direction and every element rotated."""
     length = scene.rod.length
     moved = vectors.add(motion.position, (length, length, length))

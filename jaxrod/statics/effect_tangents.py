@@ -19,8 +19,8 @@ from jaxrod.effects.base import Effect
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, add
 from jaxrod.geometry.rotations import directors, multiply_quaternions, to_world
+from jaxrod.loaded_rod import LoadedRod, external_loads
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.scene import Scene, external_loads
 from jaxrod.statics.block_matrices import BlockTridiagonal, Dense, as_dense, matrix_of
 from jaxrod.statics.degrees_of_freedom import stack_dofs, unstack_dofs
 
@@ -35,7 +35,7 @@ def has_closed_form(effect: Effect) -> bool:
     return knows or kind.loads is Effect.loads
 
 
-def with_turning_tangents(turning: Matrix, scene: Scene, motion: Motion) -> Matrix:
+def with_turning_tangents(turning: Matrix, scene: LoadedRod, motion: Motion) -> Matrix:
     """Derivative by the elements' own rotations, plus closed-form terms of effects."""
     for effect in scene.effects:
         if type(effect).turning_tangent is not Effect.turning_tangent:
@@ -46,7 +46,7 @@ def with_turning_tangents(turning: Matrix, scene: Scene, motion: Motion) -> Matr
 
 def with_differentiated(
     chain: BlockTridiagonal,
-    scene: Scene,
+    scene: LoadedRod,
     motion: Motion,
     pace: Array,
     momentum: Matrix,
@@ -83,7 +83,7 @@ def with_differentiated(
 
 
 def change_of_loads(
-    scene: Scene, motion: Motion, pace: Array, momentum: Matrix
+    scene: LoadedRod, motion: Motion, pace: Array, momentum: Matrix
 ) -> Callable[[Float[Array, "n+1 6"]], Float[Array, "n+1 6"]]:
     """Derivative of the loads of all effects by a step, in the world frame."""
     none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
@@ -108,7 +108,9 @@ def change_of_loads(
     return change
 
 
-def total_loads(scene: Scene, motion: Motion, others: Loads) -> Float[Array, "n+1 6"]:
+def total_loads(
+    scene: LoadedRod, motion: Motion, others: Loads
+) -> Float[Array, "n+1 6"]:
     """Sum of other loads and those of all effects, with couples in the world frame."""
     assert others.forces is not None and others.couples is not None
     loads = external_loads(scene, motion, others.forces, others.couples)

@@ -10,10 +10,10 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.effects.base import Effect
+from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates, scene_of
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, constrain, constrain_rates, scene_of
 from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.degrees_of_freedom import unstack_dofs
 from jaxrod.statics.effect_tangents import has_closed_form
@@ -55,7 +55,7 @@ class Equilibrium:
 
 
 def equilibrium(
-    scene: Scene,
+    scene: LoadedRod,
     state: RodState,
     *,
     tolerance: ArrayLike | None = None,
@@ -104,7 +104,7 @@ def equilibrium(
     return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
 
 
-def _is_loose(scene: Scene) -> bool:
+def _is_loose(scene: LoadedRod) -> bool:
     """Whether nothing in the scene could hold the rod."""
     return all(
         type(effect).constrain_rates is Effect.constrain_rates
@@ -114,7 +114,7 @@ def _is_loose(scene: Scene) -> bool:
     )
 
 
-def _at_rest(scene: Scene, base: Motion) -> LoadBalance:
+def _at_rest(scene: LoadedRod, base: Motion) -> LoadBalance:
     """Balance of loads without inertia."""
     still = jnp.zeros((), scene.rod.rest_lengths.dtype)
     return LoadBalance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
@@ -122,7 +122,7 @@ def _at_rest(scene: Scene, base: Motion) -> LoadBalance:
 
 @jax.jit
 def _equilibrium(
-    scene: Scene, state: RodState, tolerance: Array, max_iterations: Array
+    scene: LoadedRod, state: RodState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
     start = motion_of(state).at_rest
     start = constrain_rates(scene, constrain(scene, start))
@@ -164,7 +164,7 @@ def _no_increment(motion: Motion) -> Increment:
     return Increment(*jax.tree.map(nothing, ((x, y, z), (q1, q2, q3))))
 
 
-def _keep_held(scene: Scene, found: Motion, start: Motion) -> Motion:
+def _keep_held(scene: LoadedRod, found: Motion, start: Motion) -> Motion:
     """Motion found, with the components that the scene holds as at the start."""
     nodes, elements = unstack_dofs(_at_rest(scene, start).free)
     turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)

@@ -39,6 +39,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, constrain_rates
 from jaxrod.rods.elastic_tangents import (
     ElementTangent,
     JointTangent,
@@ -48,7 +49,6 @@ from jaxrod.rods.elastic_tangents import (
 )
 from jaxrod.rods.elasticity import ElasticLaw, internal_loads
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import Scene, constrain_rates
 from jaxrod.statics.block_matrices import BlockTridiagonal
 from jaxrod.statics.degrees_of_freedom import (
     degrees_of_freedom,
@@ -79,7 +79,7 @@ class Increment:
 class LoadBalance:
     """Balance of loads and inertia of a scene, as a function of the increment."""
 
-    scene: Scene
+    scene: LoadedRod
     """The scene."""
     law: ElasticLaw
     """Constants of the elastic law."""

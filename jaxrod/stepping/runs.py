@@ -8,23 +8,34 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from jaxrod.composite import Composite, Stepper
-from jaxrod.effects.time import Clock
 from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.choice import lane_mode
-from jaxrod.scene import Evolvable, Model
+from jaxrod.model import Model, check_model
 from jaxrod.stepping.checks import (
-    check_arguments,
     check_counter,
     check_first,
     check_records,
     check_step,
 )
 from jaxrod.stepping.loops import integrated
-from jaxrod.stepping.memory import with_memory
 from jaxrod.validation import as_array, check_count, is_traced
 
 State = TypeVar("State")
+
+
+def with_memory(scene: Model, state: State) -> State:
+    """State with the initial memory of the scene's effects, if it has none yet.
+
+    Runs do this themselves. A loop that you write (`jax.lax.scan`) and `freeze` need it
+    before the first run, so that states before and after it have the same structure.
+
+    Args:
+        scene: The scene.
+        state: A state of its rod.
+    """
+    check_model(scene)
+    kept: State = scene.with_memory(state)
+    return kept
 
 
 def step(
@@ -48,8 +59,8 @@ def step(
         TypeError: If `scene` or `state` is of another type.
     """
     begin = check_first(scene, first, 1)
-    dt = check_arguments(scene, state, dt, begin)
-    state = with_memory(scene, state)
+    dt = scene.check_run(state, dt, begin)
+    state = scene.with_memory(state)
     return _static_compiled(scene, state, dt, 1, begin, lane_mode())
 
 
@@ -102,9 +113,9 @@ def advance(
     else:
         n_steps = check_count("n_steps", n_steps, 0)
     begin = check_first(scene, first, n_steps)
-    dt = check_arguments(scene, state, dt, begin)
+    dt = scene.check_run(state, dt, begin)
     # Before compilation, so that the next call uses the same program.
-    state = with_memory(scene, state)
+    state = scene.with_memory(state)
     if is_traced(scene, state, dt, n_steps, begin):
         if isinstance(n_steps, int):
             return _static_compiled(scene, state, dt, n_steps, begin, lane_mode())
@@ -150,8 +161,8 @@ def rollout(
     """
     records = check_records(n_steps, every)
     begin = check_first(scene, first, n_steps)
-    dt = check_arguments(scene, state, dt, begin)
-    state = with_memory(scene, state)
+    dt = scene.check_run(state, dt, begin)
+    state = scene.with_memory(state)
     if is_traced(scene, state, dt, begin):
         return _rollout_compiled(scene, state, dt, records, every, begin, lane_mode())
     near_bound = check_step(scene.recalling(state), dt, state)
@@ -196,7 +207,7 @@ def _run_traced(
     `lanes`, the mode of their use, is looked up where it matters. As an argument it
     keeps apart programs that were compiled in different modes.
     """
-    state = with_memory(scene, state)
+    state = scene.with_memory(state)
     after = _run(scene, state, dt, n_steps, first)
     return jax.tree.map(
         lambda after, before: jnp.where(n_steps > 0, after, before), after, state
@@ -211,7 +222,7 @@ def _run_static(
     first: Array | None,
     lanes: str,
 ) -> Any:
-    state = with_memory(scene, state)
+    state = scene.with_memory(state)
     if n_steps == 0:
         return state
     return _run(scene, state, dt, n_steps, first)
@@ -221,24 +232,8 @@ def _run(
     scene: Model, state: Any, dt: Array, n_steps: int | Array, first: Array | None
 ) -> Any:
     """Run of at least one step."""
-    integrator = stepper(scene, state, dt, first)
+    integrator = scene.run_stepper(state, dt, first)
     return integrated(integrator, state, n_steps - integrator.steps_of_end)
-
-
-def stepper(scene: Model, state: Any, dt: Array, first: Array | None) -> Stepper:
-    """Integrator of a scene; `first` is used if the scene depends on time."""
-    if isinstance(scene, Composite):
-        return scene.run_stepper(state, dt, first)
-    if first is None:
-        return scene.method.stepper(scene, state, dt)
-    start = scene.at(Clock(first, jnp.zeros_like(dt), dt))
-    constants = scene.method.stepper(start, state, dt)
-    if not isinstance(constants, Evolvable):
-        raise ValueError(
-            f"{type(scene.method).__name__} has no steps for a scene that depends on "
-            "time or remembers: its stepper needs a method `evolving`"
-        )
-    return constants.evolving(scene, first)
 
 
 # Within another jit these change nothing. With other transformations alone they avoid
@@ -257,7 +252,7 @@ def _rollout_compiled(
     first: Array | None,
     lanes: str,
 ) -> Any:
-    state = with_memory(scene, state)
+    state = scene.with_memory(state)
 
     def block(state: Any, count: Array | None) -> Any:
         begin = None if first is None or count is None else first + every * count

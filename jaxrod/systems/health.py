@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from jaxrod.analysis.health import Health, HealthLimits
+from jaxrod.analysis.health import HealthLimits
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.members.bodies import BodyHealth
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
 
 
@@ -21,8 +21,9 @@ from jaxrod.systems.stepping.assembly import Assembly, SystemState
 class SystemHealth:
     """Health of a system's state."""
 
-    members: dict[str, Health | BodyHealth]
-    """Health of each member, with a leading axis for equal rods."""
+    members: dict[str, Any]
+    """`Health` of each rod, with a leading axis for equal rods; `BodyHealth` of rigid
+    bodies."""
     violation: Bool[Array, ""]
     """Flag: tied or attached nodes have come apart, or a contact is too deep."""
     largest_violation: Float[Array, ""]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists, with_spare
-from jaxrod.systems.contact.touching_rods import TouchingRods
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.system import System
 from jaxrod.validation import check_kind, is_traced
@@ -53,7 +52,7 @@ def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
     return tuple(
         _counted(coupling.prepared(parts), seen)
         for coupling in system.couplings
-        if isinstance(coupling, TouchingRods) and coupling.lists is not None
+        if coupling.lists is not None
     )
 
 

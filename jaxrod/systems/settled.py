@@ -19,7 +19,6 @@ account.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -30,15 +29,11 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.analysis.stability import stable_dt
 from jaxrod.effects.loads import ExponentialDamping
+from jaxrod.model import Model
 from jaxrod.rods.rod import Rod
-from jaxrod.scene import Model, Scene, kinetic_energy
-from jaxrod.stepping.checks import check_arguments, check_first
-from jaxrod.stepping.memory import with_memory
+from jaxrod.stepping.checks import check_first
 from jaxrod.stepping.runs import advance, step
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.neighbour_lists import RECORD
-from jaxrod.systems.members.member import Member
-from jaxrod.systems.stepping.assembly import member_of
 from jaxrod.validation import as_array, check_count
 
 SHARE = 1e-8
@@ -114,9 +109,7 @@ def settled(
     blocks = -(-check_count("max_steps", max_steps, 1) // every)
     check_first(scene, 0, 0)
     scene.check_moment()
-    size = check_arguments(
-        scene, state, stable_dt(scene).dt if dt is None else dt, None
-    )
+    size = scene.check_run(state, stable_dt(scene).dt if dt is None else dt, None)
     given = (force_tolerance, couple_tolerance)
     bounds = []
     for name, unit, value, default in zip(
@@ -139,7 +132,7 @@ def settled(
                 dtype=size.dtype,
             )
         )
-    start = with_memory(scene, state)
+    start = scene.with_memory(state)
     return _settled(
         scene, start, size, (bounds[0], bounds[1]), jnp.asarray(blocks), every
     )
@@ -172,7 +165,7 @@ def _settled(
     blocks: Array,
     every: int,
 ) -> Settled:
-    start = _with_rates(state, jax.tree.map(jnp.zeros_like, _rates(state)))
+    start = _still(scene, state)
     pushes = _pushes(scene, start, dt)
     zero, none = jnp.zeros((), dt.dtype), jnp.zeros_like(blocks)
     residuals = _residuals(scene, start, pushes, dt)
@@ -187,25 +180,25 @@ def _settled(
         lambda way: _block(scene, way, dt, every),
         first,
     )
-    still = _with_rates(end.state, jax.tree.map(jnp.zeros_like, _rates(end.state)))
+    still = _still(scene, end.state)
     return Settled(still, balanced(end), end.blocks * every, *end.residuals)
 
 
 def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
     """One more block of steps, and the damping for the next."""
     damped = _damped(scene, way.rate)
-    padded = _each(way.state, lambda own: _with_memories(own, 1))
-    moved = _each(
-        advance(damped, padded, dt, every), lambda own: _with_memories(own, -1)
-    )
+    moved = advance(damped, _with_memories(scene, way.state, 1), dt, every)
+    moved = _with_memories(scene, moved, -1)
     pushes = _pushes(scene, moved, dt)
-    mean = jax.tree.map(lambda a, b: 0.5 * (a + b), _rates(way.state), _rates(moved))
+    mean = jax.tree.map(
+        lambda a, b: 0.5 * (a + b), _rates(scene, way.state), _rates(scene, moved)
+    )
     # Changes of accelerations times the duration of the block, in units of rates.
     change = jax.tree.map(lambda a, b: every / INSTANT * (b - a), way.pushes, pushes)
 
     def energy(share: float) -> Array:
         rates = jax.tree.map(lambda a, b: a + share * b, mean, change)
-        return _kinetic(scene, _with_rates(moved, rates))
+        return scene.kinetic_energy(_with_rates(scene, moved, rates))
 
     moving = energy(0.0)
     stopped = moving == 0
@@ -222,81 +215,62 @@ def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
     )
 
 
-def _each(state: Any, function: Callable[[Any], Any]) -> Any:
-    """The state with a function applied to the state of every member."""
-    if not isinstance(state, dict):
-        return function(state)
-    # The record of lists of neighbours belongs to no member.
-    return {k: own if k == RECORD else function(own) for k, own in state.items()}
-
-
-def _rates(state: Any) -> Any:
+def _rates(scene: Model, state: Any) -> dict[str, tuple[Array, Array]]:
     """Velocities and angular momenta (angular velocities of bodies) of all members."""
-    if not isinstance(state, dict):
-        return state.rates
-    return {k: own.rates for k, own in state.items() if k != RECORD}
+    return {name: own.rates for name, own in scene.states_by_name(state).items()}
 
 
-def _with_rates(state: Any, rates: Any) -> Any:
+def _with_rates(scene: Model, state: Any, rates: dict[str, tuple[Array, Array]]) -> Any:
     """The state with the given rates."""
-    if not isinstance(state, dict):
-        return state.with_rates(*rates)
-    moving = {name: state[name].with_rates(*own) for name, own in rates.items()}
-    return {**state, **moving}
+    states = scene.states_by_name(state)
+    moving = {name: states[name].with_rates(*own) for name, own in rates.items()}
+    return scene.with_states(state, moving)
+
+
+def _still(scene: Model, state: Any) -> Any:
+    """The state at rest."""
+    none = jax.tree.map(jnp.zeros_like, _rates(scene, state))
+    return _with_rates(scene, state, none)
 
 
 def _pushes(scene: Model, state: Any, dt: Array) -> Any:
     """Rates that all loads give in an instant to the state at rest."""
-    still = _with_rates(state, jax.tree.map(jnp.zeros_like, _rates(state)))
-    return _rates(step(scene, still, INSTANT * dt))
+    return _rates(scene, step(scene, _still(scene, state), INSTANT * dt))
 
 
 def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array, Array]:
     """Largest force [N] and couple [N m] out of balance."""
     largest = [jnp.zeros((), dt.dtype)] * 2
-    pushed = _with_rates(state, pushes)
-    for name, member in _members(scene).items():
-        own = pushed[name] if name else pushed
-        for k, push in enumerate(member.momenta(own)):
+    pushed = scene.states_by_name(_with_rates(scene, state, pushes))
+    for name, member in scene.interfaces().items():
+        for k, push in enumerate(member.momenta(pushed[name])):
             size = jnp.max(jnp.sum(push * push, axis=-2))
             largest[k] = jnp.maximum(largest[k], size)
     force, couple = (jnp.sqrt(size) / (INSTANT * dt) for size in largest)
     return force, couple
 
 
-def _damped(scene: Any, rate: Array) -> Any:
+def _damped(scene: Model, rate: Array) -> Model:
     """The model with all members damped in addition, at a rate [1/s]."""
-
-    def one(model: Any) -> Any:
-        more = ExponentialDamping(rate, rate)
-        return replace(model, effects=(*model.effects, more))
-
-    if isinstance(scene, Scene):
-        return one(scene)
-    members = {name: member.mapped(one) for name, member in _members(scene).items()}
-    return replace(scene, members=members)
+    return scene.with_effect(ExponentialDamping(rate, rate))
 
 
-def _with_memories(state: Any, more: int) -> Any:
+def _with_memories(scene: Model, state: Any, more: int) -> Any:
     """State with room for the memory of one more effect, or of one less."""
-    if getattr(state, "memory", None) is None:
-        return state
-    memory = (*state.memory, {}) if more > 0 else state.memory[:more]
-    return replace(state, memory=memory)
 
+    def one(own: Any) -> Any:
+        if getattr(own, "memory", None) is None:
+            return own
+        memory = (*own.memory, {}) if more > 0 else own.memory[:more]
+        return replace(own, memory=memory)
 
-def _members(scene: Any) -> dict[str, Member]:
-    """Members by name, as their interface; of a scene, one without a name."""
-    return {"": member_of(scene)} if isinstance(scene, Scene) else scene.interfaces()
-
-
-def _kinetic(scene: Model, state: Any) -> Array:
-    return kinetic_energy(scene.rod if isinstance(scene, Scene) else scene, state)
+    states = scene.states_by_name(state).items()
+    return scene.with_states(state, {name: one(own) for name, own in states})
 
 
 def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
     """Smallest tolerances of all rods; `None` without rods."""
-    members = _members(scene).values()
+    members = scene.interfaces().values()
     rods = [member.rod for member in members if member.rod is not None]
     if not rods:
         return None, None

@@ -33,7 +33,7 @@ class StableSystemStep:
         which = min(range(len(self.names)), key=lambda k: float(self.members[k]))
         name, step = self.names[which], self.steps[which]
         if step is None:
-            return f"the couplings of body {name!r}"
+            return f"the couplings of {name!r}"
         if step.dt.ndim == 0:
             return f"{step.limiting_mode} of {name!r}"
         rod = int(jnp.argmin(step.dt))

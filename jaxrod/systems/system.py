@@ -11,11 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.composite import Composite, Stepper
 from jaxrod.effects.own_classes import check_own_class
-from jaxrod.methods.consistent import Consistent
-from jaxrod.methods.pyelastica import PyElastica
-from jaxrod.scene import Scene
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.model import Model, Stepper
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.continued import free_ends
 from jaxrod.systems.contact.neighbour_lists import RECORD
@@ -27,32 +25,28 @@ from jaxrod.systems.energies import (
     system_potential_energy,
 )
 from jaxrod.systems.health import SystemHealth, system_health
-from jaxrod.systems.joints.attachments import Attachment
-from jaxrod.systems.joints.ties import Tie, merged
-from jaxrod.systems.members.body_effects import check_body_effects, in_type
-from jaxrod.systems.members.rigid_bodies import RigidBodies
+from jaxrod.systems.members.body_effects import in_type
+from jaxrod.systems.members.member import Member
 from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
 from jaxrod.systems.stepping.assembly import (
     Assembly,
-    Model,
     SystemState,
     held_parts,
     member_shapes,
 )
 from jaxrod.systems.stepping.runs import (
     check_single,
-    check_system_run,
     check_system_state,
     system_stepper,
     system_with_memory,
     unstable_step,
 )
-from jaxrod.validation import knows_constants
+from jaxrod.validation import as_array, knows_constants
 
 
 @pytree
-class System(Assembly, Composite):
+class System(Assembly, Model):
     """Rods and rigid bodies by name, and the couplings between them.
 
     Structure is static, numbers are traced. Only what is listed is in the compiled
@@ -61,9 +55,41 @@ class System(Assembly, Composite):
     of states by member.
     """
 
-    def check_run(self, state: Any, dt: ArrayLike) -> Array:
+    def states_by_name(self, state: Any) -> dict[str, Any]:
+        """States of the members, without the record of lists of neighbours."""
+        given = set(state) - {RECORD}
+        if given != set(self.members):
+            raise ValueError(
+                f"states must have the members {sorted(self.members)}, got "
+                f"{sorted(given)}"
+            )
+        return {name: state[name] for name in self.members}
+
+    def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
+        """Forces of contact on nodes [N], of each effect and each coupling."""
+        found = [
+            (name, forces)
+            for name, member in self.interfaces().items()
+            for forces in member.contact_forces(state[name])
+        ]
+        seen, couplings = seen_at_rest(self, state)
+        for coupling in couplings:
+            if coupling.is_contact:
+                found += [
+                    (name, loads.forces)
+                    for name, loads in coupling.loads(seen).items()
+                    if loads.forces is not None
+                ]
+        return found
+
+    def with_states(self, state: Any, changed: Mapping[str, Any]) -> dict[str, Any]:
+        """The state after the states of the named members were replaced."""
+        return {**state, **changed}
+
+    def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
         """Checks the arguments of a run, and returns the step in the system's type."""
-        return check_system_run(self, state, dt)
+        check_system_state(self, state)
+        return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
         """The integrator of a run."""
@@ -73,19 +99,29 @@ class System(Assembly, Composite):
         """The state with the initial memories of effects."""
         return system_with_memory(self, state)
 
-    def step_warning(self, dt: Array) -> str | None:
+    def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
         """Warning about a concrete step above the stability bound; `None` below it."""
-        return unstable_step(self, dt)
+        return unstable_step(self, dt), False
 
-    def stable_step(self, safety: ArrayLike) -> StableSystemStep:
+    def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableSystemStep:
         """The largest step at which the system is stable, times a safety factor."""
+        if state is not None:
+            raise ValueError("state: of a system the bound is for any state")
+        factor = as_array("safety", safety, "", positive=True, at_most=1)
         check_single(self)
-        return stable_system_dt(self, safety)
+        return stable_system_dt(self, factor)
 
     def health(
-        self, state: Any, dt: ArrayLike, limits: HealthLimits | None
+        self,
+        state: Any,
+        dt: ArrayLike,
+        *,
+        limits: HealthLimits | None = None,
+        energy_before: ArrayLike | None = None,
+        work_input: ArrayLike = 0.0,
+        n_steps: ArrayLike = 1000,
     ) -> SystemHealth:
-        """Flags and the measured values behind them."""
+        """Flags and the measured values behind them; its energy is not examined."""
         check_system_state(self, state)
         self.check_moment()
         return system_health(self, state, dt, limits=limits)
@@ -122,16 +158,16 @@ class System(Assembly, Composite):
 
 @knows_constants
 def make_system(
-    members: Mapping[str, Model],
+    members: Mapping[str, Any],
     *couplings: Coupling | Sequence[Coupling],
     state: SystemState | None = None,
 ) -> System:
     """A system of rods and rigid bodies.
 
     Args:
-        members: Members by name: scenes and `RigidBodies`. A scene is a rod and its
-            effects, or equal rods if every number has a leading axis, as from
-            `jax.vmap`.
+        members: Members by name: scenes, `RigidBodies`, and members of your own. A
+            scene is a rod and its effects, or equal rods if every number has a leading
+            axis, as from `jax.vmap`.
         *couplings: Couplings, as `tie`, `weld`, `attach`, `hinge_joint` and others
             return them.
         state: A state of the system. If it is given, couplings are checked against the
@@ -144,16 +180,15 @@ def make_system(
     """
     if not isinstance(members, Mapping) or not members:
         raise TypeError("members must be a dict of at least one scene or rigid body")
-    for name, member in members.items():
-        _check_member(name, member)
+    asked = {name: _member(name, given) for name, given in members.items()}
     listed = list(_flat(couplings))
-    ties = merged([c for c in listed if isinstance(c, Tie)])
-    others = [c for c in listed if not isinstance(c, Tie)]
+    ties = [coupling for coupling in listed if coupling.tied_pairs]
+    others = [coupling for coupling in listed if not coupling.tied_pairs]
     # Ties come last: they have the final word on velocities.
-    ordered = (*others, ties) if ties is not None else tuple(others)
-    kept = {name: _with_own_types(member) for name, member in members.items()}
+    ordered = (*others, ties[0].merged(ties[1:])) if ties else tuple(others)
+    kept = {name: member.in_own_type() for name, member in asked.items()}
     system = System(kept, ordered)
-    types = {name: System({name: member}).dtype for name, member in members.items()}
+    types = {name: member.dtype for name, member in asked.items()}
     if len(set(types.values())) > 1:
         raise ValueError(
             "members must all be of one type, got "
@@ -164,9 +199,13 @@ def make_system(
         parts = held_parts(system, state)
     for coupling in ordered:
         coupling.check(parts)
-    tied = () if ties is None else ties.pairs
+    tied = ordered[-1].tied_pairs if ties else ()
     free = _free_ends(parts, ordered, system.dtype)
-    known = {name: _with_free_ends(kept[name], ends) for name, ends in free.items()}
+    known = {
+        name: member.with_free_ends(free[name])
+        for name, member in system.interfaces().items()
+        if name in free
+    }
     system = replace(system, members=kept | known)
     fitted = tuple(
         coupling.fitted(parts, tied).with_free_ends(free) for coupling in ordered
@@ -193,30 +232,19 @@ def _flat(couplings: Any) -> Any:
             )
 
 
-def _check_member(name: Any, member: Any) -> None:
+def _member(name: Any, given: Any) -> Member:
+    """The member that answers for what is given, checked."""
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
-    if isinstance(member, RigidBodies):
-        check_body_effects(name, member)
-        return
-    if not isinstance(member, Scene):
+    as_member = getattr(given, "as_member", None)
+    if as_member is None:
         raise TypeError(
             f"member {name!r} must be a scene from make_scene or a rigid body, got "
-            f"{type(member).__name__}"
+            f"{type(given).__name__}"
         )
-    if not isinstance(member.method, Consistent | PyElastica):
-        raise ValueError(
-            f"member {name!r} steps with {type(member.method).__name__}, which has no "
-            "steps in a system: use consistent() or pyelastica()"
-        )
-
-
-def _with_own_types(member: Model) -> Model:
-    """The member, with the numbers of a body's effects in the type of the body."""
-    if not isinstance(member, RigidBodies):
-        return member
-    cast = in_type(member.masses.dtype)
-    return replace(member, effects=jax.tree.map(cast, member.effects))
+    member: Member = as_member()
+    member.check(name)
+    return member
 
 
 def _free_ends(
@@ -229,16 +257,6 @@ def _free_ends(
         for name, own in parts.items()
         if own.is_rod
     }
-
-
-def _with_free_ends(member: Model, free: Float[Array, "rods 2"]) -> Model:
-    """The scene, whose effects know which ends of its rods are free."""
-    scene: Any = member
-    if not scene.effects or bool(jnp.all(free)):
-        return member
-    own = free if scene.rod.rest_lengths.ndim > 1 else free[0]
-    effects = tuple(effect.with_free_ends(own) for effect in scene.effects)
-    return replace(scene, effects=effects)
 
 
 def _sized(
@@ -275,24 +293,21 @@ def _check_followers(couplings: Sequence[Coupling]) -> None:
     """Raises where a node would follow two bodies, or a body and a tie."""
     followers: dict[tuple[str, int], str] = {}
     for coupling in couplings:
-        if isinstance(coupling, Attachment):
-            for node in coupling.points.nodes.values:
-                key = (coupling.points.member, int(node))
-                if key in followers:
-                    raise ValueError(
-                        f"node {key[1]} of {key[0]!r} is attached to "
-                        f"{followers[key]!r} and to {coupling.bodies.member!r}: it can "
-                        "follow one body only"
-                    )
-                followers[key] = coupling.bodies.member
+        followed = coupling.followed
+        if followed is None:
+            continue
+        for key in coupling.joined_nodes():
+            if key in followers:
+                raise ValueError(
+                    f"node {key[1]} of {key[0]!r} is attached to {followers[key]!r} "
+                    f"and to {followed!r}: it can follow one body only"
+                )
+            followers[key] = followed
     for coupling in couplings:
-        if isinstance(coupling, Tie):
-            for points in coupling.points:
-                for node in points.nodes.values:
-                    key = (points.member, int(node))
-                    if key in followers:
-                        raise ValueError(
-                            f"node {key[1]} of {key[0]!r} is tied and attached to "
-                            f"{followers[key]!r}: attach all tied nodes to the body "
-                            "instead"
-                        )
+        for member, node, _, _ in coupling.tied_pairs:
+            if (member, node) in followers:
+                raise ValueError(
+                    f"node {node} of {member!r} is tied and attached to "
+                    f"{followers[member, node]!r}: attach all tied nodes to the body "
+                    "instead"
+                )

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.composition import make_scene
 from jaxrod.contacts.bodies import cylinder
 from jaxrod.contacts.factories import contact
 from jaxrod.effects.actuation import spline_couples
@@ -21,7 +20,7 @@ from jaxrod.effects.loads import exponential_damping, gravity
 from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene
+from jaxrod.scene import Scene, make_scene
 from jaxrod.tradeoff.workload import Workload
 
 N_CONTROLS = 6

@@ -19,13 +19,14 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     split_quaternion,
 )
+from jaxrod.loaded_rod import check_scene_and_state
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.laws import Law
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import Scene, check_scene_and_state
+from jaxrod.scene import Scene
 from jaxrod.validation import check_array, check_count, is_traced
 
 Build = Callable[[int, Law], tuple[Scene, RodState]]

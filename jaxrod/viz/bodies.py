@@ -7,17 +7,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrod.contacts.bodies import Body, Plane
+from jaxrod.contacts.bodies import Body
 from jaxrod.geometry import surfaces
 from jaxrod.geometry.surfaces import Triangles
-from jaxrod.systems.members.rigid_bodies import RigidBodies
+from jaxrod.systems.members.parts import Parts
 from jaxrod.viz.colours import FIXED
 from jaxrod.viz.meshes import Mesh
 
 _DOUBLINGS = 6
 
 
-def mesh_of(bodies: RigidBodies) -> Triangles:
+def mesh_of(bodies: Parts) -> Triangles:
     """The surface of rigid bodies in their own frame.
 
     If only the signed distance of a body is known, its surface is searched in a cube
@@ -30,8 +30,8 @@ def mesh_of(bodies: RigidBodies) -> Triangles:
     known = bodies.shape.mesh()
     if known is not None:
         return known
-    mass = float(bodies.masses[0])
-    a, b, c = (float(x) for x in bodies.principal_inertias[:, 0])
+    mass = float(bodies.node_masses[0])
+    a, b, c = (float(x) for x in bodies.inertias[:, 0])
     axes = [2.5 * (p + q - r) / mass for p, q, r in ((b, c, a), (a, c, b), (a, b, c))]
     half = 1.2 * max(axes) ** 0.5
     for _ in range(_DOUBLINGS):
@@ -70,7 +70,7 @@ def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
     return Mesh(vertices, faces, name="obstacle", colour=FIXED)
 
 
-def leaning_plane(body: Plane, low: np.ndarray, high: np.ndarray) -> Mesh | None:
+def leaning_plane(body: Any, low: np.ndarray, high: np.ndarray) -> Mesh | None:
     """The part in a box of a plane that is not level; `None` if there is none."""
     normal = np.asarray(body.normal, float)
     normal = normal / np.linalg.norm(normal)

@@ -10,18 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.contacts.bodies import Body, Plane
-from jaxrod.contacts.contact import Contact
+from jaxrod.contacts.bodies import Body
+from jaxrod.model import Model
 from jaxrod.rods.elasticity import strains
-from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene
-from jaxrod.systems.contact.body_contact import BodyContact
-from jaxrod.systems.contact.neighbour_lists import RECORD
-from jaxrod.systems.contact.touching_rods import TouchingRods
-from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.members.rigid_bodies import RigidBodies
-from jaxrod.systems.system import System
+from jaxrod.systems.members.parts import Parts
 from jaxrod.viz.bodies import leaning_plane, mesh_of, solid_mesh
 from jaxrod.viz.meshes import Mesh, checked_mesh
 from jaxrod.viz.recording import extent
@@ -29,7 +22,7 @@ from jaxrod.viz.rods import Rods, checked_rods
 from jaxrod.viz.shapes import Arrows, checked_arrows
 
 _ONLY = "rod"
-"""Name of the rod of a scene."""
+"""Name of the rod of a scene, in `fields` and `colours`."""
 
 
 class Recorded(NamedTuple):
@@ -43,7 +36,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(
-    model: Scene | System,
+    model: Model,
     states: Any,
     times: np.ndarray,
     fields: Mapping[str, Any],
@@ -57,47 +50,41 @@ def recorded(
         ValueError: An argument has the wrong shape or an impossible value.
         TypeError: `model` is neither a scene nor a system.
     """
-    if isinstance(model, Scene):
-        system, by_member = System({_ONLY: model}), {_ONLY: states}
-    elif isinstance(model, System):
-        # The record of a run's neighbour lists is not a member.
-        members = {name: own for name, own in states.items() if name != RECORD}
-        system, by_member = model, members
-        if set(by_member) != set(system.members):
-            raise ValueError(
-                f"states must have the members {sorted(system.members)}, got "
-                f"{sorted(by_member)}"
-            )
-    else:
+    if not isinstance(model, Model):
         raise TypeError(
             f"model must be a scene or a system, got {type(model).__name__}"
         )
-    values = _field_values(system, by_member, times, fields)
+    by_name = model.states_by_name(states)
+    # The record of a run's neighbour lists is not drawn.
+    states = model.with_states({}, by_name)
+    values = _field_values(model, states, times, fields)
     rods: list[Rods] = []
     meshes: list[Mesh] = []
-    for name, own in by_member.items():
-        member, colour = system.members[name], colours.get(name, "")
-        if not isinstance(member, RigidBodies):
+    for name, member in model.interfaces().items():
+        own, colour = by_name[name], colours.get(name or _ONLY, "")
+        if member.rod is not None:
             rods.append(
                 checked_rods(
                     np.moveaxis(np.asarray(own.positions), -2, -1),
                     np.asarray(member.rod.radii),
                     times,
-                    name="" if isinstance(model, Scene) else name,
+                    name=name,
                     colour=colour,
                     fields=values[name],
                 )
             )
-        elif member.shape is not None:
-            mesh = _of_bodies(name, member, own, colour)
+            continue
+        parts = member.parts()
+        if parts.shape is not None:
+            mesh = _of_bodies(name, parts, own, colour)
             meshes.append(checked_mesh(len(meshes), mesh, times))
-    fixed, floor = _ground(system, *extent(rods, meshes), up)
+    fixed, floor = _ground(model, *extent(rods, meshes), up)
     meshes += [checked_mesh(k, mesh, times) for k, mesh in enumerate(fixed)]
-    arrows = _contact_forces(system, by_member, times) if forces else ()
+    arrows = _contact_forces(model, states, times) if forces else ()
     return Recorded(tuple(rods), tuple(meshes), arrows, floor)
 
 
-def _of_bodies(name: str, bodies: RigidBodies, states: Any, colour: str) -> Mesh:
+def _of_bodies(name: str, bodies: Parts, states: Any, colour: str) -> Mesh:
     return Mesh(
         *mesh_of(bodies),
         np.moveaxis(np.asarray(states.positions), -2, -1),
@@ -107,80 +94,88 @@ def _of_bodies(name: str, bodies: RigidBodies, states: Any, colour: str) -> Mesh
     )
 
 
+def _rods(model: Model) -> dict[str, Any]:
+    """Members that are rods, by name."""
+    members = model.interfaces().items()
+    return {name: member for name, member in members if member.rod is not None}
+
+
 def _field_values(
-    system: System, states: dict[str, Any], times: np.ndarray, fields: Mapping[str, Any]
+    model: Model, states: Any, times: np.ndarray, fields: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
     """Numbers by member and label, for each frame, rod and place along it."""
-    rods = {k: m for k, m in system.members.items() if isinstance(m, Scene)}
-    values: dict[str, dict[str, Any]] = {name: {} for name in rods}
+    names = {name or _ONLY: name for name in _rods(model)}
+    values: dict[str, dict[str, Any]] = {name: {} for name in names.values()}
     for label, given in fields.items():
-        each = given if isinstance(given, Mapping) else dict.fromkeys(rods, given)
-        unknown = set(each) - set(rods)
+        each = given if isinstance(given, Mapping) else dict.fromkeys(names, given)
+        unknown = set(each) - set(names)
         if unknown:
             raise ValueError(
                 f"fields[{label!r}] names {sorted(unknown)}, which are no rods of it: "
-                f"those are {sorted(rods)}"
+                f"those are {sorted(names)}"
             )
-        for name, field in each.items():
+        for shown, field in each.items():
+            name = names[shown]
             if callable(field):
-                field = _measured(system, states, times, name, field)
+                field = _measured(model, states, times, name, field)
             values[name][label] = field
     return values
 
 
 def _measured(
-    system: System,
-    states: dict[str, Any],
+    model: Model,
+    states: Any,
     times: np.ndarray,
     name: str,
     field: Callable[[Any, Any], Any],
 ) -> np.ndarray:
-    group = jnp.ndim(system.members[name].rod.rest_lengths) > 1  # type: ignore[union-attr]
-
-    def at_frame(given: System, frame: tuple[Any, Any]) -> Any:
+    def at_frame(given: Model, frame: tuple[Any, Any]) -> Any:
         state, time = frame
-        member = given.at(time).recalling(state).members[name]
-        measure = jax.vmap(field) if group else field
-        return jnp.asarray(measure(member, state[name]))
+        member = given.at(time).recalling(state).interfaces()[name]
+        own = given.states_by_name(state)[name]
+        return member.each(lambda *now: jnp.asarray(field(*now)), own)
 
-    clock = jnp.asarray(times, system.dtype)
-    measured = np.asarray(_over_frames(at_frame, system, (states, clock)))
+    member = model.interfaces()[name]
+    clock = jnp.asarray(times, member.dtype)
+    measured = np.asarray(_over_frames(at_frame, model, (states, clock)))
     # One number for a whole rod.
-    return measured[..., None] if measured.ndim == 1 + group else measured
+    single = measured.ndim == 1 + len(member.rod.batch_shape)
+    return measured[..., None] if single else measured
 
 
 def _ground(
-    system: System, low: np.ndarray, high: np.ndarray, up: str
+    model: Model, low: np.ndarray, high: np.ndarray, up: str
 ) -> tuple[list[Mesh], float | None]:
     """The fixed bodies that rods may touch, and the height of a level plane [m]."""
     fixed: dict[Any, Body] = {}
-    for member in system.members.values():
-        if isinstance(member, Scene):
-            group = member.rod.rest_lengths.ndim > 1
-            for effect in member.effects:
-                if isinstance(effect, Contact):
-                    for body in _single(effect.body, effect.n_bodies, group):
-                        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(body)]
-                        key = (type(body), *(leaf.tobytes() for leaf in leaves))
-                        fixed.setdefault(key, body)
+    for member in _rods(model).values():
+        for effect in member.effects:
+            if effect.obstacle is None:
+                continue
+            body, count = effect.obstacle
+            for one in _single(body, count, len(member.rod.batch_shape)):
+                leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(one)]
+                key = (type(one), *(leaf.tobytes() for leaf in leaves))
+                fixed.setdefault(key, one)
     meshes: list[Mesh] = []
     floor, axis = None, "xyz".find(up)
     for body in fixed.values():
-        if not isinstance(body, Plane):
+        if not body.is_half_space:
             meshes.append(solid_mesh(body, low, high))
             continue
-        normal = np.asarray(body.normal, float)
+        plane: Any = body
+        normal = np.asarray(plane.normal, float)
         if normal[axis] > 0.9999 * np.linalg.norm(normal):
-            floor = float(body.point[axis])
+            floor = float(plane.point[axis])
         else:
-            leaning = leaning_plane(body, low, high)
+            leaning = leaning_plane(plane, low, high)
             meshes += [] if leaning is None else [leaning]
     return meshes, floor
 
 
-def _single(body: Body, count: int | None, group: bool) -> list[Body]:
+def _single(body: Body, count: int | None, stacked: int) -> list[Body]:
     """Single bodies, from those of one rod or of equal rods."""
-    axes = int(group) + int(count is not None)
+    axes = stacked + int(count is not None)
     bodies = [body]
     for _ in range(axes):
         bodies = [
@@ -191,38 +186,21 @@ def _single(body: Body, count: int | None, group: bool) -> list[Body]:
     return bodies
 
 
-def _contact_forces(
-    system: System, states: dict[str, Any], times: np.ndarray
-) -> tuple[Arrows, ...]:
+def _contact_forces(model: Model, states: Any, times: np.ndarray) -> tuple[Arrows, ...]:
     """Contact forces at the nodes of all rods [N]."""
-    rods = [k for k, m in system.members.items() if isinstance(m, Scene)]
+    rods = _rods(model)
 
-    def at_frame(given: System, frame: tuple[Any, Any]) -> list[dict[str, Any]]:
+    def at_frame(given: Model, frame: tuple[Any, Any]) -> list[dict[str, Any]]:
         state, time = frame
-        now = given.at(time).recalling(state)
-        assert isinstance(now, System)
-        found = []
-        for name in rods:
-            member = now.members[name]
-            assert isinstance(member, Scene)
-            several = member.rod.rest_lengths.ndim > 1
-            on_rods = jax.vmap(_on_rod) if several else _on_rod
-            found += [{name: force} for force in on_rods(member, state[name])]
-        seen, couplings = seen_at_rest(now, state)
-        for coupling in couplings:
-            if isinstance(coupling, BodyContact | TouchingRods):
-                found += [
-                    {name: loads.forces}
-                    for name, loads in coupling.loads(seen).items()
-                    if name in rods and loads.forces is not None
-                ]
-        return found
+        found = given.at(time).recalling(state).contact_forces(state)
+        return [{name: forces} for name, forces in found if name in rods]
 
-    clock = jnp.asarray(times, system.dtype)
-    total = {name: np.zeros_like(states[name].positions) for name in rods}
+    clock = jnp.asarray(times, next(iter(model.interfaces().values())).dtype)
+    by_name = model.states_by_name(states)
+    total = {name: np.zeros_like(by_name[name].positions) for name in rods}
     # Added up here: in one program with the stacking and adding, XLA recomputes a
     # contact for every component of its forces.
-    for one in _over_frames(at_frame, system, (states, clock)):
+    for one in _over_frames(at_frame, model, (states, clock)):
         for name, forces in one.items():
             row = np.stack([np.asarray(part) for part in forces], axis=-2)
             if row.ndim < total[name].ndim:  # Of equal rods one after the other.
@@ -230,7 +208,7 @@ def _contact_forces(
                 row = np.moveaxis(split, -2, 1)
             total[name] += row
     flat = lambda x: np.moveaxis(np.asarray(x), -2, -1).reshape(len(times), -1, 3)
-    origins = np.concatenate([flat(states[name].positions) for name in rods], axis=1)
+    origins = np.concatenate([flat(by_name[name].positions) for name in rods], axis=1)
     vectors = np.concatenate([flat(total[name]) for name in rods], axis=1)
     arrows = Arrows(origins, vectors, "contact force [N]")
     return (checked_arrows(0, arrows, times),)
@@ -244,16 +222,6 @@ def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -
     return jax.jit(lambda m, x: jax.lax.map(lambda one: at_frame(m, one), x))(
         model, frames
     )
-
-
-def _on_rod(scene: Scene, state: Any) -> list[Any]:
-    """Contact forces of fixed bodies on a rod's nodes, for each effect."""
-    found = [
-        effect.loads(scene.rod, motion_of(state)).forces
-        for effect in scene.effects
-        if isinstance(effect, Contact)
-    ]
-    return [forces for forces in found if forces is not None]
 
 
 # Functions of a scene and a state for the `fields` of `Replay.from_states`.

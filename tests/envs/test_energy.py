@@ -25,7 +25,7 @@ def playing(env, params, examined):
         books = {}
         if examined:
             work = jnp.sum(scene.effects[-1].couples * turned(arm, after))
-            before = jaxrod.total_energy(scene, arm)
+            before = scene.total_energy(arm)
             books = {"energy_before": before, "work_input": work}
         report = jaxrod.health(scene, after, params.dt, **books)
         flags = report.flagged, report.energy

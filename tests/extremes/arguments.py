@@ -406,17 +406,12 @@ OF_KINDS: dict[str, dict[str, Any]] = {
     "unstressed": {"rod": ..., "state": ...},
     "strains": {"rod": ..., "state": ...},
     "stored_energy": {"rod": ..., "state": ...},
-    "kinetic_energy": {"rod": ..., "state": ...},
-    "momentum": {"rod": ..., "state": ...},
-    "angular_momentum": {"rod": ..., "state": ...},
     "angular_velocities": {"rod": ..., "state": ...},
     "with_angular_velocities": {
         "rod": ...,
         "state": ...,
         "angular_velocities": np.zeros((3, 3)),
     },
-    "potential_energy": {"scene": ..., "state": ...},
-    "total_energy": {"scene": ..., "state": ...},
     "near_contact": {"contact": ..., "rod": ..., "state": ..., "count": 1},
     "contact": {"bodies": ..., "stiffness": 1.0},
     "spline_couples": {

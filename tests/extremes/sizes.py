@@ -78,7 +78,7 @@ def in_own_units(radius: float, method: str, dtype: Any) -> dict[str, Any]:
     dt = limit * (10.0 if method == "implicit" else 1.0)
     after = jaxrod.advance(scene, state, dt, STEPS)
     found["positions"] = np.asarray(after.positions) / radius
-    found["energy"] = np.asarray(jaxrod.potential_energy(scene, after)) / radius**3
+    found["energy"] = np.asarray(scene.potential_energy(after)) / radius**3
     found["health"] = np.asarray(jaxrod.health(scene, after, dt).flagged)
     if method == "consistent":
         still = jaxrod.equilibrium(scene, state)
@@ -148,14 +148,9 @@ def compare_counts() -> tuple[int, list[str]]:
                 start = replace(state, velocities=jnp.asarray(speeds, name))
                 dt = jaxrod.stable_dt(scene, 0.5).dt
                 after = jaxrod.advance(scene, start, dt, 2000)
-                before, now = (
-                    np.asarray(jaxrod.momentum(rod, s)) for s in (start, after)
-                )
+                before, now = (np.asarray(rod.momentum(s)) for s in (start, after))
                 whole = [
-                    float(
-                        jaxrod.kinetic_energy(rod, s)
-                        + jaxrod.potential_energy(scene, s)
-                    )
+                    float(rod.kinetic_energy(s) + scene.potential_energy(s))
                     for s in (start, after)
                 ]
                 off = {

@@ -52,7 +52,7 @@ def energy_and_work(scene, state, couples, dt):
         before, work = carry
         after = jaxrod.step(scene, before, dt)
         work = work + jnp.sum(couples * turned(before, after))
-        return (after, work), (jaxrod.total_energy(scene, after), work)
+        return (after, work), (scene.total_energy(after), work)
 
     return jax.lax.scan(one, (state, jnp.zeros(())), length=1500)[1]
 

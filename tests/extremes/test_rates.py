@@ -19,7 +19,7 @@ def spun(scene, state, rate):
 
     def block(s, _):
         s = jaxrod.advance(scene, s, 1e-4, jnp.asarray(1000))
-        return s, (jaxrod.total_energy(scene, s), jaxrod.angular_momentum(scene.rod, s))
+        return s, (scene.total_energy(s), scene.angular_momentum(s))
 
     return jax.lax.scan(block, spinning, length=20)[1]
 
@@ -95,7 +95,7 @@ def relaxing(scene, state, dt):
 
     def block(s, _):
         after = jaxrod.advance(scene, s, dt, jnp.asarray(200))
-        return after, jaxrod.potential_energy(scene, s)
+        return after, scene.potential_energy(s)
 
     return jax.lax.scan(block, state, length=100)[1]
 

@@ -73,10 +73,10 @@ def energies_of(scene, state, dt):
 
     def block(s, _):
         after = jaxrod.advance(scene, s, dt, jnp.asarray(50))
-        return after, jaxrod.total_energy(scene, after)
+        return after, scene.total_energy(after)
 
     _, later = jax.lax.scan(block, state, length=100)
-    return jaxrod.total_energy(scene, state), later
+    return scene.total_energy(state), later
 
 
 def test_a_rod_let_go_at_a_twentieth_of_its_length(record):
@@ -109,7 +109,7 @@ def examined(scene, state, dt):
     """A state's health, whether it stays finite, and its energy's gradient."""
     after = jaxrod.advance(scene, state, dt, jnp.asarray(300))
     finite = jaxrod.health(scene, after, dt).finite
-    gradient = jax.grad(lambda s: jaxrod.total_energy(scene, s))(state)
+    gradient = jax.grad(lambda s: scene.total_energy(s))(state)
     finite &= jnp.all(jnp.isfinite(gradient.orientations))
     return jaxrod.health(scene, state, dt), finite
 

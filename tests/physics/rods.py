@@ -16,10 +16,10 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     split_quaternion,
 )
+from jaxrod.loaded_rod import external_loads
 from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Motion
-from jaxrod.scene import external_loads
 
 LENGTH, RADIUS, DENSITY, YOUNG = 1.0, 0.05, 1000.0, 1e7
 SHEAR = YOUNG / 3

@@ -117,7 +117,7 @@ def test_actuators_keep_momentum_and_angular_momentum(record):
 
 def totals(rod, state):
     """Momentum and angular momentum."""
-    return jaxrod.momentum(rod, state), jaxrod.angular_momentum(rod, state)
+    return rod.momentum(state), rod.angular_momentum(state)
 
 
 @pytest.mark.slow

@@ -180,7 +180,7 @@ def test_the_precision_asked_for_is_kept(kind, mode):
         jaxrod.advance(scene, state, dt, 3),
         jaxrod.rollout(scene, state, dt, 2),
         jaxrod.stable_dt(scene).dt,
-        jaxrod.total_energy(scene, state),
+        scene.total_energy(state),
         jaxrod.strains(scene.rod, state),
     )
     for leaf in jax.tree.leaves((scene, state, results)):

@@ -85,7 +85,7 @@ def test_a_moving_body_is_pushed_as_a_fixed_one(n, points):
         def energy(lift):
             there = state.positions + lift * jnp.array([0.0, 0.0, 1.0])[:, None]
             moved = {"rod": dataclasses.replace(state, positions=there), "ball": at}
-            return jaxrod.potential_energy(system, moved)
+            return system.potential_energy(moved)
 
         return -jax.grad(energy)(0.0)
 

@@ -111,7 +111,7 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
     early, _, _ = rolled(scene, state, dt, steps)
     late, _, _ = rolled(scene, early, dt, steps)
     first, second = (
-        float(jnp.dot(jaxrod.momentum(rod, at), jnp.asarray(down))) / line
+        float(jnp.dot(rod.momentum(at), jnp.asarray(down))) / line
         for at in (early, late)
     )
     if steepness < 1:
@@ -150,7 +150,7 @@ def test_friction_balances_a_load_at_the_speed_of_creep_that_is_stated(share):
 def bounced(scene, state, dt):
     """Energies and heights of 400 steps, and how fast an arm leaves."""
     states = jaxrod.rollout(scene, state, dt, 400)
-    energies = jax.vmap(lambda at: jaxrod.total_energy(scene, at))(states)
+    energies = jax.vmap(lambda at: scene.total_energy(at))(states)
     return energies, states.positions[:, 1, 0], states.velocities[-1, 1, 0]
 
 

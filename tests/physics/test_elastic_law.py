@@ -27,9 +27,9 @@ from physics.rods import (
 
 
 def energy_gradient(scene, state):
-    return jax.grad(
-        lambda moves: jaxrod.potential_energy(scene, perturb(state, moves))
-    )(no_moves(state))
+    return jax.grad(lambda moves: scene.potential_energy(perturb(state, moves)))(
+        no_moves(state)
+    )
 
 
 def mismatch(scene, state):

@@ -53,7 +53,7 @@ def falling(world, rod, state, *, held, acceleration=9.81, mode="consistent"):
 
 
 examine = jax.jit(jaxrod.health)
-energy_of = jax.jit(jaxrod.total_energy)
+energy_of = jax.jit(jaxrod.Scene.total_energy)
 
 
 def examined(scene, state):

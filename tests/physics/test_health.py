@@ -187,9 +187,9 @@ def test_limits_are_the_callers():
 def test_energy_from_nowhere_is_flagged_and_work_is_not():
     rod, state = arm(5)
     scene = jaxrod.make_scene(rod)
-    before = jaxrod.total_energy(scene, moving(state, 1.0))
+    before = scene.total_energy(moving(state, 1.0))
     after = moving(state, 2.0)
-    gained = float(jaxrod.total_energy(scene, after) - before)
+    gained = float(scene.total_energy(after) - before)
     assert raised(jaxrod.health(scene, after, DT, energy_before=before)) == {"energy"}
     report = jaxrod.health(scene, after, DT, energy_before=before, work_input=gained)
     assert raised(report) == set()

@@ -12,9 +12,9 @@ import pytest
 import jaxrod
 from jaxrod.effects.base import Effect
 from jaxrod.geometry import vectors
+from jaxrod.loaded_rod import damping_rates
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Loads, motion_of
-from jaxrod.scene import damping_rates
 from jaxrod.statics.residual import Increment, LoadBalance
 from jaxrod.structure import pytree
 from physics.rods import arm, deformed, difference, largest, random_rod
@@ -143,9 +143,9 @@ def test_large_motion_is_stable_far_above_the_explicit_limit(radius, factor):
     """
     scene, _ = loaded(load=0.0, radius=radius)
     state = deformed(scene.rod, 3, largest_angle=0.5, largest_strain=0.05)
-    before = float(jaxrod.total_energy(scene, state))
+    before = float(scene.total_energy(state))
     after = jaxrod.advance(scene, state, factor * explicit_limit(scene), 300)
-    left = float(jaxrod.total_energy(scene, after)) / before
+    left = float(scene.total_energy(after)) / before
     assert (0.9 < left < 1.1) if radius == 1 else (left < 0.1)
 
 
@@ -154,7 +154,7 @@ def test_no_damping_keeps_the_energy_of_small_motion(record):
     arc = np.linspace(0, 1, N + 1)
     state = replace(rest, velocities=rest.velocities.at[0].set(1e-4 * arc**2))
     energies = [
-        float(jaxrod.total_energy(scene, jaxrod.advance(scene, state, 5e-3, steps)))
+        float(scene.total_energy(jaxrod.advance(scene, state, 5e-3, steps)))
         for steps in (0, 700, 1000)
     ]
     record(
@@ -178,7 +178,7 @@ def test_momentum_and_angular_momentum_of_a_free_rod(record):
                 jnp.linalg.norm(law(scene.rod, after) - law(scene.rod, state))
                 / jnp.linalg.norm(law(scene.rod, state))
             )
-            for law in (jaxrod.momentum, jaxrod.angular_momentum)
+            for law in (jaxrod.Rod.momentum, jaxrod.Rod.angular_momentum)
         ]
 
     for radius in (0.5, 1.0):

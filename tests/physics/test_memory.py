@@ -135,8 +135,8 @@ def test_energies_and_health_see_what_is_remembered(rod_and_state):
 
     scene = jaxrod.make_scene(rod, Charge())
     after = jaxrod.advance(scene, state, DT, 3)
-    assert float(jaxrod.potential_energy(scene, state)) == pytest.approx(1.0)
-    assert float(jaxrod.potential_energy(scene, after)) == pytest.approx(8.0)
+    assert float(scene.potential_energy(state)) == pytest.approx(1.0)
+    assert float(scene.potential_energy(after)) == pytest.approx(8.0)
 
 
 @jaxrod.pytree

@@ -136,7 +136,7 @@ def test_a_hinge_lets_a_rod_go_round_and_round():
     tips = np.asarray(records.tip)
     assert np.max(np.abs(tips[:, 1])) < 1e-9
     before, after = (
-        float(jaxrod.total_energy(scene, jax.tree.map(lambda a, k=k: a[k], records)))
+        float(scene.total_energy(jax.tree.map(lambda a, k=k: a[k], records)))
         for k in (0, -1)
     )
     assert after == pytest.approx(before, rel=1e-3)
@@ -199,7 +199,7 @@ def test_the_work_of_a_driven_end_is_what_the_energy_grows_by(method, turn):
         def measured(state, time):
             now = scene.at(time)
             power = jaxrod.reactions(now, state)[0].power
-            return jaxrod.total_energy(now, state), power
+            return now.total_energy(state), power
 
         energies, powers = map(np.asarray, jax.vmap(measured)(records, times))
         work = h * np.sum(0.5 * (powers[1:] + powers[:-1]))
@@ -366,9 +366,9 @@ def test_batches_are_refused_with_the_word_vmap():
         lambda: jaxrod.stable_dt(scenes),
         lambda: jaxrod.advance(scenes, states, 1e-4, 1),
         lambda: jaxrod.advance(scene, states, 1e-4, 1),
-        lambda: jaxrod.total_energy(scenes, states),
+        lambda: scenes.total_energy(states),
         lambda: jaxrod.health(scenes, states, 1e-4),
-        lambda: jaxrod.momentum(rod, states),
+        lambda: rod.momentum(states),
         lambda: jaxrod.clamp(states),
         lambda: jaxrod.pin(states),
     ):

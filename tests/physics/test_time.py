@@ -203,7 +203,7 @@ def test_what_asks_about_one_moment_wants_to_know_which(rod_and_state):
         rod, jaxrod.clamp(state), jaxrod.gravity(jaxrod.ramp((0.0,) * 3, (1.0,) * 3, 1))
     )
     for ask in (
-        lambda: jaxrod.total_energy(scene, state),
+        lambda: scene.total_energy(state),
         lambda: jaxrod.health(scene, state, 1e-4),
         lambda: jaxrod.equilibrium(scene, state),
         lambda: jaxrod.natural_frequencies(scene, state),
@@ -212,7 +212,7 @@ def test_what_asks_about_one_moment_wants_to_know_which(rod_and_state):
     ):
         with pytest.raises(ValueError, match=r"give scene\.at\(time\)"):
             ask()
-    jaxrod.total_energy(scene.at(0.5), state)
+    scene.at(0.5).total_energy(state)
     jaxrod.health(scene.at(0.5), state, 1e-4)
     assert jaxrod.equilibrium(scene.at(0.5), state).converged
 

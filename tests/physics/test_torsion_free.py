@@ -10,12 +10,6 @@ import pytest
 import jaxrod
 from jaxrod.effects.directions import angle_over_sine, frame_along, smallest_rotation
 from jaxrod.geometry.rotations import directors
-from jaxrod.scene import (
-    angular_momentum,
-    momentum,
-    potential_energy,
-    total_energy,
-)
 from physics.torsion_free import free, largest_gap, swinging, with_twist
 
 # What holds at one end holds at the other: the longer run looks at both.
@@ -86,10 +80,10 @@ def test_momenta_are_kept_and_energy_does_not_drift(record):
     scene, state = free()
     dt = 0.1 * float(jaxrod.stable_dt(scene).dt)
     states = jaxrod.rollout(scene, state, dt, 4000, 100)
-    of_all = lambda f: jax.vmap(lambda s: f(scene.rod, s))(states)
+    of_all = lambda f: jax.vmap(lambda s: f(scene, s))(states)
     for name, function in (
-        ("momentum", momentum),
-        ("angular momentum", angular_momentum),
+        ("momentum", jaxrod.Scene.momentum),
+        ("angular momentum", jaxrod.Scene.angular_momentum),
     ):
         values = np.asarray(of_all(function))
         record(
@@ -98,7 +92,7 @@ def test_momenta_are_kept_and_energy_does_not_drift(record):
             np.max(np.abs(values - values[0])) / np.max(np.abs(values[0])),
             at_most=1e-12,
         )
-    energy = np.asarray(jax.vmap(lambda s: total_energy(scene, s))(states))
+    energy = np.asarray(jax.vmap(lambda s: scene.total_energy(s))(states))
     early, late = np.mean(energy[1:14]), np.mean(energy[-13:])
     record(
         "Without twist, free rod, 4000 steps: drift of energy between first and last "
@@ -143,7 +137,7 @@ def test_loads_are_minus_the_gradient_of_the_energy(record):
             position=tuple(a + b for a, b in zip(inside.position, nodes, strict=True)),
             direction=_turned(inside.direction, turns),
         )
-        return potential_energy(scene, integrator.leave(moved))
+        return scene.potential_energy(integrator.leave(moved))
 
     zero = (jnp.zeros((3, n + 1)), jnp.zeros((3, n)))
     force, couple = jax.grad(energy)(zero)

@@ -8,9 +8,9 @@ import numpy as np
 
 import jaxrod
 from jaxrod.geometry import vectors
+from jaxrod.loaded_rod import external_loads
 from jaxrod.methods.laws import IN_SPACE
 from jaxrod.rods.motion import motion_of
-from jaxrod.scene import external_loads
 from physics.rods import AREA, DENSITY, RADIUS, arm, deformed, random_rod
 
 G = 9.81

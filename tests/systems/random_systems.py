@@ -303,7 +303,7 @@ def _limits(systems: Any) -> Any:
 
 def energies(system: Any, state: Any) -> Any:
     """Kinetic and total energy [J]."""
-    return system.kinetic_energy(state), jaxrod.total_energy(system, state)
+    return system.kinetic_energy(state), system.total_energy(state)
 
 
 @jax.jit

@@ -163,7 +163,7 @@ def test_states_that_do_not_fit(given):
     system = jaxrod.make_system(members)
     with pytest.raises(ValueError, match="must have the members"):
         jaxrod.advance(system, {"one": state["one"]}, 1e-4, 1)
-    with pytest.raises(TypeError, match="state of 'ball' must be a BodyState"):
+    with pytest.raises(TypeError, match=r"state of 'ball' must be a jaxrod\.BodyState"):
         jaxrod.advance(system, {**state, "ball": state["one"]}, 1e-4, 1)
     short = replace(state["one"], positions=state["one"].positions[:, :3])
     with pytest.raises(ValueError, match="positions of 'one'"):
@@ -281,8 +281,8 @@ def test_effects_on_bodies_take_their_type():
 @pytest.mark.parametrize(
     "function",
     [
-        jaxrod.potential_energy,
-        jaxrod.total_energy,
+        jaxrod.System.potential_energy,
+        jaxrod.System.total_energy,
         lambda system, state: jaxrod.health(system, state, 1e-3),
     ],
 )

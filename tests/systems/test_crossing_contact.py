@@ -289,8 +289,8 @@ def test_collision_keeps_momenta(record):
     assert np.max(np.abs(after["one"].velocities)) > 0.01
     size = float(np.sum(two.node_masses)) * 0.5
     for function, unit, bar in (
-        (jaxrod.momentum, size, 1e-13),
-        (jaxrod.angular_momentum, 0.3 * size, 1e-13),
+        (jaxrod.System.momentum, size, 1e-13),
+        (jaxrod.System.angular_momentum, 0.3 * size, 1e-13),
     ):
         change = np.linalg.norm(function(system, after) - function(system, state))
         record(

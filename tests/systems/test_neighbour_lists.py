@@ -86,8 +86,8 @@ def test_runs_are_those_without_lists(law, record):
             difference(after, without),
             at_most=1e-12,
         )
-        energies = [jaxrod.total_energy(s, after) for s in (listed, listed)]
-        plain = jaxrod.total_energy(dense, {"rods": after["rods"]})
+        energies = [s.total_energy(after) for s in (listed, listed)]
+        plain = dense.total_energy({"rods": after["rods"]})
         assert float(energies[0]) == pytest.approx(float(plain), rel=1e-13)
     assert difference(without, {"rods": state}) > 0.1
 
@@ -156,9 +156,7 @@ def test_flags_rise_when_lists_are_too_short_or_too_old(record):
         for name in ("overflow", "stale"):
             assert bool(getattr(health, name)) == (name == flag), (change, name)
         assert bool(health.flagged) or flag is None
-        assert bool(jnp.isnan(jaxrod.potential_energy(system, after))) == (
-            flag == "overflow"
-        )
+        assert bool(jnp.isnan(system.potential_energy(after))) == (flag == "overflow")
         raised += flag is not None
         if flag == "stale":
             # It stays, though the lists of one more step are young enough.

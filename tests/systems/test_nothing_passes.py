@@ -212,7 +212,7 @@ def test_a_rope_comes_to_lie_on_a_floor_and_on_itself(record):
     nodes = lambda own: own["rope"].positions[None]
     states, flags, through = followed(system, {"rope": state}, 1.8, 30, nodes)
     assert not any(health.flagged for health in flags) and not any(through)
-    energies = [float(jaxrod.kinetic_energy(system, own)) for own in states]
+    energies = [float(system.kinetic_energy(own)) for own in states]
     record(
         "rope let fall on a floor and on itself, friction 0.4: kinetic energy left",
         "0, over the largest there was",

@@ -107,7 +107,7 @@ def test_work_of_the_drive_is_what_is_gained_and_lost(record):
         pull = (reaction.force - spring.force) / drag
         turn = (reaction.couple - spring.couple) / turning_drag
         lost = drag * jnp.sum(pull**2) + turning_drag * jnp.sum(turn**2)
-        return reaction.power, lost, jaxrod.total_energy(now, state)
+        return reaction.power, lost, now.total_energy(state)
 
     given, lost, energy = map(np.asarray, power(path, times))
     h = 5 * dt
@@ -136,7 +136,7 @@ def test_the_power_of_the_drive_is_what_the_spring_of_a_body_that_is_still_gains
 
     @jax.jit
     def energy(time):
-        return jaxrod.potential_energy(system.at(time), rest)
+        return system.at(time).potential_energy(rest)
 
     (reaction,) = jaxrod.pose_spring_reactions(system.at(time), rest)
     gained = (energy(time + h) - energy(time - h)) / (2 * h)

@@ -80,7 +80,7 @@ def slope_and_stiffness(system, state):
     """First and second derivatives of the energy."""
 
     def energy(way):
-        return jaxrod.potential_energy(system, {"ring": displaced(state["ring"], way)})
+        return system.potential_energy({"ring": displaced(state["ring"], way)})
 
     none = jnp.zeros(6 * system.members["ring"].rod.n_elements)
     return jax.grad(energy)(none), jax.hessian(energy)(none)
@@ -288,7 +288,7 @@ def test_a_ring_has_the_link_that_was_put_in():
     # And the joint that closes it is as all others are.
     system, rest = closed(rod, state, closure)
     seen, (joint, _) = seen_at_rest(system, rest)
-    stored = float(jaxrod.potential_energy(system, rest))
+    stored = float(system.potential_energy(rest))
     assert float(joint.energy(seen)) == pytest.approx(stored / 24, rel=1e-9)
 
 
@@ -326,7 +326,7 @@ def test_contact_counts_the_place_where_a_ring_is_closed_once(law, options):
             contact("ring", "rod", stiffness=1e4, **options),
             state=state,
         )
-        found.append(float(jaxrod.potential_energy(system, state)))
+        found.append(float(system.potential_energy(state)))
     assert found[1] > 1e-6
     np.testing.assert_allclose(found, found[1], rtol=1e-9)
 

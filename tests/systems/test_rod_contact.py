@@ -114,10 +114,13 @@ def test_collision_keeps_momenta(record):
     force = np.max(np.abs(after["one"].velocities))
     assert force > 0.01
     sizes = {
-        jaxrod.momentum: np.sum(two.node_masses) * 0.5,
-        jaxrod.angular_momentum: np.sum(two.node_masses) * 0.5 * 0.3,
+        jaxrod.System.momentum: np.sum(two.node_masses) * 0.5,
+        jaxrod.System.angular_momentum: np.sum(two.node_masses) * 0.5 * 0.3,
     }
-    for function, bar in ((jaxrod.momentum, 1e-14), (jaxrod.angular_momentum, 1e-13)):
+    for function, bar in (
+        (jaxrod.System.momentum, 1e-14),
+        (jaxrod.System.angular_momentum, 1e-13),
+    ):
         change = np.linalg.norm(function(system, after) - function(system, state))
         record(
             "collision of two rods with friction and damping",

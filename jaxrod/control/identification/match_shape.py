@@ -23,8 +23,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.control.least_squares import least_squares
+from jaxrod.loaded_rod import scene_of
 from jaxrod.rods.rod import RodState
-from jaxrod.scene import Scene, scene_of
+from jaxrod.scene import Scene
 from jaxrod.statics.equilibrium import Equilibrium, equilibrium
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, is_traced

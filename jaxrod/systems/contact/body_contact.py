@@ -16,7 +16,6 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.contacts.bodies import Sphere
 from jaxrod.contacts.contact_law import (
     depth_from_onset,
     energy_density,
@@ -80,15 +79,20 @@ class BodyContact(Coupling):
     points_per_element: int | None = static(default=None)
     """Contact points per element; `None` to derive the number from the radii."""
 
+    @property
+    def is_contact(self) -> bool:
+        """True: a replay can show its forces."""
+        return True
+
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if members are missing, of a wrong kind or lack a shape."""
-        for name, rods in ((self.rod, True), (self.body, False)):
+        for name in (self.rod, self.body):
             check_named(name, parts)
-            if parts[name].is_rod != rods:
-                raise ValueError(
-                    "body_contact is between a rod and a rigid body, got "
-                    f"{self.rod!r} and {self.body!r}"
-                )
+        if not (parts[self.rod].is_rod and parts[self.body].is_rigid):
+            raise ValueError(
+                "body_contact is between a rod and a rigid body, got "
+                f"{self.rod!r} and {self.body!r}"
+            )
         if parts[self.body].shape is None:
             raise ValueError(
                 f"body_contact needs a surface, but {self.body!r} has no shape"
@@ -321,9 +325,10 @@ def _bound(
 
 def _lever(bodies: Parts) -> Array:
     """Largest lever arm of a force along the normal about the centre of mass [m]."""
-    if isinstance(bodies.shape, Sphere):
-        # All normals go through the centre of the ball.
-        return jnp.sqrt(jnp.sum(bodies.shape.centre**2))
+    assert bodies.shape is not None
+    centre = bodies.shape.centre_of_normals
+    if centre is not None:
+        return jnp.sqrt(jnp.sum(centre**2))
     return _size(bodies)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.contacts.bodies import Body, Plane, SignedDistance
+from jaxrod.contacts.bodies import Body
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -131,7 +131,7 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
     """Party of a fixed body, in the frame of its axes."""
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
-    if not isinstance(body, Plane):
+    if not body.is_half_space:
         solid = body.solid()
         shape, centre = solid.shape, solid.centre
         frame = directors(split_quaternion(solid.orientation))
@@ -214,7 +214,7 @@ class Meeting:
             looks, surface = (a, b) if first else (b, a)
             assert looks.samples is not None
             most: int | None = looks.samples.at_once
-            if most is None or isinstance(surface.shape, SignedDistance):
+            if most is None or not surface.shape.is_convex:
                 most = looks.samples.count
             total += (2 if same else 1) * share * most
         return total

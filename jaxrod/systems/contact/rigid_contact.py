@@ -72,9 +72,9 @@ class RigidContact(Coupling):
                     f"no member is called {name!r}; there are "
                     + ", ".join(map(repr, parts))
                 )
-            if parts[name].is_rod:
+            if not parts[name].is_rigid:
                 raise ValueError(
-                    f"rigid_contact is between rigid bodies, and {name!r} is a rod: "
+                    f"rigid_contact is between rigid bodies, and {name!r} is none: "
                     "use body_contact"
                 )
             if parts[name].shape is None:

@@ -139,7 +139,8 @@ def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
     rims = [
         jnp.repeat(p[:, None], RIM_POINTS, axis=1) for p in (shape.start, shape.end)
     ]
-    inner = [_line(*_inner_axis(shape), balls)] if balls else []
+    first, last, _ = shape.row_of_balls
+    inner = [_line(first, last, balls)] if balls else []
     dtype = shape.radius.dtype
     none, some = jnp.zeros(2 * RIM_POINTS, dtype), jnp.ones(balls, dtype)
     return Samples(
@@ -191,36 +192,25 @@ def balls_needed(name: str, shape: Body) -> int:
     Raises:
         ValueError: If there are more than `MOST_BALLS`, or the size is traced.
     """
-    if isinstance(shape, Capsule):
-        start, end = shape.start, shape.end
-    elif isinstance(shape, Cylinder):
-        start, end = _inner_axis(shape)
-    else:
+    row = shape.row_of_balls
+    if row is None:
         return 0
-    if is_traced(start, end, shape.radius):
+    start, end, radius = row
+    if is_traced(start, end, radius):
         raise ValueError(
             f"rigid_contact: the size of {name} is traced: give balls_per_axis"
         )
     length = float(np.linalg.norm(np.asarray(end) - np.asarray(start)))
     if length == 0:
         return 0
-    count = 1 + max(1, math.ceil(length / float(shape.radius) - 1e-6))
+    count = 1 + max(1, math.ceil(length / float(radius) - 1e-6))
     if count > MOST_BALLS:
         raise ValueError(
             f"rigid_contact: {name}, {length:.3g} m long and of radius "
-            f"{float(shape.radius):.3g} m, would be {count} balls in a row, more than "
+            f"{float(radius):.3g} m, would be {count} balls in a row, more than "
             f"{MOST_BALLS}: give balls_per_axis, or make it a rod"
         )
     return count
-
-
-def _inner_axis(shape: Cylinder) -> tuple[Array, Array]:
-    """First and last centre of balls in a cylinder: a radius from its ends."""
-    middle = 0.5 * (shape.start + shape.end)
-    axis = shape.end - shape.start
-    length = jnp.sqrt(jnp.sum(axis * axis))
-    way = jnp.maximum(0.5 - shape.radius / length, 0) * axis
-    return middle - way, middle + way
 
 
 def _direction(vector: Array) -> Array:

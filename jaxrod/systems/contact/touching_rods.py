@@ -111,6 +111,11 @@ class TouchingRods(Coupling):
         return Law(self.stiffness, self.damping, self.friction, self.friction_drag)
 
     @property
+    def is_contact(self) -> bool:
+        """True: a replay can show its forces."""
+        return True
+
+    @property
     def refresh_every(self) -> int | None:
         """Steps between searches; `None` without lists."""
         return None if self.lists is None else self.lists.refresh_every

@@ -50,6 +50,11 @@ class Attachment(Coupling):
     places: Float[Array, "3 nodes"]
     """Place of each node in its body's frame [m]."""
 
+    @property
+    def followed(self) -> str:
+        """Name of the bodies."""
+        return self.bodies.member
+
     def joined_nodes(self) -> list[tuple[str, int]]:
         """Nodes that are part of bodies."""
         return [(self.points.member, int(i)) for i in self.points.nodes.values]
@@ -63,7 +68,9 @@ class Attachment(Coupling):
         """
         self.points.check(parts)
         self.bodies.check(parts)
-        if not parts[self.points.member].is_rod or parts[self.bodies.member].is_rod:
+        if not (
+            parts[self.points.member].is_rod and parts[self.bodies.member].is_rigid
+        ):
             raise ValueError(
                 "attach needs nodes of rods and a rigid body, got "
                 f"{self.points.member!r} and {self.bodies.member!r}"

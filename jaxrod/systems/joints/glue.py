@@ -29,7 +29,7 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
-from jaxrod.rods.rod import RodState
+from jaxrod.rods.rod import Layout, RodState
 from jaxrod.structure import pytree, static
 from jaxrod.systems.joints.elastic_joints import (
     ElasticJoint,
@@ -39,11 +39,10 @@ from jaxrod.systems.joints.elastic_joints import (
     spin_at,
 )
 from jaxrod.systems.joints.welds import elastic_joints
-from jaxrod.systems.members.parts import Parts, Seen, flatten_rods
+from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.sites.places import (
     Indices,
-    Layout,
     Points,
     layouts_of,
     points_of,
@@ -429,13 +428,13 @@ def _glued(
 
 def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
     """Middles of elements `(3, k)` [m], and their frames `(3, 3, k)`."""
-    row: Any = state.positions, state.orientations
     first, listed = points.nodes.values, points.elements.values
     # The state is concrete even while other numbers are traced.
     with jax.ensure_compile_time_eval():
-        if state.positions.ndim == 3:
-            row = flatten_rods(row)
-        positions, orientations = map(np.asarray, row)
+        positions, orientations = (
+            np.asarray(state.layout.row(field))
+            for field in (state.positions, state.orientations)
+        )
         middles = 0.5 * (positions[:, first] + positions[:, first + 1])
         frames = directors_from_orientations(jnp.asarray(orientations[:, listed]))
         return middles, np.asarray(frames)

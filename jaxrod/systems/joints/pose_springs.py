@@ -15,7 +15,7 @@ and $c_t |\omega^* - \omega|^2$ of it; the rest goes into the system and the spr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -75,13 +75,11 @@ class PoseSpring(Coupling):
 
     @property
     def _placed(self) -> Placed:
-        assert isinstance(self.place, Placed)
-        return self.place
+        return cast(Placed, self.place)
 
     @property
     def _turned(self) -> Turned:
-        assert isinstance(self.turn, Turned)
-        return self.turn
+        return cast(Turned, self.turn)
 
     def _way(self, own: Seen) -> Vec3:
         """Vector from the point to its target [m]."""
@@ -311,4 +309,5 @@ def pose_spring_reactions(
     check_kind("system", system, System)
     system.check_moment()
     seen, couplings = seen_at_rest(system, state)
-    return tuple(c.reaction(seen) for c in couplings if isinstance(c, PoseSpring))
+    reactions = [coupling.reaction(seen) for coupling in couplings]
+    return tuple(one for one in reactions if one is not None)

@@ -85,7 +85,7 @@ class Tie(Coupling):
         return changed
 
     @property
-    def pairs(self) -> tuple[TiedPair, ...]:
+    def tied_pairs(self) -> tuple[TiedPair, ...]:
         """All pairs of nodes that are tied together, each in both orders."""
         nodes = [
             (points.member, int(node), int(group))
@@ -98,6 +98,10 @@ class Tie(Coupling):
             for m, (b, j, h) in enumerate(nodes)
             if g == h and k != m
         )
+
+    def merged(self, others: Sequence[Any]) -> Tie:
+        """One tie, in which groups that share a node become one."""
+        return _merged([self, *others])
 
     def joined_nodes(self) -> list[tuple[str, int]]:
         """Nodes that are tied."""
@@ -204,10 +208,10 @@ def tie(
     return _tie_of(found, elements, [root(k) for k in range(len(parent))])
 
 
-def merged(ties: Sequence[Tie]) -> Tie | None:
+def _merged(ties: Sequence[Tie]) -> Tie:
     """One tie for several, in which groups that share a node become one."""
-    if len(ties) < 2:
-        return ties[0] if ties else None
+    if len(ties) == 1:
+        return ties[0]
     found: dict[tuple[str, int], int] = {}
     elements: dict[tuple[str, int], int] = {}
     parent: list[int] = []

@@ -20,7 +20,8 @@ from jaxrod.effects.time import at_clock, clock_at, depends_on_time
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.rods.motion import Motion
-from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+from jaxrod.systems.members.rigid_stepper import BodyState
+from jaxrod.validation import check_kind
 
 _OF_RODS = (
     "loads_after",
@@ -34,12 +35,12 @@ _OF_RODS = (
 """Hooks that act on a rod but would do nothing to a body."""
 
 
-def check_body_effects(name: str, bodies: RigidBodies) -> None:
+def check_body_effects(name: str, bodies: Any) -> None:
     """Checks that bodies have what their effects ask for.
 
     Args:
         name: Name of the member, for messages.
-        bodies: The bodies.
+        bodies: The `RigidBodies`.
 
     Raises:
         ValueError: If an effect does not act on bodies; the message names member and
@@ -47,11 +48,7 @@ def check_body_effects(name: str, bodies: RigidBodies) -> None:
         TypeError: If an effect is not an effect of jaxrod.
     """
     for effect in bodies.effects:
-        if not isinstance(effect, Effect):
-            raise TypeError(
-                f"member {name!r}: effects must be jaxrod effects, got "
-                f"{type(effect).__name__}"
-            )
+        check_kind(f"member {name!r}: effect", effect, Effect)
         check_own_class(effect, Effect, "an effect")
         kind = type(effect)
         for hook in _OF_RODS:
@@ -67,7 +64,7 @@ def check_body_effects(name: str, bodies: RigidBodies) -> None:
         _try(name, effect, bodies)
 
 
-def _try(name: str, effect: Effect, bodies: RigidBodies) -> None:
+def _try(name: str, effect: Effect, bodies: Any) -> None:
     """Asks an effect for its loads, energy and rates, without computing them."""
     count, dtype = bodies.n_elements, bodies.masses.dtype
 

@@ -1,9 +1,12 @@
 """The interface of a member: everything that a system asks of a rod or of bodies.
 
-A system holds scenes, each of one rod or of equal rods with a leading axis, and rigid
-bodies. A `Member` answers for one of them, so that nothing else has to know which one
-it is. A new kind of member needs a model, its state, a `Member` and a stepper, and
-entries in `member_of`, `make_system` and `jaxrod.systems.sites.places`.
+A system holds things that have a method `as_member`: scenes, each of one rod or of
+equal rods with a leading axis, rigid bodies, and classes of your own. It returns a
+`Member`, which answers for them, so that nothing else has to know what they are. A new
+kind of member is a pytree that is a `Member`, its state, and its `MemberStepper`.
+
+Its state is a pytree with `positions` `(3, nodes)`, `orientations` `(4, elements)`,
+`velocities`, `rates`, `with_rates` and a `layout`, as `RodState` and `BodyState` have.
 """
 
 from __future__ import annotations
@@ -15,20 +18,28 @@ from typing import Any
 from jaxtyping import Array, ArrayLike
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.members.rigid_stepper import Carried
 from jaxrod.systems.members.steppers import MemberStepper
+from jaxrod.validation import check_kind
 
 
 class Member(ABC):
-    """Part of a system: one rod, equal rods, or rigid bodies."""
+    """Part of a system: one rod, equal rods, rigid bodies, or a kind of your own.
 
-    model: Any
-    """Scene or rigid bodies for which it answers."""
+    Hooks are pure. Those that are not abstract fit a member without rods, memory and
+    supports.
+    """
+
+    # What it is made of.
+
+    def as_member(self) -> Member:
+        """The member itself: a system asks what it is given for its member."""
+        return self
 
     @property
     @abstractmethod
@@ -37,46 +48,85 @@ class Member(ABC):
 
     @property
     @abstractmethod
-    def shape(self) -> tuple[int, ...]:
-        """Shape of its elements, or of its bodies."""
+    def array_shape(self) -> tuple[int, ...]:
+        """Shape of one number per element or per body, to tell a batch of systems."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects on it."""
+        return ()
+
+    @property
+    def rod(self) -> Rod | None:
+        """Parameters of the rod or of equal rods; `None` for others."""
+        return None
+
+    @abstractmethod
+    def parts(self) -> Parts:
+        """Constants, as couplings see them, without what holds the member."""
+
+    def check(self, name: str) -> None:
+        """Raises an error if it cannot be a member; `make_system` calls it.
+
+        Args:
+            name: Name of the member, for messages.
+        """
+        for effect in self.effects:
+            check_kind(f"member {name!r}: effect", effect, Effect)
+
+    @abstractmethod
+    def check_state(self, name: str, state: Any, dtype: Any) -> None:
+        """Raises a TypeError or a ValueError if a state is not of this member."""
+
+    # Changed copies, of what the system holds.
+
+    def each(self, function: Callable[..., Any], *given: Any) -> Any:
+        """Result of a function of what the system holds, and of other arguments.
+
+        For equal rods it is called for each of them, with its part of the arguments.
+        """
+        return function(self, *given)
+
+    def with_effect(self, effect: Effect) -> Any:
+        """What the system holds, with one more effect: `settled` damps all members."""
+        raise NotImplementedError(f"{type(self).__name__} takes no effects")
+
+    def in_own_type(self) -> Any:
+        """What the system holds, with the numbers of its effects in its own type."""
+        return self
+
+    def with_free_ends(self, free: Array) -> Any:
+        """What the system holds, after its effects were told which ends are free.
+
+        Args:
+            free: One for each free end of its rods, zero for others, `(rods, 2)`.
+        """
+        return self
+
+    # Memory of effects.
 
     @property
     def remembers(self) -> bool:
         """Whether an effect has memory."""
         return False
 
-    @property
-    def rod(self) -> Rod | None:
-        """Parameters of the rod or of equal rods; `None` for bodies."""
-        return None
-
-    @abstractmethod
-    def mapped(self, function: Callable[[Any], Any]) -> Any:
-        """The model after a function was applied to each scene, or to the bodies."""
-
-    @abstractmethod
     def recalling(self, state: Any) -> Any:
-        """The model with the memory of its effects in a state."""
+        """What the system holds, with the memory of its effects in a state."""
+        return self
 
-    @abstractmethod
     def with_memory(self, state: Any) -> Any:
         """The state with the initial memory of its effects, if it has none."""
+        return state
 
-    @abstractmethod
     def memory(self, state: Any) -> Any:
         """Memory of its effects in a state; empty if there is none."""
+        return ()
 
-    @abstractmethod
-    def check_state(self, name: str, state: Any, dtype: Any) -> None:
-        """Raises a TypeError or a ValueError if a state is not of this member."""
+    # A state, as couplings see it, and its steps.
 
-    @abstractmethod
-    def parts(self) -> Parts:
-        """Constants, as couplings see them, without what holds the member."""
-
-    @abstractmethod
     def held(self, state: Any) -> Vec3 | None:
         """One per node and axis that a support holds, else zero; `None` for none."""
+        return None
 
     @abstractmethod
     def motion(self, state: Any) -> Motion:
@@ -94,6 +144,25 @@ class Member(ABC):
             carried: Masses that are attached to its bodies, if there are any.
             dt: Step size [s].
         """
+
+    @abstractmethod
+    def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
+        """The largest safe step [s], and a rod's `StableStep`; `None` for others.
+
+        Args:
+            bound: Bounds that couplings add.
+            safety: Fraction of the limit to use.
+        """
+
+    @abstractmethod
+    def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
+        """Flags and the measured values behind them: a pytree with `flagged`."""
+
+    def contact_forces(self, state: Any) -> list[Vec3]:
+        """Forces of fixed bodies on its nodes in one row [N], for each effect."""
+        return []
+
+    # Energies and momenta.
 
     @abstractmethod
     def momenta(self, state: Any) -> tuple[Array, Array]:
@@ -115,15 +184,32 @@ class Member(ABC):
     def angular_momentum(self, state: Any) -> Array:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
 
-    @abstractmethod
-    def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
-        """Flags and the measured values behind them."""
 
-    @abstractmethod
-    def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
-        """The largest safe step [s], and what limits it; `None` for bodies.
+def check_fields(
+    name: str, state: Any, shape: tuple[int, ...], dtype: Any, spins: str
+) -> None:
+    """Raises a ValueError if fields of a state have the wrong shape or type.
 
-        Args:
-            bound: Bounds that couplings add.
-            safety: Fraction of the limit to use.
-        """
+    Args:
+        name: Name of the member.
+        state: Its state.
+        shape: Shape that positions must have.
+        dtype: Type of the system.
+        spins: Name of the field of spins.
+    """
+    if state.positions.shape != shape:
+        raise ValueError(
+            f"positions of {name!r} must have shape {shape}, got "
+            f"{state.positions.shape}"
+        )
+    if state.positions.dtype != dtype:
+        raise ValueError(
+            f"state of {name!r} must be {dtype}, as the system is, got "
+            f"{state.positions.dtype}"
+        )
+    for field in ("orientations", "velocities", spins):
+        own = getattr(state, field).dtype
+        if own != dtype:
+            raise ValueError(
+                f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
+            )

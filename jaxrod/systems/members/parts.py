@@ -46,11 +46,13 @@ class Parts:
     held: Vec3 | None = None
     """One for each node and axis along which a support holds the node, else zero."""
     count: int = static(default=1)
-    """Number of rods or bodies."""
+    """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
-    """Elements of each rod; 1 for bodies."""
+    """Elements of each rod; 1 for others, whose nodes are elements, too."""
     is_rod: bool = static(default=True)
-    """Whether the member consists of rods."""
+    """Whether the member consists of rods, with one more node than elements."""
+    is_rigid: bool = static(default=False)
+    """Whether it consists of rigid bodies, which can carry the nodes of others."""
     joint_mean: str = static(default="arithmetic")
     """Kind of mean by which a joint of a rod gets its stiffness from two elements."""
 
@@ -67,7 +69,7 @@ class Parts:
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes of all rods or bodies together."""
+        """Number of nodes of all rods, bodies or points together."""
         return self.count * (self.n_elements + 1 if self.is_rod else 1)
 
 

@@ -8,20 +8,26 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
+from jaxrod.analysis.health import HealthLimits
 from jaxrod.contacts.bodies import Body
 from jaxrod.contacts.solids import Solid
-from jaxrod.effects.base import Effect
+from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
-    directors_from_orientations,
     split_quaternion,
     to_material,
     to_world,
 )
+from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
+from jaxrod.systems.members.body_effects import check_body_effects, in_type
+from jaxrod.systems.members.member import Member, check_fields
+from jaxrod.systems.members.parts import Parts
+from jaxrod.systems.members.rigid_stepper import BodyState, Carried, RigidStepper
+from jaxrod.systems.members.steppers import BodiesStepper, MemberStepper
 from jaxrod.validation import (
     Numbers,
     as_array,
@@ -33,7 +39,28 @@ from jaxrod.validation import (
 
 
 @pytree
-class RigidBodies:
+class BodyHealth:
+    """Flags and the measured values behind them, for rigid bodies of one member."""
+
+    finite: Bool[Array, ""]
+    """Whether every number of the state is finite, and so are their squares."""
+    spin: Bool[Array, ""]
+    """Flag: a body turns more than a radian per step."""
+    norm: Bool[Array, ""]
+    """Flag: an orientation is not a unit quaternion."""
+    largest_spin: Float[Array, ""]
+    """Largest angular velocity [rad/s]."""
+    largest_norm_error: Float[Array, ""]
+    """Largest error of the square of a quaternion's norm [1]."""
+
+    @property
+    def flagged(self) -> Bool[Array, ""]:
+        """Whether anything is wrong."""
+        return ~self.finite | self.spin | self.norm
+
+
+@pytree
+class RigidBodies(Member):
     """Parameters of one or more rigid bodies of one shape. Every number is traced.
 
     The origin of a body's own frame is its centre of mass, and the axes of the frame
@@ -61,33 +88,113 @@ class RigidBodies:
         """Mass of each body [kg]."""
         return self.masses
 
-
-@pytree
-class BodyState:
-    """State of rigid bodies."""
-
-    positions: Float[Array, "3 k"]
-    """Centres of mass, world frame [m]."""
-    orientations: Float[Array, "4 k"]
-    """Unit quaternions (w, x, y, z), body to world."""
-    velocities: Float[Array, "3 k"]
-    """Velocities of the centres of mass, world frame [m/s]."""
-    angular_velocities: Float[Array, "3 k"]
-    """Angular velocities, world frame [rad/s]."""
+    @property
+    def dtype(self) -> Any:
+        """Type of all numbers."""
+        return self.masses.dtype
 
     @property
-    def rates(self) -> tuple[Array, Array]:
-        """Velocities and angular velocities."""
-        return self.velocities, self.angular_velocities
+    def array_shape(self) -> tuple[int, ...]:
+        """Number of bodies."""
+        return jnp.shape(self.masses)
 
-    def with_rates(self, velocities: Array, spins: Array) -> BodyState:
-        """The state with other rates."""
-        return replace(self, velocities=velocities, angular_velocities=spins)
+    def check(self, name: str) -> None:
+        """Raises a ValueError or TypeError if an effect does not act on bodies."""
+        check_body_effects(name, self)
 
-    @property
-    def directors(self) -> Float[Array, "3 3 k"]:
-        """Body axes: `[i, j]` is world component j of axis i."""
-        return directors_from_orientations(self.orientations)
+    def with_effect(self, effect: Effect) -> RigidBodies:
+        """The bodies with one more effect."""
+        return replace(self, effects=(*self.effects, effect))
+
+    def in_own_type(self) -> RigidBodies:
+        """The bodies, with the numbers of their effects in their type."""
+        cast = in_type(self.masses.dtype)
+        return replace(self, effects=jax.tree.map(cast, self.effects))
+
+    def check_state(self, name: str, state: Any, dtype: Any) -> None:
+        """Raises a TypeError or a ValueError if a state is not of these bodies."""
+        check_kind(f"state of {name!r}", state, BodyState)
+        check_fields(name, state, (3, *self.array_shape), dtype, "angular_velocities")
+
+    def parts(self) -> Parts:
+        """Constants, as couplings see them."""
+        return Parts(
+            node_masses=self.masses,
+            inertias=self.principal_inertias,
+            shape=self.shape,
+            count=self.n_elements,
+            is_rod=False,
+            is_rigid=True,
+        )
+
+    def motion(self, state: Any) -> Motion:
+        """Positions and rates in a state, spins as angular momenta."""
+        return Motion(
+            vectors.split(state.positions),
+            split_quaternion(state.orientations),
+            vectors.split(state.velocities),
+            vectors.split(body_angular_momenta(self, state)),
+        )
+
+    def stepper(
+        self, state: Any, parts: Parts, carried: Carried | None, dt: Array
+    ) -> MemberStepper:
+        """Their part of a step."""
+        return BodiesStepper(RigidStepper.create(self, carried, dt))
+
+    def momenta(self, state: Any) -> tuple[Array, Array]:
+        """Momenta and angular momenta of the bodies, world frame."""
+        masses = self.masses[None]
+        return masses * state.velocities, body_angular_momenta(self, state)
+
+    def kinetic_energy(self, state: Any) -> Array:
+        """Kinetic energy [J]."""
+        return body_kinetic_energy(self, state)
+
+    def potential_energy(self, state: Any) -> Array:
+        """Potentials of their effects [J]."""
+        total = jnp.zeros((), state.positions.dtype)
+        bodies: Any = self
+        for effect in self.effects:
+            total = total + effect.energy(bodies, state)
+        return total
+
+    def momentum(self, state: Any) -> Array:
+        """Linear momentum, world frame [kg m/s]."""
+        return jnp.sum(self.masses[None] * state.velocities, axis=1)
+
+    def angular_momentum(self, state: Any) -> Array:
+        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        orbital = vectors.cross(
+            vectors.split(state.positions),
+            vectors.scale(self.masses, vectors.split(state.velocities)),
+        )
+        own = body_angular_momenta(self, state)
+        return jnp.sum(vectors.join(orbital) + own, axis=1)
+
+    def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> BodyHealth:
+        """Flags and the measured values behind them."""
+        spins = vectors.safe_norm(vectors.split(state.angular_velocities))
+        norms = jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1)
+        spin, norm = jnp.max(spins), jnp.max(norms)
+        squares = jnp.sum(state.positions**2) + jnp.sum(state.velocities**2)
+        return BodyHealth(
+            finite=jnp.isfinite(squares + spin + norm),
+            spin=~((spin * dt <= limits.largest_turn) & (jnp.asarray(dt) > 0)),
+            norm=~(norm <= limits.largest_norm_error),
+            largest_spin=spin,
+            largest_norm_error=norm,
+        )
+
+    def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
+        """The step at which explicit springs and dashpots on bodies are stable [s]."""
+        least = jnp.min(self.principal_inertias, axis=0)
+        one = jnp.ones((), self.dtype)
+        nodes, elements = bound.drags(one, one)
+        moving = _limit(self.masses, bound.nodes, nodes)
+        turning = _limit(least, bound.elements, elements)
+        limit = jnp.min(jnp.minimum(moving, turning))
+        return jnp.asarray(safety) * limit, None
 
 
 def rigid_body(
@@ -276,3 +383,15 @@ def stacked_bodies(
         for name in ("positions", "orientations", "velocities", "angular_velocities")
     ]
     return parameters, BodyState(*leaves)
+
+
+def _limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array:
+    """Positive root h of `k h^2 + 2 c h = 4 m`."""
+    zero = jnp.zeros_like(inertia)
+    k = zero if stiffness is None else stiffness
+    c = zero if drag is None else drag
+    square = c * c + 4 * k * inertia
+    free = square <= 0
+    # Two wheres: at zero the root has no derivative.
+    below = c + jnp.sqrt(jnp.where(free, 1, square))
+    return jnp.where(free, jnp.inf, 4 * inertia / below)

@@ -1,4 +1,4 @@
-r"""Steps of rigid bodies: free flight and exact rotation between kicks.
+r"""State and steps of rigid bodies: free flight and exact rotation between kicks.
 
 Nodes of rods that are attached to a body move with it. The body also has their masses:
 its centre of mass and its inertia are those of body and nodes together. Outside of this
@@ -8,9 +8,10 @@ file forces and positions refer to the body's own origin.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxrod.geometry import matrices, vectors
 from jaxrod.geometry.free_rotation import freely_turned
@@ -18,6 +19,7 @@ from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import (
     Quaternion,
     directors,
+    directors_from_orientations,
     join_quaternion,
     split_quaternion,
     to_material,
@@ -26,9 +28,42 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.kick import Kick
 from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.rods.rod import Layout
 from jaxrod.structure import pytree
 from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.members.rigid_bodies import BodyState, RigidBodies
+
+
+@pytree
+class BodyState:
+    """State of rigid bodies."""
+
+    positions: Float[Array, "3 k"]
+    """Centres of mass, world frame [m]."""
+    orientations: Float[Array, "4 k"]
+    """Unit quaternions (w, x, y, z), body to world."""
+    velocities: Float[Array, "3 k"]
+    """Velocities of the centres of mass, world frame [m/s]."""
+    angular_velocities: Float[Array, "3 k"]
+    """Angular velocities, world frame [rad/s]."""
+
+    @property
+    def layout(self) -> Layout:
+        """Number of bodies."""
+        return Layout(self.positions.shape[-1])
+
+    @property
+    def rates(self) -> tuple[Array, Array]:
+        """Velocities and angular velocities."""
+        return self.velocities, self.angular_velocities
+
+    def with_rates(self, velocities: Array, spins: Array) -> BodyState:
+        """The state with other rates."""
+        return replace(self, velocities=velocities, angular_velocities=spins)
+
+    @property
+    def directors(self) -> Float[Array, "3 3 k"]:
+        """Body axes: `[i, j]` is world component j of axis i."""
+        return directors_from_orientations(self.orientations)
 
 
 @pytree
@@ -47,8 +82,8 @@ class Carried:
 class RigidStepper:
     """Constants of the step of rigid bodies."""
 
-    bodies: RigidBodies
-    """The bodies."""
+    bodies: Any
+    """The `RigidBodies`."""
     dt: Array
     """Step size [s]."""
     parts: Parts
@@ -69,9 +104,9 @@ class RigidStepper:
     """Kick of the angular momenta by couples."""
 
     @staticmethod
-    def create(bodies: RigidBodies, carried: Carried | None, dt: Array) -> RigidStepper:
+    def create(bodies: Any, carried: Carried | None, dt: Array) -> RigidStepper:
         """Computes the constants once, outside the loop."""
-        parts = body_parts(bodies)
+        parts = bodies.parts()
         mass, centre, inertia, inverse = bodies.masses, None, None, None
         if carried is not None:
             mass = mass + carried.mass
@@ -166,9 +201,7 @@ class RigidStepper:
         forces, couples = loads.forces, loads.couples
         seen = self.seen(motion)
         for effect in self.bodies.effects:
-            # An effect on bodies only asks for masses.
-            member: object = self.bodies
-            more = effect.loads(member, seen.motion)  # type: ignore[arg-type]
+            more = effect.loads(self.bodies, seen.motion)
             forces = more.forces if forces is None else accumulate(forces, more.forces)
             if more.couples is not None:
                 couples = (
@@ -216,12 +249,10 @@ def mapped_zero(vector: Vec3) -> Vec3:
     return zero, zero, zero
 
 
-def _damping(bodies: RigidBodies) -> tuple[Array | None, Array | None]:
+def _damping(bodies: Any) -> tuple[Array | None, Array | None]:
     total: tuple[Array, Array] | None = None
     for effect in bodies.effects:
-        # As above: bodies have all that effects on bodies ask for.
-        member: object = bodies
-        rates = effect.damping_rates(member)  # type: ignore[arg-type]
+        rates = effect.damping_rates(bodies)
         if rates is not None:
             total = (
                 rates if total is None else (total[0] + rates[0], total[1] + rates[1])
@@ -267,14 +298,3 @@ def _cholesky(matrix: Matrix) -> Matrix:
     e = (yz - b * c) / d
     f = jnp.sqrt(zz - c * c - e * e)
     return (a, b, c), (zero, d, e), (zero, zero, f)
-
-
-def body_parts(bodies: RigidBodies) -> Parts:
-    """Constants of bodies, as couplings see them."""
-    return Parts(
-        node_masses=bodies.masses,
-        inertias=bodies.principal_inertias,
-        shape=bodies.shape,
-        count=bodies.n_elements,
-        is_rod=False,
-    )

@@ -10,36 +10,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from jaxrod.analysis.health import HealthLimits, health
-from jaxrod.analysis.stability import stable_dt
+from jaxrod.analysis.health import HealthLimits, scene_health
+from jaxrod.analysis.stability import scene_stable_step
 from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.effects.memory import memory_of
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.methods.consistent import ConsistentStepper
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.methods.now import memory_in
-from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.scene import (
-    Scene,
-    angular_momentum,
-    kinetic_energy,
-    momentum,
-    potential_energy,
-)
 from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
-from jaxrod.systems.members.member import Member
+from jaxrod.systems.members.member import Member, check_fields
 from jaxrod.systems.members.parts import Parts, flatten_rods, parts_of, unflatten_rods
 from jaxrod.systems.members.rigid_stepper import Carried
 from jaxrod.systems.members.steppers import MemberStepper, RodsStepper, RodStepper
+from jaxrod.validation import check_kind
 
 
 @dataclass(frozen=True)
 class OneRod(Member):
     """One rod with its effects, as a member."""
 
-    model: Scene
+    model: Any
+    """Its scene, a `LoadedRod`."""
 
     @property
     def dtype(self) -> Any:
@@ -47,9 +41,43 @@ class OneRod(Member):
         return self.model.rod.rest_lengths.dtype
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def array_shape(self) -> tuple[int, ...]:
         """Number of elements."""
         return jnp.shape(self.model.rod.rest_lengths)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects on the rod."""
+        effects: tuple[Effect, ...] = self.model.effects
+        return effects
+
+    def check(self, name: str) -> None:
+        """Raises a ValueError if its method has no steps in a system."""
+        if not self.model.method.steps_in_systems:
+            raise ValueError(
+                f"member {name!r} steps with {type(self.model.method).__name__}, which "
+                "has no steps in a system: use consistent() or pyelastica()"
+            )
+
+    def with_effect(self, effect: Effect) -> Any:
+        """The scene with one more effect, the same for equal rods."""
+        return self.each(lambda scene: scene.with_effect(effect))
+
+    def in_own_type(self) -> Any:
+        """The scene: `make_scene` has converted its effects."""
+        return self.model
+
+    def with_free_ends(self, free: Array) -> Any:
+        """The scene, whose effects know which ends of its rods are free."""
+        if not self.effects or bool(jnp.all(free)):
+            return self.model
+        own = self.of_rods(free)
+        effects = tuple(effect.with_free_ends(own) for effect in self.effects)
+        return replace(self.model, effects=effects)
+
+    def of_rods(self, numbers: Array) -> Array:
+        """Numbers of every rod, as the scene has them: without the axis of rods."""
+        return numbers[0]
 
     @property
     def remembers(self) -> bool:
@@ -65,20 +93,16 @@ class OneRod(Member):
         """Calls a function with each rod's scene and its part of other arguments."""
         return function(self.model, *given)
 
-    def mapped(self, function: Callable[[Any], Any]) -> Any:
-        """The scene with a function applied to it."""
-        return self.each(function)
-
     def recalling(self, state: Any) -> Any:
         """The scene with the memory of its effects in a state."""
-        return self.each(Scene.recalling, state)
+        return self.each(lambda scene, own: scene.recalling(own), state)
 
     def with_memory(self, state: Any) -> Any:
         """The state with the initial memory of its effects, if it has none."""
         if not self.remembers or state.memory is not None:
             return state
 
-        def one(scene: Scene, own: RodState) -> RodState:
+        def one(scene: LoadedRod, own: RodState) -> RodState:
             return replace(own, memory=memory_of(scene.effects))
 
         return self.each(one, state)
@@ -89,11 +113,8 @@ class OneRod(Member):
 
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this rod."""
-        if not isinstance(state, RodState):
-            raise TypeError(
-                f"state of {name!r} must be a RodState, got {type(state).__name__}"
-            )
-        *batch, n = self.shape
+        check_kind(f"state of {name!r}", state, RodState)
+        *batch, n = self.array_shape
         check_fields(name, state, (*batch, 3, n + 1), dtype, "angular_momenta")
 
     def parts(self) -> Parts:
@@ -121,7 +142,18 @@ class OneRod(Member):
     ) -> MemberStepper:
         """Its part of a step."""
         del carried
-        return RodStepper(_verlet(self.model, state, dt), parts)
+        return RodStepper(self.model.method.stepper(self.model, state, dt), parts)
+
+    def contact_forces(self, state: Any) -> list[Vec3]:
+        """Forces of fixed bodies on the nodes [N], for each effect."""
+
+        def one(scene: LoadedRod, own: RodState) -> list[Vec3]:
+            touching = [effect for effect in scene.effects if effect.obstacle]
+            found = [e.loads(scene.rod, motion_of(own)).forces for e in touching]
+            return [forces for forces in found if forces is not None]
+
+        forces: list[Vec3] = self.row(self.each(one, state))
+        return forces
 
     def momenta(self, state: Any) -> tuple[Array, Array]:
         """Momenta of nodes and angular momenta of elements, components next to last."""
@@ -130,34 +162,34 @@ class OneRod(Member):
 
     def kinetic_energy(self, state: Any) -> Array:
         """Kinetic energy [J]."""
-        return self.total(lambda scene, own: kinetic_energy(scene.rod, own), state)
+        return self.total(lambda scene, own: scene.kinetic_energy(own), state)
 
     def potential_energy(self, state: Any) -> Array:
         """Elastic energy, and potentials of its effects [J]."""
-        return self.total(potential_energy, state)
+        return self.total(lambda scene, own: scene.potential_energy(own), state)
 
     def momentum(self, state: Any) -> Array:
         """Linear momentum, world frame [kg m/s]."""
-        return self.total(lambda scene, own: momentum(scene.rod, own), state)
+        return self.total(lambda scene, own: scene.momentum(own), state)
 
     def angular_momentum(self, state: Any) -> Array:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
-        return self.total(lambda scene, own: angular_momentum(scene.rod, own), state)
+        return self.total(lambda scene, own: scene.angular_momentum(own), state)
 
-    def total(self, function: Callable[[Scene, RodState], Array], state: Any) -> Array:
+    def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:
         """Sum of a function of every scene and its state."""
         return self.each(function, state)
 
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
         """Flags and the measured values behind them, for every rod."""
-        return self.each(lambda s, own: health(s, own, dt, limits=limits), state)
+        return self.each(lambda s, own: scene_health(s, own, dt, limits=limits), state)
 
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
         """The largest safe step [s], and what limits it."""
 
-        def one(scene: Scene, own: StabilityBound) -> Any:
+        def one(scene: LoadedRod, own: StabilityBound) -> Any:
             effects = (*scene.effects, CouplingBounds(own))
-            return stable_dt(replace(scene, effects=effects), safety)
+            return scene_stable_step(replace(scene, effects=effects), safety)
 
         step = self.each(one, self.rows(bound))
         return jnp.min(step.dt), step
@@ -173,7 +205,7 @@ class EqualRods(OneRod):
     @property
     def count(self) -> int:
         """Number of rods."""
-        return int(self.shape[0])
+        return int(self.array_shape[0])
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
         """Result of a function of a scene and of other things, for every rod."""
@@ -181,10 +213,14 @@ class EqualRods(OneRod):
 
     def parts(self) -> Parts:
         """Constants, as couplings see them."""
-        count, n = self.shape
+        count, n = self.array_shape
         rows = flatten_rods(jax.vmap(parts_of)(self.model.rod))
         parts: Parts = replace(rows, count=count, n_elements=n)
         return parts
+
+    def of_rods(self, numbers: Array) -> Array:
+        """Numbers of every rod, as the scenes have them."""
+        return numbers
 
     def row(self, tree: Any) -> Any:
         """Fields of every rod, with all nodes and elements in one row."""
@@ -199,10 +235,10 @@ class EqualRods(OneRod):
     ) -> MemberStepper:
         """Its part of a step."""
         del carried
-        verlet = self.each(lambda s, own: _verlet(s, own, dt), state)
+        verlet = self.each(lambda s, own: s.method.stepper(s, own, dt), state)
         return RodsStepper(verlet, parts, parts.count)
 
-    def total(self, function: Callable[[Scene, RodState], Array], state: Any) -> Array:
+    def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:
         """Sum of a function of every scene and its state."""
         return jnp.sum(self.each(function, state), axis=0)
 
@@ -219,43 +255,10 @@ class CouplingBounds(Effect):
         return self.bound
 
 
-def check_fields(
-    name: str, state: Any, shape: tuple[int, ...], dtype: Any, spins: str
-) -> None:
-    """Raises a ValueError if fields of a state have the wrong shape or type.
-
-    Args:
-        name: Name of the member.
-        state: Its state.
-        shape: Shape that positions must have.
-        dtype: Type of the system.
-        spins: Name of the field of spins.
-    """
-    if state.positions.shape != shape:
-        raise ValueError(
-            f"positions of {name!r} must have shape {shape}, got "
-            f"{state.positions.shape}"
-        )
-    if state.positions.dtype != dtype:
-        raise ValueError(
-            f"state of {name!r} must be {dtype}, as the system is, got "
-            f"{state.positions.dtype}"
-        )
-    for field in ("orientations", "velocities", spins):
-        own = getattr(state, field).dtype
-        if own != dtype:
-            raise ValueError(
-                f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
-            )
-
-
-def _free_rates(scene: Scene, state: RodState) -> Vec3:
+def _free_rates(scene: LoadedRod, state: RodState) -> Vec3:
     return free_velocity_mask(scene, motion_of(state))[0]
 
 
-def _verlet(
-    scene: Scene, state: RodState, dt: Array
-) -> ConsistentStepper | PyElasticaStepper:
-    stepper = scene.method.stepper(scene, state, dt)
-    assert isinstance(stepper, ConsistentStepper | PyElasticaStepper)
-    return stepper
+def member_of_rod(scene: LoadedRod) -> OneRod:
+    """The member that answers for a scene, or for equal rods if it is stacked."""
+    return EqualRods(scene) if scene.rod.batch_shape else OneRod(scene)

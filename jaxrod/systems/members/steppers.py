@@ -2,74 +2,85 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.effects.time import Clock, at_clock
-from jaxrod.methods.consistent import ConsistentStepper
 from jaxrod.methods.now import Now, remembering, scene_at
-from jaxrod.methods.pyelastica import PyElasticaStepper
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
 from jaxrod.systems.members.parts import Parts, Seen, flatten_rods, unflatten_rods
 from jaxrod.systems.members.rigid_stepper import RigidStepper
 
 
-class MemberStepper(Protocol):
-    """One member's part of a step.
+class MemberStepper(ABC):
+    """One member's part of a step, a pytree.
 
     Motions have the stepper's own form: a leading axis for equal rods, the common
-    centre of mass for bodies.
+    centre of mass for bodies. Hooks that are not abstract fit a member without
+    supports, ties and effects.
     """
 
-    def enter(self, state: Any) -> Motion:
+    @abstractmethod
+    def enter(self, state: Any) -> Any:
         """Motion of a state."""
 
-    def leave(self, motion: Motion) -> Any:
+    @abstractmethod
+    def leave(self, motion: Any) -> Any:
         """State of a motion."""
 
-    def drift(self, motion: Motion, dt: Array) -> Motion:
+    @abstractmethod
+    def drift(self, motion: Any, dt: Array) -> Any:
         """Moves at unchanged rates for a time `dt` [s]."""
 
-    def kick(self, motion: Motion, loads: Loads) -> Motion:
+    @abstractmethod
+    def kick(self, motion: Any, loads: Loads) -> Any:
         """Changes the rates by the member's own loads and by others, over one step."""
 
-    def supported(self, motion: Motion) -> Motion:
-        """The motion with the rates that supports impose now."""
-
-    def seen(self, motion: Motion) -> Seen:
+    @abstractmethod
+    def seen(self, motion: Any) -> Seen:
         """The member as couplings see it."""
 
-    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The member's motion with the changes made in a couplings' view of it."""
+    def supported(self, motion: Any) -> Any:
+        """The motion with the rates that supports impose now."""
+        return motion
 
-    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
+    def moved_as(self, motion: Any, seen: Motion) -> Any:
+        """The member's motion with the changes made in a couplings' view of it."""
+        raise NotImplementedError(f"{type(self).__name__}: nodes cannot follow others")
+
+    def pushed(self, motion: Any, impulses: Loads) -> Any:
         """Changes rates by impulses, with forces and couples in the world frame."""
+        raise NotImplementedError(f"{type(self).__name__}: nothing can be attached")
 
     def at(self, model: Any, memory: Any, clock: Clock) -> MemberStepper:
         """The stepper with the member as it is at a time.
 
         Args:
-            model: Scene or bodies with their schedules.
-            memory: Memory of their effects.
+            model: What the system holds, with its schedules.
+            memory: Memory of its effects.
             clock: The time.
         """
+        return self
 
-    def remembered(self, motion: Motion, memory: Any, dt: Array) -> Any:
+    def remembered(self, motion: Any, memory: Any, dt: Array) -> Any:
         """Memory of the effects one step later."""
+        return memory
 
 
 @pytree
-class RodStepper:
+class RodStepper(MemberStepper):
     """Stepper of a scene: one rod and its effects."""
 
-    verlet: ConsistentStepper | PyElasticaStepper
-    """The stepper of the scene; of equal rods, with a leading axis."""
+    verlet: Any
+    """The stepper of the scene; of equal rods, with a leading axis. It has the methods
+    of `Verlet`, with motions that couplings understand."""
     parts: Parts
     """Constants of the rod, or of all rods in one row."""
 
@@ -111,10 +122,6 @@ class RodStepper:
         """The member's motion, from the couplings' view of it."""
         changed: Motion = self.rows(seen)
         return changed
-
-    def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Not supported: a rod takes no impulses."""
-        raise NotImplementedError("impulses act on rigid bodies")
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
         """The stepper with the scene as it is at a time."""
@@ -168,7 +175,7 @@ class RodsStepper(RodStepper):
 
 
 @pytree
-class BodiesStepper:
+class BodiesStepper(MemberStepper):
     """Stepper of rigid bodies."""
 
     rigid: RigidStepper
@@ -190,17 +197,9 @@ class BodiesStepper:
         """Changes the rates by effects and other loads."""
         return self.rigid.kick(motion, loads)
 
-    def supported(self, motion: Motion) -> Motion:
-        """The unchanged motion: supports hold rods."""
-        return motion
-
     def seen(self, motion: Motion) -> Seen:
         """The bodies at their origins."""
         return self.rigid.seen(motion)
-
-    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """Not supported: bodies follow nothing."""
-        raise NotImplementedError("nothing ties a rigid body to follow another member")
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
         """Changes rates by impulses on the origins."""
@@ -210,7 +209,3 @@ class BodiesStepper:
         """The stepper with schedules of the bodies' effects evaluated at a time."""
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))
-
-    def remembered(self, motion: Motion, memory: Any, dt: Array) -> Any:
-        """No memory."""
-        return memory

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxtyping import Array
 
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import Reaction, StabilityBound
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.members.rigid_stepper import Carried
@@ -49,6 +49,38 @@ class Coupling:
     def joined_nodes(self) -> Iterable[tuple[str, int]]:
         """Nodes of members that are tied to other nodes, or part of a body."""
         return ()
+
+    @property
+    def followed(self) -> str | None:
+        """Name of the member that `joined_nodes` follow; `None` if they are equals."""
+        return None
+
+    @property
+    def tied_pairs(self) -> tuple[TiedPair, ...]:
+        """Pairs of nodes that it gives one place exactly, each in both orders.
+
+        Couplings that have some come last, and are merged to one.
+        """
+        return ()
+
+    def merged(self, others: Sequence[Any]) -> Coupling:
+        """One coupling in place of this one and of others with tied pairs."""
+        # Not abstract: couplings without tied pairs are never asked.
+        raise NotImplementedError(f"{type(self).__name__} cannot be merged")
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether its forces are those of contact, which a replay can show."""
+        return False
+
+    @property
+    def lists(self) -> Any:
+        """Settings of its `NeighbourLists`; `None` if it has no lists to be counted."""
+        return None
+
+    def reaction(self, seen: AllSeen) -> Reaction | None:
+        """Force, couple and power of a drive from outside; `None` without a drive."""
+        return None
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
         """The coupling with the given free ends of rods; other ends continue.

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from jaxrod.geometry.rotations import Quaternion, split_quaternion
-from jaxrod.rods.rod import RodState
+from jaxrod.rods.rod import Layout
 from jaxrod.structure import pytree, static
-from jaxrod.systems.members.rigid_bodies import BodyState
 from jaxrod.systems.sites.coupling import AllParts, check_named
 from jaxrod.validation import check_count, is_traced
 
 Place = Sequence[Any]
 """Place on a member: `("arm", "finish")` or `("arm", 7)` on a rod, `("arms", 2,
-"start")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies. The orientation
-at a place within a rod is that of the element after the node."""
+"start")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies and
+points. A place within a rod has the orientation of the element after the node."""
 
 
 class Indices:
@@ -73,18 +71,6 @@ class Points:
             )
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Numbers of nodes and elements of a member."""
-
-    count: int
-    """Number of rods or bodies."""
-    n_elements: int
-    """Elements of each rod; 1 for bodies."""
-    is_rod: bool
-    """Whether the member consists of rods."""
-
-
 def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
     """Layouts of the members of a system, from its state.
 
@@ -100,15 +86,13 @@ def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
 
 
 def _layout(name: str, state: Any) -> Layout:
-    if isinstance(state, BodyState):
-        return Layout(state.positions.shape[-1], 1, False)
-    if not isinstance(state, RodState):
+    layout: Layout | None = getattr(state, "layout", None)
+    if layout is None:
         raise TypeError(
-            f"state of {name!r} must be a RodState or a BodyState, got "
-            f"{type(state).__name__}"
+            f"state of {name!r} must be a RodState, a BodyState or another with a "
+            f"layout, got {type(state).__name__}"
         )
-    shape = state.orientations.shape
-    return Layout(shape[0] if len(shape) == 3 else 1, shape[-1], True)
+    return layout
 
 
 def resolved(
@@ -218,14 +202,12 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
     if not is_traced(positions, orientations):
         # On the host: this is little work, and compiling it would take long.
         positions, orientations = map(np.asarray, (positions, orientations))
-    node_of, element_of = node, element
-    if layout.is_rod and positions.ndim == 3:
-        rod, node_of = divmod(node, layout.n_elements + 1)
-        _, element_of = divmod(element, layout.n_elements)
-        positions, orientations = positions[rod], orientations[rod]
-    x = positions[:, node_of]
-    w = split_quaternion(orientations[:, element_of])
+    positions, orientations = layout.row(positions), layout.row(orientations)
+    x = positions[:, node]
+    w = split_quaternion(orientations[:, element])
     if not layout.is_rod:
         return Pose(x, w, np.inf)
-    edge = positions[:, element_of + 1] - positions[:, element_of]
+    # Each rod has one node more than elements.
+    start = element + element // layout.n_elements
+    edge = positions[:, start + 1] - positions[:, start]
     return Pose(x, w, (edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2) ** 0.5)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
+from jaxrod.effects.base import Effect
 from jaxrod.effects.time import (
     Clock,
     at_clock,
@@ -17,29 +18,24 @@ from jaxrod.effects.time import (
     clock_at,
     depends_on_time,
 )
-from jaxrod.scene import Scene
 from jaxrod.structure import pytree, static
-from jaxrod.systems.members.bodies import Bodies
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.members.rigid_bodies import RigidBodies
 from jaxrod.systems.members.rigid_stepper import Carried
-from jaxrod.systems.members.rods import EqualRods, OneRod
 from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.systems.stepping.stepper import SystemStepper
 
-Model = Scene | RigidBodies
-"""A rod with its effects, equal rods with a leading axis, or rigid bodies."""
 SystemState = Mapping[str, Any]
-"""States of the members, by name: `RodState` or `BodyState`."""
+"""States of the members, by name: `RodState`, `BodyState` or a state of your own."""
 
 
 @pytree
 class Assembly:
     """Rods and rigid bodies by name, and the couplings between them."""
 
-    members: dict[str, Model]
-    """The members, by name."""
+    members: dict[str, Any]
+    """Scenes, equal scenes with a leading axis, rigid bodies and members of your own:
+    anything with a method `as_member`, by name."""
     couplings: tuple[Coupling, ...] = ()
     """Couplings between them."""
     shapes: tuple[tuple[int, ...], ...] = static(default=())
@@ -47,17 +43,17 @@ class Assembly:
 
     def interfaces(self) -> dict[str, Member]:
         """The members, by name, behind their common interface."""
-        return {name: member_of(model) for name, model in self.members.items()}
+        return {name: held.as_member() for name, held in self.members.items()}
 
     @property
     def dtype(self) -> Any:
         """Type of all numbers."""
-        return member_of(next(iter(self.members.values()))).dtype
+        return next(iter(self.members.values())).as_member().dtype
 
     @property
     def depends_on_time(self) -> bool:
         """Whether a number of an effect or a coupling is a schedule."""
-        effects = [model.effects for model in self.members.values()]
+        effects = [member.effects for member in self.interfaces().values()]
         return depends_on_time((self.couplings, effects))
 
     @property
@@ -74,7 +70,7 @@ class Assembly:
         """The system at a time [s], with schedules replaced by their values."""
         if not self.depends_on_time:
             return self
-        clock = time if isinstance(time, Clock) else clock_at(time, self.dtype)
+        clock = clock_at(time, self.dtype)
         return self._replaced(lambda tree: at_clock(tree, clock))
 
     @property
@@ -85,16 +81,26 @@ class Assembly:
     def _replaced(self, function: Callable[[Any], Any]) -> Self:
         """The system after a function was applied to every member and the couplings."""
         members = {
-            name: one.mapped(function) for name, one in self.interfaces().items()
+            name: member.each(function) for name, member in self.interfaces().items()
         }
         return replace(self, members=members, couplings=function(self.couplings))
 
-    def recalling(self, state: SystemState) -> Assembly:
+    def with_effect(self, effect: Effect) -> Self:
+        """The system with one more effect on each member."""
+        members = {
+            name: member.with_effect(effect)
+            for name, member in self.interfaces().items()
+        }
+        return replace(self, members=members)
+
+    def recalling(self, state: SystemState) -> Self:
         """The system with the memory of its effects in a state."""
         if not self.remembers:
             return self
         members = {
-            name: member.recalling(state[name]) if member.remembers else member.model
+            name: member.recalling(state[name])
+            if member.remembers
+            else self.members[name]
             for name, member in self.interfaces().items()
         }
         return replace(self, members=members)
@@ -122,17 +128,10 @@ class Assembly:
         return SystemStepper(members, couplings, dt)
 
 
-def member_of(model: Model) -> Member:
-    """The member that answers for a scene, equal scenes or rigid bodies."""
-    if isinstance(model, RigidBodies):
-        return Bodies(model)
-    return (OneRod if model.rod.rest_lengths.ndim == 1 else EqualRods)(model)
-
-
-def member_shapes(members: Mapping[str, Model]) -> tuple[tuple[int, ...], ...]:
+def member_shapes(members: Mapping[str, Any]) -> tuple[tuple[int, ...], ...]:
     """Shapes of the members' elements or bodies, in the order of their names."""
     # JAX puts a dict in the order of its keys: names, not as they were given.
-    return tuple(member_of(members[name]).shape for name in sorted(members))
+    return tuple(members[name].as_member().array_shape for name in sorted(members))
 
 
 def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:

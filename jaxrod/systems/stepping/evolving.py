@@ -11,6 +11,7 @@ from jaxtyping import Array, Int
 
 from jaxrod.effects.time import Clock, at_clock
 from jaxrod.structure import pytree
+from jaxrod.systems.members.parts import Seen
 from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.systems.stepping.assembly import Assembly
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper
@@ -46,6 +47,10 @@ class EvolvingSystem:
     """Couplings, prepared, with their schedules."""
     first: Int[Array, ""]
     """Steps since time zero at the beginning of the run."""
+
+    def seen(self, carry: tuple[Motions, SystemNow]) -> dict[str, Seen]:
+        """All members as couplings see them."""
+        return self.stepper.seen(carry[0])
 
     def begin(self, state: Mapping[str, Any]) -> tuple[Motions, SystemNow]:
         """Carry in the middle of the first step."""

@@ -20,7 +20,7 @@ from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord
 from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.systems.stepping.assembly import Assembly
 from jaxrod.systems.stepping.evolving import EvolvingSystem
-from jaxrod.systems.stepping.stepper import Motions, SystemStepper
+from jaxrod.systems.stepping.stepper import SystemStepper
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:
@@ -126,7 +126,4 @@ class ListingSystem:
 
     def _seen(self, motions: Any) -> Any:
         """Members as couplings see them."""
-        if isinstance(self.stepper, EvolvingSystem):
-            own: Motions = motions[0]
-            return self.stepper.stepper.seen(own)
         return self.stepper.seen(motions)

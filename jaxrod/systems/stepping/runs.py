@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
-from jaxrod.composite import Stepper
 from jaxrod.effects.time import Clock
+from jaxrod.model import Stepper
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.stability import stable_system_dt
 from jaxrod.systems.stepping.assembly import Assembly, SystemState, member_shapes
@@ -20,7 +20,6 @@ from jaxrod.systems.stepping.listing import (
     refresh_every,
 )
 from jaxrod.systems.stepping.stepper import SystemStepper
-from jaxrod.validation import as_array
 
 
 def check_system_state(system: Assembly, state: Any) -> None:
@@ -62,12 +61,6 @@ def _check_record(record: Any) -> None:
             f"state[{RECORD!r}] must be what a run has left there, got "
             f"{type(record).__name__}: leave it out to begin anew"
         )
-
-
-def check_system_run(system: Assembly, state: Any, dt: ArrayLike) -> Array:
-    """Checks the arguments of a run, and returns the step in the system's type."""
-    check_system_state(system, state)
-    return as_array("dt", dt, "s", positive=True, dtype=system.dtype)
 
 
 def system_stepper(

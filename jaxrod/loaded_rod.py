@@ -1,0 +1,300 @@
+"""A loaded rod: one rod, the effects on it and its method, as a method sees a scene.
+
+`jaxrod.scene.Scene` is a loaded rod that is also a model: it can be stepped and asked
+for its energies. Methods, statics and analyses are below that file and take what is
+here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from jaxrod.effects.base import Effect
+from jaxrod.effects.memory import memory_of, recalled, remembers, stirred
+from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.model import Stepper
+from jaxrod.rods.elasticity import elastic_law, internal_loads
+from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.rods.rod import Rod, RodState, check_state
+from jaxrod.rods.words import or_fields, scene_words
+from jaxrod.structure import pytree
+
+AnyScene = TypeVar("AnyScene", bound="LoadedRod")
+
+
+@runtime_checkable
+class Evolvable(Protocol):
+    """A stepper that can follow a scene that depends on time or has memory."""
+
+    def evolving(self, scene: LoadedRod, first: Array) -> Stepper:
+        """Stepper that follows the scene in time.
+
+        Args:
+            scene: The scene with its schedules; this stepper has it without them.
+            first: Number of steps since time zero at the beginning.
+        """
+
+
+@pytree
+class Method:
+    """Method of stepping a scene: an elastic law, its reduction and an integrator.
+
+    It is one of those in `jaxrod.methods`, or a user's subclass that is a pytree.
+    """
+
+    twist: ClassVar[bool] = True
+    """Whether elements rotate about their axes."""
+    explicit: ClassVar[bool] = True
+    """Whether `stable_dt` bounds the step."""
+    steps_in_systems: ClassVar[bool] = False
+    """Whether its stepper has the parts of a step, on motions that couplings see:
+    `enter`, `leave`, `drift`, `constrain_rates`, and `kick` with loads of couplings."""
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether internal loads are the gradient of the stored energy."""
+        return True
+
+    @property
+    def solves_damping(self) -> bool:
+        """Whether damping by rates is solved with the kick, not multiplied after it."""
+        return True
+
+    @property
+    def solves_drag(self) -> bool:
+        """Whether `Effect.drag` is solved with the loads instead of being one."""
+        return False
+
+    def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> Stepper:
+        """Integrator with its constants computed for one call."""
+        # Not abstract: checks of single effects make scenes that are never stepped.
+        raise NotImplementedError
+
+    def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
+        """All loads on the rod: forces [N], and couples [N m] that turn its inertia.
+
+        Stability and frequencies ask for them.
+        """
+        internal = internal_loads(elastic_law(scene.rod), motion)
+        assert internal.forces is not None and internal.couples is not None
+        return external_loads(scene, motion, internal.forces, internal.couples)
+
+    def check(self, scene: LoadedRod) -> None:
+        """Raises ValueError if the scene does not fit this method in any state.
+
+        Traced values are not checked.
+        """
+
+    def check_evolving(self, scene: LoadedRod) -> None:
+        """Raises ValueError if an effect that evolves does not fit this method.
+
+        It is called with the scene that has schedules or memory.
+        """
+
+    def check_state(self, scene: LoadedRod, state: RodState) -> None:
+        """Raises ValueError if this concrete state does not fit this method."""
+
+
+@pytree
+class LoadedRod:
+    """One rod, its effects and a method. Structure is static, numbers are traced.
+
+    Only the listed `effects` are in the compiled program.
+    """
+
+    rod: Rod
+    """The rod's parameters."""
+    effects: tuple[Effect, ...]
+    """Effects on the rod, in the order in which they are applied."""
+    method: Method
+    """Method that steps it."""
+
+    def __repr__(self) -> str:
+        """One line: the rod, the effects by their classes, the method."""
+        return or_fields(scene_words, self)
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether an effect has a number that is a schedule."""
+        return depends_on_time(self.effects)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether an effect has memory from step to step."""
+        return remembers(self.effects)
+
+    def at(self, time: ArrayLike | Clock) -> Self:
+        """Scene at a time [s]: schedules are replaced by their values.
+
+        For functions of one moment: energies, health, equilibrium, frequencies.
+        """
+        if not self.depends_on_time:
+            return self
+        clock = clock_at(time, self.rod.rest_lengths.dtype)
+        return replace(self, effects=at_clock(self.effects, clock))
+
+    @property
+    def at_largest(self) -> Self:
+        """Scene with every schedule replaced by the bound on its size."""
+        if not self.depends_on_time:
+            return self
+        return replace(self, effects=at_largest(self.effects))
+
+    @property
+    def stirred(self) -> Self:
+        """Scene with other memories and schedules at their bounds, not initial ones.
+
+        For checks of effects: a value that is zero now may leave a plane later.
+        """
+        effects = recalled(self.effects, stirred(memory_of(self.effects)))
+        return replace(self, effects=effects).at_largest
+
+    @property
+    def evolves(self) -> bool:
+        """Whether it depends on time or has memory."""
+        return self.depends_on_time or self.remembers
+
+    @property
+    def evolving_effects(self) -> tuple[Effect, ...]:
+        """Effects that depend on time or have memory."""
+        return tuple(
+            effect
+            for effect in self.effects
+            if depends_on_time(effect) or remembers((effect,))
+        )
+
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+        if self.depends_on_time:
+            raise ValueError(
+                "this asks about one moment, but a number of the scene's effects is a "
+                "schedule: give scene.at(time)"
+            )
+
+    def recalling(self, state: Any) -> Self:
+        """Scene with the memory of its effects as in a state."""
+        if state.memory is None or not self.remembers:
+            return self
+        return replace(self, effects=recalled(self.effects, state.memory))
+
+
+def check_scene(scene: Any) -> None:
+    """Checks that something is a scene, and a single one.
+
+    Raises:
+        TypeError: If it is of another type.
+        ValueError: If it is a batch of scenes.
+    """
+    if not isinstance(scene, LoadedRod):
+        raise TypeError(
+            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
+            "of one rod alone, not of several members together. Those can be stepped "
+            "(advance, rollout) and asked for stable_dt, health and their energies; "
+            "jaxrod.settled finds where they come to rest"
+        )
+    shape = scene.rod.batch_shape
+    if shape:
+        raise ValueError(
+            f"scene must be one scene, got a batch of shape {shape}: use jax.vmap, as "
+            "in jax.vmap(jaxrod.stable_dt)(scenes)"
+        )
+
+
+def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
+    """Scene with the effects as in a state, for functions of one moment.
+
+    Raises:
+        TypeError: If the arguments are not a scene and a state.
+        ValueError: If the state is not of the scene's rod, or the scene depends on
+            time.
+    """
+    check_scene_and_state(scene, state)
+    scene.check_moment()
+    return scene.recalling(state)
+
+
+def check_memory(scene: LoadedRod, state: RodState) -> None:
+    """Raises a `ValueError` if a state's memory is not that of the scene's effects."""
+    if state.memory is None:
+        return
+    given, own = map(_described, (state.memory, memory_of(scene.effects)))
+    if not scene.remembers or given != own:
+        raise ValueError(
+            "state.memory must be of the effects of this scene: "
+            "dataclasses.replace(state, memory=None) begins anew"
+        )
+
+
+def _described(memory: Any) -> Any:
+    """Names and shapes of a memory."""
+    leaves, structure = jax.tree.flatten(memory)
+    return structure, [jnp.shape(leaf) for leaf in leaves]
+
+
+def check_scene_and_state(scene: LoadedRod, state: RodState) -> None:
+    """Checks that the arguments are a scene and a state of its rod.
+
+    Raises:
+        TypeError: If they are of other types.
+        ValueError: If the state has other numbers of elements and nodes.
+    """
+    check_scene(scene)
+    check_state(scene.rod, state)
+    check_memory(scene, state)
+
+
+def external_loads(
+    scene: LoadedRod, motion: Motion, forces: Vec3, couples: Vec3
+) -> Loads:
+    """Adds the loads of all effects to given forces and couples."""
+    for effect in scene.effects:
+        loads = effect.loads_after(scene.rod, motion, Loads(forces, couples))
+        forces = accumulate(forces, loads.forces)
+        couples = accumulate(couples, loads.couples)
+    return Loads(forces, couples)
+
+
+def constrain(scene: LoadedRod, motion: Motion) -> Motion:
+    """Applies all constraints on configuration."""
+    for effect in scene.effects:
+        motion = effect.constrain(scene.rod, motion)
+    return motion
+
+
+def constrain_rates(scene: LoadedRod, motion: Motion) -> Motion:
+    """Applies all constraints on rates."""
+    for effect in scene.effects:
+        motion = effect.constrain_rates(scene.rod, motion)
+    return motion
+
+
+def dissipates(scene: LoadedRod) -> bool:
+    """Whether an effect of the scene has damping that is solved separately."""
+    return any(type(e).dissipate is not Effect.dissipate for e in scene.effects)
+
+
+def dissipate(scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
+    """Applies all damping that is solved separately, for a step."""
+    for effect in scene.effects:
+        if type(effect).dissipate is not Effect.dissipate:
+            # The kick has given held components a rate, which is removed first.
+            motion = effect.dissipate(scene, constrain_rates(scene, motion), dt)
+    return motion
+
+
+def damping_rates(scene: LoadedRod) -> tuple[Array, Array] | None:
+    """Total decay rates [1/s] of velocities and of spins; `None` without damping."""
+    total: tuple[Array, Array] | None = None
+    for effect in scene.effects:
+        rates = effect.damping_rates(scene.rod)
+        if rates is not None:
+            if total is not None:
+                rates = (total[0] + rates[0], total[1] + rates[1])
+            total = rates
+    return total

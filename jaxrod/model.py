@@ -1,0 +1,184 @@
+"""Models: what can be stepped and asked for its energies, and their common interface.
+
+A `Scene` is a model of one rod, a `System` one of several members. `advance`,
+`rollout`, `stable_dt`, `health` and `settled` ask a model, and never what it is.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, Protocol, Self
+
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxrod.geometry.vectors import Vec3
+
+
+class Stepper(Protocol):
+    """An integrator with its constants computed, as `advance` runs it.
+
+    `begin` unpacks a state into the carry of the integrator, `cycle` is the body of the
+    loop, `end` finishes and packs the state. Position Verlet's cycle ends where the
+    kick of the next step acts, half a step on, so that neighbouring half drifts are
+    merged: `end(cycle(cycle(begin(state))))` is three steps, the last one finished by
+    `end`.
+    """
+
+    steps_of_end: ClassVar[int]
+    """Number of steps that `end` finishes, 1 or 0."""
+
+    def begin(self, state: Any) -> Any:
+        """Carry before the first step, from the initial state."""
+
+    def cycle(self, carry: Any) -> Any:
+        """Takes a step that `end` does not finish."""
+
+    def end(self, carry: Any) -> Any:
+        """Final state, from the carry after the last cycle."""
+
+
+class Model(ABC):
+    """Base of all models: a scene of one rod, or a system of several members.
+
+    Each has its own kind of state: a `RodState`, or a dict of states by member.
+    """
+
+    @property
+    @abstractmethod
+    def depends_on_time(self) -> bool:
+        """Whether a number is a schedule."""
+
+    @property
+    @abstractmethod
+    def remembers(self) -> bool:
+        """Whether an effect has memory."""
+
+    @property
+    @abstractmethod
+    def evolves(self) -> bool:
+        """Whether it depends on time or has memory."""
+
+    @abstractmethod
+    def at(self, time: Any) -> Self:
+        """The model at a time [s]: schedules are replaced by their values."""
+
+    @abstractmethod
+    def check_moment(self) -> None:
+        """Raises a `ValueError` if it depends on time."""
+
+    @abstractmethod
+    def recalling(self, state: Any) -> Self:
+        """The model with the memory of its effects as in a state."""
+
+    @abstractmethod
+    def with_memory(self, state: Any) -> Any:
+        """State with the initial memory of its effects, if it has none yet."""
+
+    @abstractmethod
+    def interfaces(self) -> dict[str, Any]:
+        """Its members by name; a scene has one, without a name."""
+
+    @abstractmethod
+    def states_by_name(self, state: Any) -> Mapping[str, Any]:
+        """States of its members by name."""
+
+    @abstractmethod
+    def with_states(self, state: Any, changed: Mapping[str, Any]) -> Any:
+        """The state after the states of the named members were replaced."""
+
+    @abstractmethod
+    def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
+        """Forces of contact on all nodes of members, world frame [N], for replays.
+
+        Each entry is of one effect or coupling: a member's name, and its nodes in one
+        row.
+        """
+
+    @abstractmethod
+    def with_effect(self, effect: Any) -> Self:
+        """The model with one more effect on each of its members."""
+
+    @abstractmethod
+    def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
+        """Checks the arguments of a run; returns the step in the model's dtype.
+
+        Args:
+            state: Initial state.
+            dt: Step size [s].
+            first: Number of the first step, if the model evolves.
+        """
+
+    @abstractmethod
+    def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
+        """Integrator of a run; `first` is used if the model evolves."""
+
+    @abstractmethod
+    def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
+        """Warning about a concrete step that is not stable; `None` if it is stable.
+
+        Args:
+            dt: Step size [s].
+            state: State of the rod, if the bound is to account for compression. In
+                consistent mode it is read, and so waited for, only if that matters.
+
+        Returns:
+            The warning, and whether the step may become unstable if a rod is compressed
+            further.
+        """
+
+    @abstractmethod
+    def stable_step(self, safety: ArrayLike, *, state: Any = None) -> Any:
+        """Largest stable step times a safety factor, in the field `dt`: `stable_dt`."""
+
+    @abstractmethod
+    def health(
+        self,
+        state: Any,
+        dt: ArrayLike,
+        *,
+        limits: Any = None,
+        energy_before: ArrayLike | None = None,
+        work_input: ArrayLike = 0.0,
+        n_steps: ArrayLike = 1000,
+    ) -> Any:
+        """Flags of a state and the values behind them: `jaxrod.health`."""
+
+    @abstractmethod
+    def kinetic_energy(self, state: Any) -> Float[Array, ""]:
+        """Kinetic energy of translation and rotation [J]."""
+
+    @abstractmethod
+    def potential_energy(self, state: Any) -> Float[Array, ""]:
+        """Stored elastic energy, and potentials of effects and couplings [J].
+
+        Raises:
+            ValueError: If the model depends on time: give `model.at(time)`.
+        """
+
+    def total_energy(self, state: Any) -> Float[Array, ""]:
+        """Kinetic plus potential energy [J].
+
+        Raises:
+            ValueError: If the model depends on time: give `model.at(time)`.
+        """
+        return self.kinetic_energy(state) + self.potential_energy(state)
+
+    @abstractmethod
+    def momentum(self, state: Any) -> Float[Array, "3"]:
+        """Linear momentum, world frame [kg m/s]."""
+
+    @abstractmethod
+    def angular_momentum(self, state: Any) -> Float[Array, "3"]:
+        """Angular momentum about the origin, world frame [kg m^2/s]."""
+
+
+def check_model(scene: Any) -> None:
+    """Raises a `TypeError` if an argument `scene` is not a model."""
+    if isinstance(scene, Model):
+        return
+    hint = " (factories return the pair rod, state)" if isinstance(scene, tuple) else ""
+    raise TypeError(
+        f"scene must be a jaxrod.Scene or a jaxrod.System, got {type(scene).__name__}"
+        f"{hint}"
+    )
